@@ -73,10 +73,11 @@ setup(
         'jazzy': [f'ros-jazzy-{package}' for package in ROS_PACKAGES],
         'ensemble': ['dask>=2022.12', 'distributed>=2022.12', 'pyarrow>=13',
                      'zarr>=3.1.3; python_version >= "3.11"'],
+        'px4': ['pyulog>=1.0'],
         'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
                  'colcon-test-result', 'dask', 'distributed', 'hypothesis', 'import-linter',
                  'mcap-ros2-support', 'mpmath', 'mypy', 'playwright', 'psutil', 'pyarrow',
-                 'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'setuptools>=70',
+                 'pytest', 'pytest-xdist', 'pyulog', 'rosbags', 'ruff', 'setuptools>=70',
                  'types-PyYAML', 'types-tqdm', 'xarray', 'zarr>=3.1.3; python_version >= "3.11"',
                  # The linters of ROS that PyPI has, and what they run.
                  'ros-ament-flake8', 'ros-ament-pep257', 'flake8', 'flake8-blind-except',

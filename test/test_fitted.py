@@ -73,11 +73,13 @@ def test_a_run_depends_on_seed_and_number_only(tmp_path):
 
 
 def test_sensors_and_later_recordings_do_not_change_the_distribution_of_the_others(tmp_path):
-    names = ('mount.x', *NAMES, 'clock_offset', 'gyro_bias.z', 'initial_attitude.x[2]')
-    matrix = np.full((8, 8), np.nan)  # of what the recording does not determine
+    sensors = 'clock_offset', 'gyro_bias.z', 'gyro_scale.x@/imu', 'clock_drift@/a.csv'
+    names = ('mount.x@/imu', *NAMES, *sensors, 'initial_attitude.x[2]')
+    matrix = np.full((10, 10), np.nan)  # of what the recording does not determine
     matrix[1:5, 1:5] = COVARIANCE
-    fit = fitted.load(written(tmp_path / 'more.json', names, [9, *MEAN, 9, 9, 9], matrix))
-    assert fit.ignored == ('mount.x', 'clock_offset', 'gyro_bias.z', 'initial_attitude.x[2]')
+    fit = fitted.load(written(tmp_path / 'more.json', names, [9, *MEAN, 9, 9, 9, 9, 9],
+                              matrix))
+    assert fit.ignored == ('mount.x@/imu', *sensors, 'initial_attitude.x[2]')
     alone = fitted.load(written(tmp_path / 'fitted.json'))
     assert np.array_equal(rows_of(fit, 9), rows_of(alone, 9))
 

@@ -186,6 +186,28 @@ def test_a_torque_bias_does_not_time_out():
     np.testing.assert_allclose(values, truth.bias, rtol=1e-6)
 
 
+@pytest.mark.parametrize('delay', [1.7, 2.3])
+def test_a_torque_delay_of_more_than_two_seconds_is_refused(delay):
+    log = TorqueLog(tumble().times - round(delay * SECOND), tumble().torques)
+    experiment = replace(tumble().experiment(tumble().measured()), log=log)
+    if delay < 2.0:
+        result = identify(RigidBody(INERTIA), experiment, estimate=['torque_delay'])
+        assert result.estimates['torque_delay'].value == pytest.approx(delay, abs=1e-8)
+    else:
+        with pytest.raises(ValueError, match=f'torque_delay: expected at most 2 s, found {delay}'):
+            identify(RigidBody(INERTIA), experiment, estimate=['torque_delay'])
+
+
+def test_a_plate_is_the_start_of_its_estimates_and_the_centre_of_what_is_known():
+    experiment = tumble(5.0).experiment(tumble(5.0).measured(ATTITUDE, RATE))
+    plate = RigidBody.from_moments(0.02, 0.03, 0.05)
+    result = identify(plate, experiment, estimate=['inertia', 'start'],
+                      priors={'inertia.izz': 1e-9})
+    assert [result.estimates[name].start for name in INERTIA_NAMES] == [
+        0.02, 0.03, 0.05, 0.0, 0.0, 0.0]
+    assert result.estimates['inertia.izz'].value == pytest.approx(0.05, abs=1e-7)
+
+
 def test_torque_bias_and_inertia():
     truth = Truth(bias=(0.002, -0.001, 0.003))
     result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),
@@ -398,6 +420,18 @@ def test_a_known_weight_gives_the_scale_of_the_inertia_without_torque():
     assert inertia_error(result) < 1e-9
 
 
+def test_a_weight_is_a_field_of_the_result():
+    experiment = swinging().experiment(swinging().measured())
+    result = identify(GUESS, experiment, estimate=['inertia', 'start', 'weight'],
+                      gravity=WEIGHT['field'])
+    weight, = result.fields
+    assert weight.name == 'weight'
+    np.testing.assert_allclose(weight.moment, WEIGHT['moment'], atol=1e-11)
+    again = propagate(result.body, result.starts[0], experiment.log, at=swinging().stamps_ns,
+                      fields=result.fields)
+    assert so3.angle_between(again.attitude, swinging().q).max() < 1e-8
+
+
 def test_moment_and_inertia_are_not_known_together_without_torque():
     experiment = with_field(swinging(0.0).experiment(swinging(0.0).measured(ATTITUDE, RATE)))
     result = identify(GUESS, experiment, estimate=['inertia', 'start', 'pivot.moment'])
@@ -424,6 +458,9 @@ def bad(**changes):
     (bad, {'estimate': ['inertia', 'inertia_diagonal']}, 'expected one of'),
     (bad, {'estimate': ['pivot.moment']},
      r"expected moments of the fields of the scene \(none\), found 'pivot'"),
+    (lambda: with_field(bad(), UniformField(*WEIGHT.values(), 'weight')), {'estimate': ['weight']},
+     'weight: expected a scene without a field of that name, found one; estimate weight.moment'),
+    (bad, {'estimate': ['weight'], 'gravity': (0.0, 0.0, 0.0)}, 'gravity: expected a field other'),
     (bad, {'estimate': ['pivot.field']}, "NAME.moment of a field, found 'pivot.field'"),
     (bad, {'estimate': []}, 'at least one name'),
     (bad, {'estimate': ['start', 'start']}, 'each name once'),

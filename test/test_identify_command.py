@@ -26,12 +26,16 @@ import numpy as np
 from pages import array, data_of
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import scene
+from rigid_body_ros import RigidBody, scene
 from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.report.text import rounded
+from rigid_body_ros.sensing.reading import read_measured
 from scipy.spatial.transform import Rotation
 from tumbling import mounted, shifted, Truth
 
 GUESS = np.diag([0.03, 0.03, 0.03])
+PIVOT = '    fields: [pivot]\n    pivot: {moment: {z: -0.01}, field: {z: -9.81}}\n'
 
 
 def record(path, truth, sensor, kind='Imu', **more):
@@ -88,17 +92,81 @@ def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys)
         assert f'<td>{unit}</td></tr>' in text
     for line in shown[14:-1]:
         assert f'<dd>{escape(line[17:])}</dd>' in text
-    panels = data_of(text)['panels']
-    assert [panel['label'] for panel in panels] == [
-        '/imu: attitude error, axes of the sensor', '/imu: rate error, axes of the sensor',
-        'torque, body axes']
-    for panel, noise in zip(panels, (2e-3, 5e-3)):
+    panels = {panel['label']: panel for panel in data_of(text)['panels']}
+    assert [*panels] == [
+        '/imu: attitude quaternion, axes of the sensor',
+        '/imu: attitude error, computed minus measured, axes of the sensor',
+        '/imu: angular velocity, axes of the sensor',
+        '/imu: rate error, computed minus measured, axes of the sensor',
+        'torque, body axes', 'residual torque, body axes, averaged over 0.26 s',
+        'residual torque, space axes, averaged over 0.26 s',
+        'amplitude of the residual torque, body axes',
+        '/imu: autocorrelation of the attitude errors of the fit',
+        '/imu: autocorrelation of the rate errors of the fit']
+    for quantity, noise in (('attitude', 2e-3), ('rate', 5e-3)):
+        panel = panels[f'/imu: {quantity} error, computed minus measured, axes of the sensor']
         errors, band = panel['curves']
-        drawn = array(errors['low'], '<f4').reshape(3, -1) + np.array(errors['offsets'])[:, None]
-        assert np.sqrt(np.mean(drawn ** 2)) == pytest.approx(noise, rel=0.05)
-        assert drawn.min() < -noise
-        assert band['offsets'] == pytest.approx([2.0 * noise, -2.0 * noise], rel=0.05)
+        assert np.sqrt(np.mean(columns(errors, 3) ** 2)) == pytest.approx(noise, rel=0.05)
+        assert columns(errors, 3).min() < -noise
+        assert columns(band, 1)[0] == pytest.approx(-2.0 * noise, rel=0.05)
         assert panel['lines'] == {'start of the validation': pytest.approx(14.0)}
+        correlated = panels[f'/imu: autocorrelation of the {quantity} errors of the fit']
+        values, limits = map(columns, correlated['curves'], (3, 1))
+        assert np.mean(np.abs(values) > -limits[0, 0]) == pytest.approx(0.05, abs=0.03)
+    assert '<title>inertia.ixx and inertia.iyy: ' in text
+
+
+def test_measured_and_computed_curves_are_over_each_other_and_outliers_are_marks(tmp_path):
+    truth = measurements.truth()
+    clean = truth.measured(2e-3, 5e-3)
+    rates = clean.angular_velocity.copy()
+    rates[500] += 3.0
+    attitude = clean.attitude * np.where(np.arange(len(rates)) % 2, -1.0, 1.0)[:, None]
+    record(tmp_path / 'in.mcap', truth, replace(clean, angular_velocity=rates, attitude=attitude))
+    measurements.write_scene(tmp_path / 'guess.yaml', truth)
+    report = tmp_path / 'page.html'
+    assert identify(tmp_path, '--estimate', 'start', '--report', report, '--degrees') == 0
+    data = data_of(report.read_text(encoding='utf-8'))
+    quaternion, errors, velocity = data['panels'][:3]
+    assert [one['style'] for one in quaternion['curves']] == ['broad', 'line']
+    measured, computed = (columns(one, 4) for one in quaternion['curves'])
+    assert np.abs(np.diff(computed)).max() < 0.05
+    assert np.abs(measured - computed).max() < 0.01
+    assert (errors['unit'], velocity['unit']) == ('deg', 'deg/s')
+    assert [one['style'] for one in velocity['curves']] == ['broad', 'marks', 'line']
+    assert columns(velocity['curves'][1], 3)[:, 0] == pytest.approx(np.degrees(rates[500]))
+    ghost = data['body']['ghost']
+    near = np.searchsorted(array(data['body']['times']), array(ghost['times']))
+    shown = array(data['body']['attitude']).reshape(-1, 4)[near]
+    assert so3.angle_between(array(ghost['attitude'], '<f4').reshape(-1, 4), shown).max() < 0.02
+
+
+def columns(curves, count):
+    return array(curves['low'], '<f4').reshape(count, -1) + np.array(curves['offsets'])[:, None]
+
+
+@pytest.mark.parametrize(('value', 'sigma', 'text'), [
+    (0.02003124, 1.1e-5, '0.020031'), (0.02003124, 9.96e-6, '0.020031'), (9.9999, 0.12, '10.00'),
+    (1.2345e-7, 3e-9, '1.235e-07'), (123456.7, 1200.0, '123500'), (-1e-5, 3e-3, '0.0000'),
+    (-2e-5, 2.1e-4, '-0.00002'), (0.0, 170.0, '0'), (1e9, 1e5, '1.00000e+09'),
+    (0.1234567, np.inf, '0.1234567'), (0.5, 0.0, '0.5')])
+def test_rounding_to_an_uncertainty(value, sigma, text):
+    assert rounded(value, sigma) == text
+
+
+def test_values_have_the_digits_of_their_sigma(tumble, capsys):
+    assert identify(tumble, '--json', tumble / 'out.json', '--degrees') == 0
+    shown = capsys.readouterr().out.splitlines()
+    found = json.loads((tumble / 'out.json').read_text())['estimates']
+    for line in shown[2:14]:
+        name, value, sigma, *_, unit = line.split()
+        one = found[name]
+        factor = np.degrees(1.0) if unit.startswith('deg') else 1.0
+        assert float(sigma) == pytest.approx(factor * one['sigma'], rel=0.05)
+        last = 10.0 ** (int(f'{factor * one["sigma"]:.1e}'.split('e')[1]) - 1)
+        assert abs(float(value) - factor * one['value']) <= 0.501 * last
+        assert len(value.partition('.')[2].partition('e')[0]) in (0, round(-np.log10(last)))
+        assert one['unit'] != unit or factor == 1.0
 
 
 def test_a_late_clock_and_a_turned_sensor(tumble):
@@ -191,7 +259,7 @@ def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
                                atol=3e-4)
 
 
-def weighed(folder, moment):
+def weighed(folder, moment, fields=PIVOT):
     """Record a drone on a gimbal, whose weight hangs from the pivot, and return a guess of it."""
     truth = Truth(seconds=10.0, moment=moment, attitude=(0.5, 0.1, 0.0, 0.9))
     later = measurements.Truth(truth.stamps_ns + 10 ** 9, Rotation.from_quat(truth.q), truth.w,
@@ -199,8 +267,7 @@ def weighed(folder, moment):
     record(folder / 'in.mcap', later, later.measured(2e-3, 5e-3))
     (folder / 'guess.yaml').write_text(
         '/**:\n  ros__parameters:\n    inertia: {ixx: 0.03, iyy: 0.03, izz: 0.03}\n'
-        '    start_time: 1000000000\n    fields: [pivot]\n'
-        '    pivot: {moment: {z: -0.01}, field: {z: -9.81}}\n')
+        f'    start_time: 1000000000\n{fields}')
     return truth
 
 
@@ -234,6 +301,51 @@ def test_the_moment_of_a_weight_from_a_recording_to_an_ensemble(tmp_path, capsys
     rows = parquet.read_table(tmp_path / 'runs' / 'runs.parquet')
     sigma = data['estimates']['pivot.moment.z']['sigma']
     assert np.std(rows['pivot.moment.z'].to_numpy()) == pytest.approx(sigma, rel=0.6)
+
+
+def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
+    moment = (0.002, 0.0, -0.02)
+    dipole = '    fields: [dipole]\n    dipole: {moment: {x: 1.0e-9}, field: {y: 1.0}}\n'
+    truth = weighed(tmp_path, moment, dipole)
+    fitted, out = tmp_path / 'fitted.yaml', tmp_path / 'out.json'
+    assert identify(tmp_path, '--estimate', 'inertia,start,weight', '--gravity', 0, 0, -9.81, '-o',
+                    fitted, '--json', out) == 0
+    assert '# weight' not in fitted.read_text()
+    found, estimates = scene.load(fitted), json.loads(out.read_text())['estimates']
+    dipole, weight = found.fields
+    assert (dipole.name, dipole.moment.tolist(), weight.name) == ('dipole', [1e-9, 0, 0], 'weight')
+    assert weight.moment.tolist() == [estimates[f'weight.{axis}']['value'] for axis in 'xyz']
+    assert weight.field.tolist() == [0.0, 0.0, -9.81]
+    arguments = [str(tmp_path / 'in.mcap'), '--scene', str(fitted)]
+    motion = tmp_path / 'motion.mcap'
+    assert main.attitude_replay([*arguments, '-o', str(motion), '--rate', '50']) == 0
+    computed = read_measured(motion, '/attitude')
+    np.testing.assert_array_equal(computed.stamps_ns[1:-1], truth.stamps_ns + 10 ** 9)
+    assert so3.angle_between(computed.attitude[1:-1], truth.q).max() < 4e-3
+    assert main.attitude_compare([*arguments, '--check', '--json', str(tmp_path / 'c.json')]) == 0
+    data = json.loads((tmp_path / 'c.json').read_text())
+    assert data['attitude_error_rad']['rms'] < 2e-3 * 3 ** 0.5 * 1.1
+    assert data['rate_error_rad_s']['rms'] < 5e-3 * 3 ** 0.5 * 1.1
+    assert main.attitude_ensemble(['--scene', str(fitted), '--vary', str(out), '--recording',
+                                   str(tmp_path / 'in.mcap'), '--runs', '20', '-o',
+                                   str(tmp_path / 'runs')]) == 0
+    rows = parquet.read_table(tmp_path / 'runs' / 'runs.parquet')
+    assert np.std(rows['weight.moment.x'].to_numpy()) == pytest.approx(
+        estimates['weight.x']['sigma'], rel=0.6)
+
+
+def test_a_fitted_body_is_a_urdf_with_the_same_numbers(tumble, capsys):
+    urdf, out = tumble / 'fitted.urdf', tumble / 'out.json'
+    assert identify(tumble, '--measured', '/imu', '--estimate', 'inertia,start,gyro_bias', '-o',
+                    urdf, '--json', out) == 0
+    text, estimates = urdf.read_text(), json.loads(out.read_text())['estimates']
+    expected = [estimates[f'inertia.i{entry}']['value'] for entry in (
+        'xx', 'xy', 'xz', 'xy', 'yy', 'yz', 'xz', 'yz', 'zz')]
+    assert RigidBody.from_urdf(text, 'base_link').inertia.ravel().tolist() == expected
+    assert f'<!-- gyro_bias.x: {estimates["gyro_bias.x"]["value"]!r} rad/s -->' in text
+    assert 'inertia about the centre of mass' in text
+    assert identify(tumble, '-o', urdf) == 2
+    assert 'fitted.urdf: output exists' in capsys.readouterr().err
 
 
 def test_a_moment_of_no_field_is_one_line(tumble, capsys):

@@ -305,14 +305,20 @@ def test_the_page_has_the_errors_the_summary_and_names_as_text(run, tmp_path, ba
         assert f'<dd>{escape(line[17:])}</dd>' in text
     data = data_of(text)
     labels = [panel['label'] for panel in data['panels']]
-    assert labels == ['/imu: attitude error, body axes', '/imu: rate error, body axes',
-                      'torque, body axes', 'residual torque, body axes',
-                      'attitude error after a restart']
-    sizes, = data['panels'][0]['curves']
-    drawn = array(sizes['low'], '<f4').reshape(4, -1)
+    assert labels == [
+        '/imu: attitude quaternion, body axes',
+        '/imu: attitude error, measured minus computed, body axes',
+        '/imu: angular velocity, body axes',
+        '/imu: rate error, measured minus computed, body axes', 'torque, body axes',
+        'residual torque, body axes, averaged over 0.26 s',
+        'residual torque, space axes, averaged over 0.26 s',
+        'amplitude of the residual torque, body axes', 'attitude error after a restart']
+    errors, band = data['panels'][1]['curves']
+    drawn = array(errors['low'], '<f4').reshape(3, -1)
     assert drawn.shape[1] == 2000
-    np.testing.assert_allclose(np.hypot(np.hypot(*drawn[:2]), drawn[2]), drawn[3], rtol=1e-5)
-    assert np.sqrt(np.mean(drawn[3] ** 2)) == pytest.approx(3 ** 0.5 * 1e-3, rel=0.05)
+    assert np.sqrt(np.mean(drawn ** 2)) == pytest.approx(1e-3, rel=0.05)
+    assert array(band['high'], '<f4') == pytest.approx(2e-3, rel=0.1)
+    assert len(array(data['body']['ghost']['times'])) == 2000
     angles = data['panels'][-1]['texts'][0]
     assert [text.split(' rad ')[1] for text in angles] == ['1 s after a restart, in 19 windows']
     assert len(array(data['body']['times'])) == 2000
@@ -329,6 +335,27 @@ def test_the_command_aligns(run, tmp_path):
     found = json.loads((tmp_path / 'it.json').read_text())['alignment']
     assert found['clock_offset_s'] == pytest.approx(0.035, abs=1e-3)
     assert so3.angle_between(found['mount_xyzw'], mount.as_quat()) < 2e-3
+
+
+def test_the_command_aligns_one_sensor_and_checks_it(run, tmp_path):
+    sensor = truth().measured(1e-3, 2e-3)
+    late = truth().measured(1e-3, 2e-3, clock=0.035, seed=1)
+    path = write(tmp_path / 'flight.mcap', torque=torque_messages(truth()),
+                 pose=messages_of('PoseStamped', sensor), odom=messages_of('Odometry', late))
+    given = '--measured', '/pose', '--measured', '/odom', '--check'
+    status, shown, _ = run(*given, '--align', 'clock@/odom', '--json', tmp_path / 'it.json',
+                           path=path)
+    assert status == 0
+    assert 'added to the measured stamps of /odom' in shown
+    found = json.loads((tmp_path / 'it.json').read_text())
+    assert found['verdict']['level'] == 'explained'
+    assert found['alignments']['/pose']['clock_offset_s'] == 0.0
+    assert found['alignments']['/odom']['clock_offset_s'] == pytest.approx(0.035, abs=1e-3)
+    assert found['alignment']['clock_offset_s'] == 0.0
+    assert found['predictable_s'] is None
+    assert [one['seconds'] for one in found['horizons']] == [0.1, 1.0, 10.0]
+    with pytest.raises(SystemExit, match='2'):
+        run('--align', 'start@/odom', path=path)
 
 
 def aligned_in_first_epoch(tmp_path, clock):

@@ -26,6 +26,8 @@ import pytest
 from rigid_body_ros import messages, read, recording
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.report.page import Page, write
+from rigid_body_ros.report.panels import Drawn, error_panel
 
 TUMBLER = (str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
 FREE = RECORDINGS / 'torque_free_asymmetric'
@@ -302,3 +304,40 @@ def test_a_point_of_the_trade_off_spells_out_its_setting(chromium, others):
         assert re.match(r'(auto|taylor|rk4|strang|explicit_euler): .*rad', text)
         point.focus()
         assert text in page.text_content('body')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['compare', 'identify'])
+def test_the_measured_body_is_an_outline_that_follows_the_time(chromium, others, name):
+    with browser.opened(chromium, others[name]) as page:
+        assert 'the measured body' in page.text_content('#arrows')
+        distance = page.evaluate("""() => [0, 0.5, 1].map((part) => {
+            motion.set(part * motion.end);
+            const scene = motion.scene, times = scene.ghost.times, now = scene.state.time;
+            const i = times.reduce((best, time, k) =>
+                Math.abs(time - now) < Math.abs(times[best] - now) ? k : best, 0);
+            const measured = scene.ghost.attitudes.subarray(4 * i, 4 * i + 4);
+            return Math.abs(scene.state.attitude.reduce((sum, v, k) => sum + v * measured[k], 0));
+        })""")
+        assert np.abs(np.array(distance) - 1.0).max() < 1e-6
+        assert page.locator('path.curve.broad').count() > 0
+
+
+@pytest.mark.slow
+def test_outliers_are_crosses_and_gaps_are_not_joined(chromium, tmp_path):
+    times_ns = np.arange(1000) * 10_000_000
+    times_ns[600:] += 3 * 10 ** 9
+    errors = np.random.default_rng(1).standard_normal((1000, 3))
+    errors[300] = 100.0
+    inliers = np.arange(1000) != 300
+    panel = error_panel('errors', 'rad', Drawn(times_ns, inliers), errors, ('band', 2.0), 0)
+    write(tmp_path / 'page.html', Page('outliers', [], [panel]))
+    with browser.opened(chromium, tmp_path / 'page.html') as page:
+        paths = {kind: [page.locator(f'.plot path.{kind}').nth(k).get_attribute('d')
+                        for k in range(page.locator(f'.plot path.{kind}').count())]
+                 for kind in ('line', 'marks', 'limits')}
+        assert [one.count('M') for one in paths['line']] == [2, 2, 2]
+        assert [one.count('m -6 0') for one in paths['marks']] == [1, 1, 1]
+        assert [one.count('M') for one in paths['limits']] == [2]
+        labels = page.locator('.plot text[text-anchor=end]').all_text_contents()
+        assert max(float(text.replace('−', '-')) for text in labels) < 10.0

@@ -14,6 +14,7 @@
 
 """attitude_tradeoff: errors that are errors, a recommendation that holds, and what it prints."""
 
+from dataclasses import replace
 import json
 import math
 import os
@@ -45,6 +46,8 @@ from rigid_body_ros.report.page import html
 from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting, summary
 from rigid_body_ros.tradeoff.page import page
 from rigid_body_ros.tradeoff.problem import Case, Reference
+from rigid_body_ros.tradeoff.problem import whole as whole_motion
+from rigid_body_ros.tradeoff.trade import OnWhole
 from test_reference import NAMES
 from test_replay import bad_input
 
@@ -254,6 +257,48 @@ def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, c
     assert '\n    solver: ' in capsys.readouterr().out
 
 
+def a_rod(samples, interpolation='hold'):
+    """Return a rod whose last digits matter more and more, under a smooth torque."""
+    times = np.linspace(0, 610 * SECOND, samples).astype(np.int64)
+    waves = np.sin(times[:, None] * 1e-9 * [0.3, 0.2, 0.31] + [0.0, 1.0, 2.0])
+    log = TorqueLog(times, waves * [1e-6, 1e-3, 1e-3], interpolation=interpolation)
+    return Problem(RigidBody.from_moments(1e-3, 1.0, 1.0),
+                   State(0, angular_velocity=(0.3, 1.2, 0.7)), log)
+
+
+def test_a_target_that_only_the_whole_motion_misses_is_refused_with_its_figure(monkeypatch):
+    problem = a_rod(1000)
+    assert measure(problem, seconds=0.1).whole.seconds == 610.0
+    monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 600)
+    case = whole_motion(problem, None)
+    part, whole = Reference.of(case.stretch()).last_digits, Reference.of(case).last_digits
+    target = math.sqrt(part * whole)
+    assert 3.0 * part < target < whole / 3.0
+    result = measure(problem, targets=[target, part / 10.0], seconds=2.0)
+    text = summary.summary(result)
+    digits = 'a change of the last digit of inertia, torque or start moves the attitude by'
+    assert f'to meet it, {digits} {whole:.1e} rad on the whole motion\n' in text
+    assert f'to meet it, {digits} {part:.1e} rad in the first {result.stretch.seconds:.9g} s\n' \
+        in text
+    hurried = replace(result, error_on_whole=OnWhole(
+        result.whole, result.stretch, result.reference, result.measurements, 0.0))
+    assert 'scaled to the whole motion by the square of the time\n' in summary.summary(hurried)
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear'])
+def test_another_interpolation_is_advised_under_a_condition_if_hold_may_be_right(interpolation):
+    result = measure(a_rod(1000, interpolation), seconds=0.1)
+    held, *varies = (text for name, text in summary._limits(result, 1e-6))
+    advice = f'the {interpolation} interpolation between torque samples'
+    if interpolation == 'hold':
+        assert held == 'if the actuator holds the torque between its samples, the solver: a ' \
+                       'tighter setting is more accurate;'
+        assert varies[0].startswith(f'if the torque varies between them, {advice}')
+    else:
+        assert held.startswith(advice)
+        assert varies == []
+
+
 def test_the_floor_is_shown_as_what_it_is():
     result = measure(FREE)
     meaning = summary.as_data(result)['rounding_floor_is']
@@ -308,7 +353,8 @@ def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(cap
     starts = [number for number, line in enumerate(lines) if line.startswith('target ')]
     assert [lines[number].split()[1] for number in starts] == ['0.001', '1e-09']
     assert starts[0] == 0
-    header = next(number for number, line in enumerate(lines) if ' setting ' in line)
+    header = next(number for number, line in enumerate(lines)
+                  if line.split()[:2] == ['solver', 'setting'])
     assert starts[1] < header
     end = next(number for number, line in enumerate(lines) if 'Pareto-optimal: ' in line)
     assert 3 <= end - header - 1 < 25

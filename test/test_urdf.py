@@ -19,6 +19,7 @@ import re
 import numpy as np
 import pytest
 from rigid_body_ros import RigidBody
+from rigid_body_ros.mechanics import urdf
 
 RANDOM = np.random.default_rng(31)
 MASSES, POSITIONS = RANDOM.uniform(0.5, 2.0, 6), RANDOM.normal(size=(6, 3))
@@ -190,3 +191,11 @@ def test_what_is_no_inertia_is_refused_in_one_line_with_its_link(text, link, mes
 def test_a_tensor_of_no_body_is_refused_as_ever():
     with pytest.raises(ValueError, match='sum of the other two'):
         RigidBody.from_urdf(robot(body=inertial(izz='3.0')))
+
+
+@pytest.mark.parametrize('scale', [1.0, 1e-30, 1e22])
+def test_a_body_written_as_urdf_has_the_same_numbers(scale):
+    tensor = scale * BODY.inertia
+    text = urdf.robot(tensor, 'a"<&b', ['1 ---> 2', 'torque --gain'])
+    np.testing.assert_array_equal(RigidBody.from_urdf(text).inertia, tensor)
+    np.testing.assert_array_equal(RigidBody.from_urdf(text, 'a"<&b').inertia, tensor)

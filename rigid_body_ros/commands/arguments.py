@@ -129,6 +129,15 @@ def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Me
             report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
 
 
+def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
+    """Warn of torques that are not in N m."""
+    from rigid_body_ros.recording import is_ulog
+    for path in filter(is_ulog, paths):
+        report(f'{options.command}: warning: {path}: the torques of a PX4 log are normalized, not '
+               'in N m; attitude_identify --estimate start,torque_gains finds their gains if the '
+               'inertia is known')
+
+
 def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics of the torques that are given."""
     from rigid_body_ros import recording
@@ -208,6 +217,12 @@ def add_outputs(parser: argparse.ArgumentParser, shows: str) -> None:
                         f'network, that shows {shows}')
     parser.add_argument('--overwrite', action='store_true',
                         help='replace output files that exist; folders are never replaced')
+
+
+def add_degrees(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the unit of angles."""
+    parser.add_argument('--degrees', action='store_true', help='print angles in degrees, and show '
+                        'them so on the page; JSON, and what the verdict says, stay in radians')
 
 
 def within(low: float, high: float, what: str = 'a number',

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
+    add_degrees,
     add_measured,
     add_outputs,
     add_scene,
@@ -31,6 +32,7 @@ from rigid_body_ros.commands.arguments import (
     positive,
     reading_of,
     warn_of_frames,
+    warn_of_units,
 )
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
@@ -60,6 +62,7 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
         scene = load_scene(options)
         if options.check and options.motion:
             raise InputError('--check: expected a motion that is computed, found --motion')
+        warn_of_units(options, [options.recording])
         comparison = _compared(options, scene)
         warn_of_frames(options, options.recording, comparison.measured)
         verdict = _verdict(options, scene) if options.check else None
@@ -76,9 +79,10 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
                                 'verdict': verdict.as_dict() if verdict else None})
         if options.report:
             from rigid_body_ros.comparison.page import page
-            outputs.write_page(lambda line: with_facts(page(comparison, name, scene, line), facts))
+            outputs.write_page(lambda line: with_facts(page(
+                comparison, name, scene, line, options.degrees), facts))
     shown = [lines([f'{title:17}{text}']) for title, text in facts]
-    outputs.show('\n'.join([*shown, summary(comparison)]), 17)
+    outputs.show('\n'.join([*shown, summary(comparison, options.degrees)]), 17)
     if not verdict or verdict.is_consistent:
         return 0
     report(f'{options.command}: the model does not explain the measurements')
@@ -87,11 +91,13 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
 
 def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
     """Return whether the model explains the measurements, from some start."""
+    from rigid_body_ros.comparison.align import is_asked
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiment
-    names = ['start', *(estimated for aligned, estimated in _FITTED.items()
-                        if aligned in options.align)]
     experiment = read_experiment(options.recording, scene, reading_of(options))
+    names = ['start', *(f'{estimated}@{one.topic}' for kind, estimated in _FITTED.items()
+                        for one in experiment.measured
+                        if is_asked(options.align, kind, one.topic))]
     try:
         return identify(scene.body, experiment, estimate=names,
                         torque_timeout=scene.torque_timeout).verdict
@@ -103,7 +109,7 @@ def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
     from rigid_body_ros.comparison.recorded import compare_recording
     return compare_recording(
         options.recording, scene, reading_of(options), motion=options.motion, align=options.align,
-        horizons=options.horizon or (), track=progress('comparing', ' steps'))
+        horizons=options.horizon, track=progress('comparing', ' steps'))
 
 
 def compare_parser() -> argparse.ArgumentParser:
@@ -128,12 +134,14 @@ def compare_parser() -> argparse.ArgumentParser:
                         'attitude_replay, instead of computing one')
     parser.add_argument('--align', type=_names, default=(), metavar='NAMES',
                         help='fit some of start, clock, mount, separated by commas: the initial '
-                        'attitude and angular velocity, a constant offset of the clocks, and the '
-                        'constant rotations between the axes of sensor and body and between the '
-                        'two space axes (default: fit nothing)')
+                        'attitude and angular velocity, a constant offset of the clock of each '
+                        'sensor, and the constant rotations between the axes of each sensor and '
+                        'the body and between the two space axes; clock@TOPIC and mount@TOPIC are '
+                        'those of one sensor (default: fit nothing)')
     parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
                         help='restart from the measurement every SECONDS and report the error '
-                        'after that time; may be repeated')
+                        'after that time; may be repeated (default: 0.1, 1 and 10, where the '
+                        'measurement is long enough)')
     parser.add_argument('--check', action='store_true',
                         help='test whether the model explains the measurements from some start, '
                         'as attitude_identify does; if not, the exit status is 4')
@@ -144,15 +152,16 @@ def compare_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT', help='write the result, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot errors, torque, errors after the '
                         'horizons and residual torque over time')
-    add_outputs(parser, 'these plots, the moving body and the summary')
+    add_degrees(parser)
+    add_outputs(parser, 'the measured and the computed motion, the errors and the summary')
     return parser
 
 
 def _names(text: str) -> tuple[str, ...]:
-    from rigid_body_ros.comparison import ALIGNMENTS
+    from rigid_body_ros.comparison.align import check_names
     names = tuple(name.strip() for name in text.split(','))
-    for name in names:
-        if name not in ALIGNMENTS:
-            raise argparse.ArgumentTypeError(f'expected some of {", ".join(ALIGNMENTS)}, '
-                                             f'separated by commas, found {name!r}')
+    try:
+        check_names(names)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
     return names

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
+    add_degrees,
     add_measured,
     add_outputs,
     add_scene,
@@ -31,6 +32,7 @@ from rigid_body_ros.commands.arguments import (
     positive,
     reading_of,
     warn_of_frames,
+    warn_of_units,
     within,
 )
 from rigid_body_ros.commands.outputs import checked, Outputs
@@ -49,12 +51,12 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
     """Estimate parameters of a body from measured motions."""
     options = parsed(identify_parser(), arguments)
     from rigid_body_ros.identification.summary import summary
-    with checked(options, (options.output, '.yaml')) as outputs:
+    with checked(options, (options.output, _suffix(options.output))) as outputs:
         scene = load_scene(options)
         found, first = _identified(options, scene)
         status, text = _status(found)
         written = _write(options, outputs, found, first, scene, status == OK or options.force)
-    outputs.show(summary(found), 17, written)
+    outputs.show(summary(found, options.degrees), 17, written)
     if status != OK:
         if options.output and options.output not in written:
             text += '; no scene was written (--force writes it)'
@@ -79,6 +81,8 @@ def _identified(options: argparse.Namespace,
     """Return the result, and the first recording."""
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiments
+    if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
+        warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, reading_of(options))
     for path, experiment in zip(options.recording, experiments):
         warn_of_frames(options, path, experiment.measured)
@@ -100,15 +104,22 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
     if options.json:
         outputs.write_json(found.as_dict())
     if options.output and is_good:
-        from rigid_body_ros.identification.recorded import fitted_scene
-        outputs.write_text(options.output, fitted_scene(scene, found))
+        from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
+        fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
+        outputs.write_text(options.output, fitted(scene, found))
     if options.plot:
         from rigid_body_ros.identification import plot  # matplotlib takes long to load
         outputs.write(options.plot, lambda path: plot.draw(path, found, first, name))
     if options.report:
         from rigid_body_ros.identification.page import page
-        outputs.write_page(lambda line: page(found, first, name, scene, line))
+        outputs.write_page(lambda line: page(found, first, name, scene, line,
+                                             options.degrees))
     return [each for each in outputs.names if is_good or each != options.output]
+
+
+def _suffix(output: str | None) -> str:
+    """Return the suffix of the format in which the result is written."""
+    return '.urdf' if output and output.lower().endswith('.urdf') else '.yaml'
 
 
 def identify_parser() -> argparse.ArgumentParser:
@@ -128,7 +139,9 @@ def identify_parser() -> argparse.ArgumentParser:
                   '--measured /gyro --estimate inertia,start,mount@/gyro --validate 0.3'))
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
-                        'several of the same body are fitted together')
+                        'several of the same body are fitted together. The torques of a PX4 log '
+                        '(.ulg) are normalized: estimate torque_gains, with an inertia that is '
+                        'known or has a --prior')
     add_scene(parser)
     add_measured(parser, 'measured topic, as for attitude_compare; may be repeated (default: the '
                  'only topic of an attitude)')
@@ -158,13 +171,16 @@ def identify_parser() -> argparse.ArgumentParser:
                         metavar='FRACTION', help='do not fit this fraction at the end of each '
                         'recording, but predict it, and report the errors')
     parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
-                        'estimates to this YAML file')
+                        'estimates to this YAML file, or, if its name ends in .urdf, the inertia '
+                        'as a URDF of one link')
     parser.add_argument('--force', action='store_true', help='write the scene even if the data '
                         'does not determine all estimates, or the fit is rejected')
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '
                         'over time, with its torques')
-    add_outputs(parser, 'the estimates, these plots and the summary')
+    add_degrees(parser)
+    add_outputs(parser, 'the estimates, the measured and the computed motion, the errors that are '
+                'left and the summary')
     return parser
 
 

@@ -34,6 +34,7 @@ from rigid_body_ros.commands.arguments import (
     Parser,
     positive,
     topics_of,
+    warn_of_units,
 )
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
@@ -52,6 +53,7 @@ def attitude_replay(arguments: Sequence[str] | None) -> int:
     options = parsed(replay_parser(), arguments)
     if options.verify:
         return _verify(options)
+    warn_of_units(options, options.input)
     if len(options.input) > 1:
         return _replay_many(options)
     if options.scheduler:
@@ -148,9 +150,9 @@ def replay_parser() -> argparse.ArgumentParser:
         examples=('test/recordings/tumbler.mcap --scene config/tumbler.yaml --report motion.html',
                   'test/recordings/iss.mcap --scene config/iss.yaml --rate 0.1 -o motion.mcap'))
     parser.add_argument('input', metavar='INPUT', nargs='+',
-                        help='recording of torques: an MCAP file, a rosbag2 bag, or a CSV file '
-                        'with the columns time (s), tx, ty, tz (N m), or with column names and '
-                        'units in its first line')
+                        help='recording of torques: an MCAP file, a rosbag2 bag, a PX4 log '
+                        '(.ulg), or a CSV file with the columns time (s), tx, ty, tz (N m), or '
+                        'with column names and units in its first line')
     add_scene(parser)
     add_torques(parser)
     target = parser.add_mutually_exclusive_group()

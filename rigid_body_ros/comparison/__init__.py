@@ -17,8 +17,9 @@ Compare measured motions with the propagated one.
 
 `motion` is what is compared with. `align`, from the guess of `coarse` on, brings both into one
 time and one pair of frames. `comparison` returns the errors, `horizons` those after restarts, and
-`causes` what explains the errors. The command reads with `recorded`, writes with `outputs` and
-prints with `summary`.
+`predictable` how long errors say something. Each of the `causes` is one of `sensor_faults` or
+`torque_faults`, judged by what is left of the `channels` if it is undone. The command reads with
+`recorded`, writes with `outputs` and prints with `summary`.
 """
 
 from rigid_body_ros.comparison.align import ALIGNMENTS

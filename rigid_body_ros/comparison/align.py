@@ -12,17 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Bring a measurement and a motion into the same time, frames and start."""
+"""Bring measurements and a motion into the same time, frames and start."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.comparison import coarse
 from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.motion import divided, inside, Motion, Recorded, span_of, States
@@ -36,23 +37,26 @@ from rigid_body_ros.sensing.rates import measured_rates
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
 #: What can be fitted.
 ALIGNMENTS = (START, CLOCK, MOUNT)
-#: Half steps of the differences for the Jacobian: rad and rad/s, and s of the clock.
+#: Steps of the differences for the Jacobian: rad and rad/s, and s of the clock.
 _STEP, _CLOCK_STEP = 1e-6, 1e-5
-#: Largest number of samples in the first stages of a fit of the start, and of steps of a fit.
-_STAGE, _MOST = 1000, 20
+#: Largest number of samples in the first stages of a fit of the start, and of steps of a fit
+#: there and later.
+_STAGE, _EARLY, _MOST = 400, 6, 20
 #: Largest number of samples of a sensor in all but the last fit.
-_PART = 10_000
+_PART = 2000
+#: Relative change of the sum of squares at which a fit ends.
+_TOLERANCE = 1e-6
 #: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
 #: out of the last stage.
 _HUBER, _OUTLIER = 2.0, 5.0
-#: Number of motions that are kept: at a clock offset, and half a step before and after it.
-_KEPT = 3
+#: Number of motions that are kept: the latest, and that of the point of a Jacobian.
+_KEPT = 2
 #: Singular value, relative to the largest, below which the data does not determine a direction.
 _SINGULAR = 1e-7
 
 
 def align(motion: Motion, sensors: Sequence[Measured],
-          names: Collection[str], most: int | None = None) -> Alignment:
+          names: Collection[str], most: int | None = None) -> tuple[Alignment, ...]:
     """
     Fit what is asked for by robust least squares.
 
@@ -61,15 +65,16 @@ def align(motion: Motion, sensors: Sequence[Measured],
     motion : Problem or Recorded
         What they are aligned with.
     sensors : sequence of Measured
-        All share one clock and one mounting.
+        Each has its own clock and mounting; the two space axes and the start are common.
     names : collection of str
-        Some of `ALIGNMENTS`.
+        Some of `ALIGNMENTS`; 'clock@TOPIC' and 'mount@TOPIC' are those of one sensor.
     most : int, optional
         Fit only this many samples of each sensor, evenly spread.
 
     Returns
     -------
-    Alignment
+    tuple of Alignment
+        Of each sensor.
 
     Raises
     ------
@@ -77,111 +82,142 @@ def align(motion: Motion, sensors: Sequence[Measured],
         A name is unknown, or too few samples lie within the motion.
 
     """
-    for name in names:
-        if name not in ALIGNMENTS:
-            raise InputError(f'align: expected some of {", ".join(ALIGNMENTS)}, found {name!r}')
+    check_names(names, [sensor.topic for sensor in sensors])
     if START in names and isinstance(motion, Recorded):
         raise InputError('align: expected no start, because a recorded motion has its own, '
                          'found start')
     if not names:
-        return Alignment()
-    guess = coarse.guess(motion, sensors, CLOCK in names, MOUNT in names)
-    fit = _Fit(motion, sensors, names, Alignment(*guess), most)
+        return tuple(Alignment() for _ in sensors)
+    clocks, mounts = ([is_asked(names, kind, sensor.topic) for sensor in sensors]
+                      for kind in (CLOCK, MOUNT))
+    guesses = coarse.guess(motion, sensors, clocks, mounts)
+    fit = _Fit(motion, sensors, names, [Alignment(*guess) for guess in guesses], most)
     if START in names:
         fit.grow()
     return fit.solved()
 
 
+def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> None:
+    """Raise InputError if a name is none of an alignment, or, given topics, of another sensor."""
+    for name in names:
+        kind, at, topic = name.partition('@')
+        if kind not in ALIGNMENTS or (at and (kind == START or not topic)):
+            raise InputError(f'align: expected some of {", ".join(ALIGNMENTS)}, or '
+                             f'{CLOCK}@TOPIC or {MOUNT}@TOPIC of one sensor, found {name!r}')
+        if at and topics is not None and topic not in topics:
+            raise InputError(f'align: {name}: expected a topic among {listed(topics)}, found '
+                             f'{topic}')
+
+
+def is_asked(names: Collection[str], kind: str, topic: str) -> bool:
+    """Return whether the clock or the mounting of a sensor is to be fitted."""
+    return kind in names or f'{kind}@{topic}' in names
+
+
+class _Column(NamedTuple):
+    """What is fitted: its name, the number of its sensor, or -1 if it is common, and its size."""
+
+    name: str
+    sensor: int = -1
+
+    @property
+    def size(self) -> int:
+        return 1 if self.name == 'clock_offset_s' else 3
+
+
+_SPACE, _ATTITUDE = _Column('space_rad'), _Column('initial_attitude_rad')
+_RATE = _Column('initial_angular_velocity_rad_s')
+
+
 class _Fit:
     """The least squares problem of an alignment."""
 
-    def __init__(self, motion: Motion, sensors: Sequence[Measured],
-                 names: Collection[str], first: Alignment, most: int | None) -> None:
+    def __init__(self, motion: Motion, sensors: Sequence[Measured], names: Collection[str],
+                 first: Sequence[Alignment], most: int | None) -> None:
         self._motion, self._sensors = motion, sensors
-        self._value = replace(first, start=motion.start) \
-            if isinstance(motion, Problem) and START in names else first
-        has_attitude = any(sensor.attitude is not None for sensor in sensors)
-        #: The fitted values, three columns each but the clock.
-        self._names = [
-            *(['initial_angular_velocity_rad_s'] if START in names else []),
-            # With a mounting, the rotation of the space axes takes the place of the attitude.
-            *(['initial_attitude_rad'] if START in names and has_attitude and MOUNT not in names
-              else []),
-            *(['clock_offset_s'] if CLOCK in names else []),
-            *(['mount_rad'] if MOUNT in names else []),
-            *(['space_rad'] if MOUNT in names and has_attitude else [])]
-        self._sizes = [1 if name == 'clock_offset_s' else 3 for name in self._names]
-        self._rows = [_thinned(self._inside(sensor), most) for sensor in sensors]
+        self._value = [replace(one, start=motion.start) for one in first] \
+            if isinstance(motion, Problem) and START in names else [*first]
+        self._columns = _columns(sensors, names)
+        #: The latest motions, by start and stamps; a mounting does not change them.
+        self._kept: dict[bytes, States] = {}
+        self._use([_thinned(self._inside(k), most) for k in range(len(sensors))])
         if not any(len(rows) for rows in self._rows):
             raise apart(motion, sensors)
         #: Standard deviations of attitude and rate of each sensor.
         self._scales = np.ones((len(sensors), 2))
-        #: The latest motions, by start and stamps; a mounting does not change them.
-        self._kept: dict[bytes, States] = {}
 
-    def _inside(self, sensor: Measured) -> NDArray[np.intp]:
-        margin = 10_000_000 if 'clock_offset_s' in self._names else 0
-        stamps_ns = sensor.stamps_ns + round(1e9 * self._value.clock_offset_s)
+    def _use(self, rows: list[NDArray[np.intp]]) -> None:
+        self._rows = rows
+        self._samples = [sensor.rows(part) for sensor, part in zip(self._sensors, rows)]
+
+    def _inside(self, k: int) -> NDArray[np.intp]:
+        margin = 10_000_000 if _Column('clock_offset_s', k) in self._columns else 0
+        stamps_ns = self._sensors[k].stamps_ns + round(1e9 * self._value[k].clock_offset_s)
         return np.flatnonzero(inside(self._motion, stamps_ns, margin))
 
     def grow(self) -> None:
         """Fit the start to longer and longer beginnings of the measurement."""
-        every, first_ns = self._rows, self._motion.start.time_ns
-        stamps_ns = np.concatenate([sensor.stamps_ns[rows] for sensor, rows
-                                    in zip(self._sensors, every)]) - first_ns
-        stamps_ns += round(1e9 * self._value.clock_offset_s)
+        every = self._rows
+        since = [sensor.stamps_ns[rows] + round(1e9 * one.clock_offset_s)
+                 - self._motion.start.time_ns
+                 for sensor, rows, one in zip(self._sensors, every, self._value)]
+        stamps_ns = np.concatenate(since)
         last = int(stamps_ns.max())
         horizon = int(np.partition(stamps_ns, min(15, len(stamps_ns) - 1))[:16].max())
         self._from_first_samples()
         while horizon < last:
-            self._rows = [_thinned(rows[sensor.stamps_ns[rows] - first_ns <= horizon], _STAGE)
-                          for sensor, rows in zip(self._sensors, every)]
-            self._fit(1e-5)
+            self._use([_thinned(rows[times <= horizon], _STAGE)
+                       for rows, times in zip(every, since)])
+            self._fit(1e-4, most=_EARLY)
             horizon = max(2 * horizon, 1)
-        self._rows = every
+        self._use(every)
 
     def _from_first_samples(self) -> None:
         # Start as measured, unless the start of the scene is closer to the first samples.
-        start = self._value.start
+        start = self._value[0].start
         assert start is not None
-        for sensor, rows in zip(self._sensors, self._rows):
-            aligned = self._value.applied(sensor.rows(rows[:16]))
-            if len(rows) < 4 or aligned.stamps_ns[0] - start.time_ns > 10 ** 9:
+        every = self._rows
+        self._use([part[:16] for part in every])
+        for value, samples in zip(self._value, self._samples):
+            aligned = value.applied(samples)
+            if len(samples) < 4 or aligned.stamps_ns[0] - start.time_ns > 10 ** 9:
                 continue
             attitude, rate = start.attitude, start.angular_velocity
             if aligned.angular_velocity is not None:
                 rate = np.median(aligned.angular_velocity[:5], axis=0)
             elif aligned.attitude is not None:
                 rate = measured_rates(aligned)[1][:5].mean(axis=0)
-            if aligned.attitude is not None and 'initial_attitude_rad' in self._names:
+            if aligned.attitude is not None and _ATTITUDE in self._columns:
                 late = 1e-9 * (aligned.stamps_ns[0] - start.time_ns)
                 attitude = so3.multiply(aligned.attitude[0], so3.exp(-late * rate))
-            other = replace(self._value, start=State(
-                start.time_ns, so3.normalize(attitude), rate, start.rotor_momentum))
-            every, self._rows = self._rows, [part[:16] for part in self._rows]
+            found = State(start.time_ns, so3.normalize(attitude), rate, start.rotor_momentum)
+            other = [replace(one, start=found) for one in self._value]
             if self._median(other) < self._median(self._value):
                 self._value = other
-            self._rows = every
+        self._use(every)
 
-    def _median(self, value: Alignment) -> float:
+    def _median(self, value: Sequence[Alignment]) -> float:
         return float(np.median(np.abs(self._residuals(value))))
 
-    def solved(self) -> Alignment:
+    def solved(self) -> tuple[Alignment, ...]:
         """Return the fit, with its standard deviations."""
         every = self._rows
-        self._rows = [_thinned(rows, _PART) for rows in every]
-        for tolerance in (1e-8, 1e-12):
-            self._fit(tolerance)
+        self._use([_thinned(rows, _PART) for rows in every])
+        for _ in range(2):
+            self._fit(_TOLERANCE)
             self._estimate_scales()
-        self._rows = every
+        self._use(every)
         kept = np.abs(self._residuals(self._value)) < _OUTLIER
-        deviations = self._named(_deviations(self._fit(1e-12, kept)) * self._correlation())
-        return replace(self._value, sigma={
-            name: float(part[0]) if len(part) == 1 else part for name, part in deviations.items()})
+        deviations = self._named(_deviations(self._fit(_TOLERANCE, kept)) * self._correlation())
+        return tuple(replace(one, sigma={
+            column.name: float(part[0]) if len(part) == 1 else part
+            for column, part in deviations.items() if column.sensor in (-1, k)})
+            for k, one in enumerate(self._value))
 
-    def _named(self, values: Floats) -> dict[str, Floats]:
-        """Return the columns by name."""
-        return dict(zip(self._names, np.split(values, np.cumsum(self._sizes)[:-1])))
+    def _named(self, values: Floats) -> dict[_Column, Floats]:
+        """Return the parts of a vector by column."""
+        ends = np.cumsum([column.size for column in self._columns])[:-1]
+        return dict(zip(self._columns, np.split(values, ends)))
 
     def _correlation(self) -> float:
         """
@@ -208,66 +244,68 @@ class _Fit:
     def _blocks(self) -> Iterator[tuple[int, int, Floats]]:
         """Generate the residuals of attitudes (0) and rates (1) of each sensor, shape (n, 3)."""
         residuals, first = self._residuals(self._value), 0
-        for number, (sensor, rows) in enumerate(zip(self._sensors, self._rows)):
+        for number, sensor in enumerate(self._samples):
             for quantity, values in enumerate((sensor.attitude, sensor.angular_velocity)):
                 if values is not None:
-                    last = first + 3 * len(rows)
+                    last = first + 3 * len(sensor)
                     yield number, quantity, residuals[first:last].reshape(-1, 3)
                     first = last
 
-    def _fit(self, tolerance: float, kept: NDArray[np.bool_] | None = None) -> Floats:
+    def _fit(self, tolerance: float, kept: NDArray[np.bool_] | None = None,
+             most: int = _MOST) -> Floats:
         """Improve the value; without chosen rows, by a robust loss. Return the Jacobian."""
         from scipy.optimize import least_squares  # takes as long to import as the engine
-        base, count = self._value, sum(self._sizes)
+        base = self._value
         rows = slice(None) if kept is None else kept
-        halves = [_CLOCK_STEP if name == 'clock_offset_s' else _STEP
-                  for name, size in zip(self._names, self._sizes) for _ in range(size)]
+        steps = np.concatenate([np.full(column.size, _CLOCK_STEP if column.size == 1 else _STEP)
+                                for column in self._columns])
 
         def residuals(step: Floats) -> Floats:
             return np.asarray(self._residuals(self._moved(base, step))[rows])
 
-        def jacobian(step: Floats) -> Floats:
-            columns = []
-            for change, half in zip(np.diag(halves), halves):
-                columns.append((residuals(step + change) - residuals(step - change))
-                               / (2.0 * half))
-            return np.stack(columns, axis=1)
+        def jacobian(point: Floats) -> Floats:
+            here = residuals(point)
+            return np.stack([(residuals(point + change) - here) / step
+                             for change, step in zip(np.diag(steps), steps)], axis=1)
         options = {'loss': 'linear'} if kept is not None else {'loss': 'huber', 'f_scale': _HUBER}
-        result = least_squares(residuals, np.zeros(count), jacobian, max_nfev=_MOST,
-                               xtol=tolerance, ftol=tolerance, gtol=tolerance, x_scale='jac',
-                               **options)
+        result = least_squares(residuals, np.zeros(len(steps)), jacobian, max_nfev=most,
+                               xtol=1e-12, ftol=tolerance, gtol=1e-15, x_scale='jac', **options)
         self._value = self._moved(base, result.x)
         return np.asarray(result.jac)
 
-    def _moved(self, base: Alignment, step: Floats) -> Alignment:
-        """Return an alignment with small changes."""
-        changes, start = self._named(step), base.start
-        rate = changes.get('initial_angular_velocity_rad_s')
-        if start is not None and rate is not None:
-            turn = so3.exp(changes.get('initial_attitude_rad', np.zeros(3)))
+    def _moved(self, base: Sequence[Alignment], step: Floats) -> list[Alignment]:
+        """Return alignments with small changes."""
+        changes, (first, *_) = self._named(step), base
+        none, start, space = np.zeros(3), first.start, first.space
+        if start is not None and _RATE in changes:
+            turn = so3.exp(changes.get(_ATTITUDE, none))
             start = State(start.time_ns, so3.normalize(so3.multiply(start.attitude, turn)),
-                          start.angular_velocity + rate, start.rotor_momentum)
-        mount, space = base.mount, base.space
-        if 'mount_rad' in changes:
-            mount = so3.normalize(so3.multiply(mount, so3.exp(changes['mount_rad'])))
-        if 'space_rad' in changes:
-            space = so3.normalize(so3.multiply(so3.exp(changes['space_rad']), space))
-        offset = base.clock_offset_s + float(changes.get('clock_offset_s', np.zeros(1))[0])
-        return Alignment(offset, mount, space, start)
+                          start.angular_velocity + changes[_RATE], start.rotor_momentum)
+        if _SPACE in changes:
+            space = so3.normalize(so3.multiply(so3.exp(changes[_SPACE]), space))
+        result = []
+        for k, one in enumerate(base):
+            turn = so3.exp(changes.get(_Column('mount_rad', k), none))
+            offset = float(changes.get(_Column('clock_offset_s', k), none)[0])
+            result.append(Alignment(one.clock_offset_s + offset,
+                                    so3.normalize(so3.multiply(one.mount, turn)), space, start))
+        return result
 
-    def _residuals(self, value: Alignment) -> Floats:
-        """Return the errors in standard deviations, of all samples of all sensors."""
+    def _residuals(self, value: Sequence[Alignment]) -> Floats:
+        """
+        Return the errors in standard deviations, of all samples of all sensors.
+
+        They are in the axes of the sensors: there, what a mounting cannot change does not turn the
+        noise either, and an undetermined direction shows as exactly that.
+        """
         interrupts.check()
-        aligned = [value.applied(sensor.rows(rows))
-                   for sensor, rows in zip(self._sensors, self._rows)]
-        stamps_ns = np.concatenate([sensor.stamps_ns for sensor in aligned])
-        to_sensor, parts = so3.conjugate(value.mount), []
-        states = divided(self._states(value.start, stamps_ns), aligned)
-        for sensor, scales, part in zip(aligned, self._scales, states):
-            # In the axes of the sensor: there, what a mounting cannot change does not turn the
-            # noise either, and an undetermined direction shows as exactly that.
-            parts += [(so3.rotate(to_sensor, error) / scale).ravel()
-                      for error, scale in zip(errors_of(sensor, part), scales)
+        stamps_ns = np.concatenate([sensor.stamps_ns + round(1e9 * one.clock_offset_s)
+                                    for sensor, one in zip(self._samples, value)])
+        states, parts = divided(self._states(value[0].start, stamps_ns), self._samples), []
+        for sensor, one, scales, part in zip(self._samples, value, self._scales, states):
+            expected = one.expected(part)
+            parts += [(error / scale).ravel()
+                      for error, scale in zip(errors_of(sensor, expected), scales)
                       if error is not None]
         return np.concatenate(parts)
 
@@ -283,6 +321,18 @@ class _Fit:
             # A step of the clock may lead out of the motion, unless the offset is nearly right.
             self._kept[key] = moved.propagate(at=np.clip(stamps_ns, *span_of(moved)))
         return self._kept[key]
+
+
+def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Column]:
+    """Return what is fitted, first what changes no motion."""
+    mounted = [k for k, sensor in enumerate(sensors) if is_asked(names, MOUNT, sensor.topic)]
+    with_attitude = [k for k, sensor in enumerate(sensors) if sensor.attitude is not None]
+    is_turned = bool({*mounted} & {*with_attitude})
+    # With a mounting of attitudes, the rotation of the space axes is that of the start as well.
+    starts = [_RATE, *([_ATTITUDE] if with_attitude and not is_turned else [])]
+    return [*(_Column('mount_rad', k) for k in mounted), *([_SPACE] if is_turned else []),
+            *(_Column('clock_offset_s', k) for k, sensor in enumerate(sensors)
+              if is_asked(names, CLOCK, sensor.topic)), *(starts if START in names else [])]
 
 
 def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What brings a measurement into the time, the frames and the start of a motion."""
+"""What brings a sensor into the time, the frames and the start of a motion."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
 
@@ -33,7 +34,7 @@ def _identity() -> Floats:
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """
-    What brings a measurement into the time and the frames of a motion.
+    What brings a sensor into the time and the frames of a motion.
 
     Measured attitude = `space` * attitude of the motion * `mount`.
 
@@ -42,7 +43,8 @@ class Alignment:
     clock_offset_s : float, s
         Added to the measured stamps.
     mount, space : array, shape (4,)
-        x y z w; `mount` maps vectors from the axes of the sensor to the body axes.
+        x y z w; `mount` maps vectors from the axes of the sensor to the body axes, and `space` is
+        common to all sensors.
     start : State, optional
         The fitted start; None for that of the scene.
     sigma : dict
@@ -59,11 +61,14 @@ class Alignment:
     start: State | None = None
     sigma: dict[str, Any] | None = None
 
+    def of_sensor(self) -> dict[str, Any]:
+        """Return what is of this sensor alone, as JSON types."""
+        return {'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist()}
+
     def as_dict(self) -> dict[str, Any]:
         """Return the alignment as JSON types; an infinite standard deviation is None."""
         found: dict[str, Any] = {
-            'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist(),
-            'space_xyzw': _upper(self.space).tolist(),
+            **self.of_sensor(), 'space_xyzw': _upper(self.space).tolist(),
             'start': 'fitted' if self.start else 'scene'}
         if self.start:
             found['initial_attitude_xyzw'] = self.start.attitude.tolist()
@@ -71,6 +76,11 @@ class Alignment:
         if self.sigma:
             found['sigma'] = {name: as_json(value) for name, value in self.sigma.items()}
         return found
+
+    def expected(self, states: Poses) -> Poses:
+        """Return what a sensor without errors measures of a motion, in its own axes."""
+        attitude = so3.multiply(so3.multiply(self.space, states.attitude), self.mount)
+        return Poses(attitude, so3.rotate(so3.conjugate(self.mount), states.angular_velocity))
 
     def applied(self, sensor: Measured) -> Measured:
         """Return what a sensor measured, in the time and the frames of the motion."""

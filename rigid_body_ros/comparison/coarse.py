@@ -37,31 +37,30 @@ _SAME = 0.01
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def guess(motion: Motion, sensors: Sequence[Measured], clock: bool,
-          mount: bool) -> tuple[float, Floats, Floats]:
+def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
+          mounts: Sequence[bool]) -> list[tuple[float, Floats, Floats]]:
     """
-    Return a clock offset, s, and the rotations of mounting and space.
+    Return a clock offset, s, and the rotations of mounting and space, for each sensor.
 
     Parameters
     ----------
     motion : Problem or Recorded
         What the sensors are aligned with.
     sensors : sequence of Measured
-        The best of them is used.
-    clock, mount : bool
-        Which to find; the others are zero and the identity.
+        The rotation of space is that of the one with the most attitudes.
+    clocks, mounts : sequence of bool
+        Which to find, for each sensor; the others are zero and the identity.
 
     """
-    offset = 0.0
-    if clock:
-        best = max(sensors, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
-        offset = _offset(motion, best, mount)
-    mounting = space = _IDENTITY
-    if mount:
-        with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
-        sensor = max(with_attitude or sensors, key=len)
-        mounting, space = _mounting(motion, sensor, round(1e9 * offset))
-    return offset, mounting, space
+    space, most, found = _IDENTITY, 0, []
+    for sensor, clock, mount in zip(sensors, clocks, mounts):
+        offset = _offset(motion, sensor, mount) if clock else 0.0
+        mounting, turn = _mounting(motion, sensor, round(1e9 * offset)) if mount \
+            else (_IDENTITY, _IDENTITY)
+        if mount and sensor.attitude is not None and len(sensor) > most:
+            space, most = turn, len(sensor)
+        found.append((offset, mounting))
+    return [(offset, mounting, space) for offset, mounting in found]
 
 
 def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:

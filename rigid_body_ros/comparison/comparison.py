@@ -23,9 +23,11 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.comparison.causes import find_causes
+from rigid_body_ros.comparison.channels import channels_of
 from rigid_body_ros.comparison.errors import compared, Comparison
-from rigid_body_ros.comparison.horizons import horizon
+from rigid_body_ros.comparison.horizons import horizon, usual_horizons
 from rigid_body_ros.comparison.motion import Motion, Recorded
+from rigid_body_ros.comparison.predictable import predictable_s
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -37,7 +39,8 @@ from rigid_body_ros.sensing.residual_torque import residual_torque
 
 def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
             measured: Measured | Sequence[Measured], align: Collection[str] = (),
-            horizons: Sequence[float] = (), causes: bool = True, **others: Any) -> Comparison:
+            horizons: Sequence[float] | None = (), causes: bool = True,
+            **others: Any) -> Comparison:
     """
     Compare a measured motion with the one that torques cause.
 
@@ -48,14 +51,16 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     body, start, log
         As for `Problem`.
     measured : Measured or sequence of Measured
-        What sensors measured; all share one clock and one mounting.
+        What sensors measured.
     align : collection of str
         What to fit: 'start' (initial attitude and angular velocity), 'clock' (a constant time
-        offset, up to 10 s) and 'mount' (the constant rotations between the axes of the sensor and
-        the body, and between the two space axes). With 'mount', 'start' fits the angular velocity
-        only: the rotation of the space axes has the effect of another initial attitude.
-    horizons : sequence of float, s
-        For each, restart from the measurement every so often, and return the error by then.
+        offset of each sensor, up to 10 s) and 'mount' (the constant rotations between the axes of
+        each sensor and the body, and between the two space axes); 'clock@TOPIC' and 'mount@TOPIC'
+        are those of one sensor. With the mounting of an attitude, 'start' fits the angular
+        velocity only: the rotation of the space axes has the effect of another initial attitude.
+    horizons : sequence of float or None, s
+        For each, restart from the measurement every so often, and return the error by then. None:
+        0.1, 1 and 10 s where the measurement is long enough.
     causes : bool
         Whether to look for likely causes of the errors, which takes about ten further motions.
     others
@@ -81,10 +86,10 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
 
 
 def compare_motion(motion: Motion, measured: Sequence[Measured],
-                   align: Collection[str] = (), horizons: Sequence[float] = (),
+                   align: Collection[str] = (), horizons: Sequence[float] | None = (),
                    causes: bool = True, track: Track = no_progress) -> Comparison:
     """Compare as `compare` does, with a problem or a recorded motion; `track` shows progress."""
-    for seconds in horizons:
+    for seconds in horizons or ():
         if not duration_ns(seconds, 'horizons'):
             raise ValueError(f'horizons: expected positive seconds, found {seconds}')
     if horizons and isinstance(motion, Recorded):
@@ -95,6 +100,8 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
         best = max(aligned, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
         comparison = replace(
             comparison, residual_torque=residual_torque(problem, best),
-            horizons=tuple(horizon(problem, aligned, seconds, track) for seconds in horizons))
+            horizons=tuple(horizon(problem, aligned, seconds, track) for seconds in (
+                usual_horizons(aligned) if horizons is None else horizons)),
+            predictable_s=predictable_s(problem, [*channels_of(comparison)]))
     return replace(comparison, causes=find_causes(motion, comparison, align, track)) \
         if causes else comparison

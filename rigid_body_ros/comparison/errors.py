@@ -68,7 +68,8 @@ class Comparison:
     ----------
     measured : tuple of Measured
         As given.
-    alignment : Alignment
+    alignments : tuple of Alignment
+        Of each sensor.
     errors : tuple of Errors
         Of each sensor, after alignment.
     left_out : int
@@ -82,11 +83,14 @@ class Comparison:
         Name of the recording, if there is one.
     causes : tuple
         Likely causes of the errors; see `find_causes`.
+    predictable_s : float, optional
+        After this time the measured uncertainty of the start alone explains errors of 0.1 rad;
+        None if it does not before the end, and for a recorded motion.
 
     """
 
     measured: tuple[Measured, ...]
-    alignment: Alignment
+    alignments: tuple[Alignment, ...]
     errors: tuple[Errors, ...]
     left_out: int
     horizons: tuple[Horizon, ...]
@@ -94,6 +98,13 @@ class Comparison:
     motion: Motion
     recording: str = ''
     causes: tuple[Any, ...] = ()
+    predictable_s: float | None = None
+
+    @property
+    def alignment(self) -> Alignment:
+        """Return the alignment of the first measured attitude, else of the first sensor."""
+        return next((one for one, sensor in zip(self.alignments, self.measured)
+                     if sensor.attitude is not None), self.alignments[0])
 
     @property
     def samples(self) -> int:
@@ -109,8 +120,8 @@ class Comparison:
     @property
     def aligned(self) -> tuple[Measured, ...]:
         """Return the measurements in the time and the axes of the motion."""
-        return tuple(_within(self.motion, self.alignment.applied(sensor))
-                     for sensor in self.measured)
+        return tuple(_within(self.motion, one.applied(sensor))
+                     for one, sensor in zip(self.alignments, self.measured))
 
     def of(self, name: str) -> list[Errors]:
         """Return the errors of the sensors that measure 'rotation_vectors' or 'rates'."""
@@ -138,10 +149,13 @@ class Comparison:
             'samples': self.samples, 'span_s': self.span_s, 'left_out': self.left_out,
             'rejected': sum(sensor.rejected for sensor in self.measured),
             'alignment': self.alignment.as_dict(),
+            'alignments': {sensor.topic: one.of_sensor()
+                           for one, sensor in zip(self.alignments, self.measured)},
             'attitude_error_rad': statistics(self.pooled('rotation_vectors'), final=True),
             'rate_error_rad_s': statistics(self.pooled('rates'), final=True),
             'horizons': [_horizon_dict(horizon) for horizon in self.horizons],
             'residual_torque_N_m': statistics(torque.torques if torque else None),
+            'predictable_s': self.predictable_s,
             'likely_causes': [cause.as_dict() for cause in self.causes]}
         if torque:
             found['residual_torque_N_m'] |= {'noise': torque.noise.tolist(),
@@ -152,11 +166,10 @@ class Comparison:
 def compared(motion: Motion, measured: Sequence[Measured],
              align: Collection[str], most: int | None = None) -> Comparison:
     """Return the errors after alignment with at most so many samples, without anything else."""
-    alignment = aligned_by(motion, measured, align, most)
-    if START in align and alignment.start:
-        assert isinstance(motion, Problem)
-        motion = motion.replaced(start=alignment.start)
-    sensors = [alignment.applied(sensor) for sensor in measured]
+    alignments = aligned_by(motion, measured, align, most)
+    if START in align and isinstance(motion, Problem):
+        motion = motion.replaced(start=alignments[0].start)
+    sensors = [one.applied(sensor) for one, sensor in zip(alignments, measured)]
     within = [_within(motion, sensor) for sensor in sensors]
     if not any(len(sensor) for sensor in within):
         raise apart(motion, sensors)
@@ -164,7 +177,7 @@ def compared(motion: Motion, measured: Sequence[Measured],
     errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, part))
                    for sensor, part in zip(within, divided(states, within)))
     left_out = sum(map(len, sensors)) - sum(map(len, within))
-    return Comparison(tuple(measured), alignment, errors, left_out, (), None, motion)
+    return Comparison(tuple(measured), alignments, errors, left_out, (), None, motion)
 
 
 def _within(motion: Motion, sensor: Measured) -> Measured:

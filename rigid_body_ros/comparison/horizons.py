@@ -32,6 +32,8 @@ from rigid_body_ros.sensing.rates import measured_rates
 
 #: Samples from which a restart is estimated, unless the horizon is too short for them.
 _SAMPLES = 11
+#: s; horizons if none are given, and largest number of windows of one.
+_USUAL, _WINDOWS = (0.1, 1.0, 10.0), 500
 #: Shortest horizon, in intervals between samples, which jitter.
 _SHORTEST = 0.99
 #: Most corrections of an estimated restart. The last is below an angle, rad, or part of the noise.
@@ -56,13 +58,23 @@ class Horizon:
     angles: Floats
 
 
+def usual_horizons(sensors: Sequence[Measured]) -> list[float]:
+    """Return the usual horizons, as far as the first measured attitude is long and fine enough."""
+    stamps_ns = next((one.stamps_ns for one in sensors if one.attitude is not None), np.empty(0))
+    if len(stamps_ns) < 2:
+        return []
+    shortest, longest = _SHORTEST * np.median(np.diff(stamps_ns)), np.ptp(stamps_ns)
+    return [seconds for seconds in _USUAL if shortest <= 1e9 * seconds <= longest]
+
+
 def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
             track: Track = no_progress) -> Horizon:
     """
     Return errors after a time, each from a restart from the measurement.
 
     A restart is estimated from eleven samples, or fewer if a fifth of the horizon has fewer: the
-    motion is propagated from the first, and its errors, linear in time, are taken off.
+    motion is propagated from the first, and its errors, linear in time, are taken off. Of more
+    than 500 restarts, some are tried, evenly spread.
 
     Parameters
     ----------
@@ -99,6 +111,7 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
     _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
     momenta = problem.rotor_momentum(stamps_ns[rows])
     windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
+    windows = windows[::-(-len(windows) // _WINDOWS) or 1]
     angles = [_error(problem, sensor, (first, last), step_ns, momentum)
               for first, last, momentum in track(windows, len(windows))
               if abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns]

@@ -53,7 +53,10 @@ def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
             writer.add_topic(topic, messages.VECTOR3)
         writer.add_topic(RESIDUAL_TORQUE, messages.WRENCH)
         writer.add_metadata(NAME, {'fingerprint': json.dumps(fingerprint()),
-                                   'alignment': json.dumps(comparison.alignment.as_dict())})
+                                   'alignment': json.dumps(comparison.alignment.as_dict()),
+                                   'alignments': json.dumps({
+                                       sensor.topic: one.of_sensor() for one, sensor in zip(
+                                           comparison.alignments, comparison.measured)})})
         for errors in comparison.errors:
             _write_errors(writer, errors, body_frame)
         if comparison.residual_torque:

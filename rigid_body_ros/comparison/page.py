@@ -21,18 +21,33 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.comparison.errors import Comparison, QUANTITIES
-from rigid_body_ros.comparison.horizons import Horizon
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.comparison.errors import Comparison, Errors, QUANTITIES
 from rigid_body_ros.comparison.summary import rows
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.report import moving_body, style
+from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
-from rigid_body_ros.report.panels import error_panel, field_panels, SINCE_FIRST, torque_panels
+from rigid_body_ros.report.panels import (
+    Drawn,
+    error_panel,
+    field_panels,
+    in_degrees,
+    overlay_panel,
+    torque_panels,
+)
+from rigid_body_ros.report.text import scaled
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.torque_panels import residual_panels
+
+#: The median size of a normal variable, in standard deviations.
+_MEDIAN = 0.6745
 
 
-def page(comparison: Comparison, name: str, scene: Scene, command: str) -> Page:
+def page(comparison: Comparison, name: str, scene: Scene, command: str,
+         degrees: bool = False) -> Page:
     """
     Return the page of a comparison.
 
@@ -46,55 +61,92 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str) -> Page:
         The scene of the motion.
     command : str
         The command line.
+    degrees : bool
+        Whether to show angles in degrees.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
     topics = ', '.join(errors.topic for errors in comparison.errors)
-    motion = comparison.motion
-    body = _body(motion, stamps_ns) if isinstance(motion, Problem) else None
+    motion, aligned = comparison.motion, comparison.aligned
+    body = _body(motion, aligned, stamps_ns) if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
-    return Page(f'{name}: {topics}', [('recording', name), *rows(comparison), *shown],
-                [*_panels(comparison, stamps_ns)], body, scene.warnings, scene=scene,
-                command=command)
+    panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
+    return Page(f'{name}: {topics}', [('recording', name), *rows(comparison, degrees), *shown],
+                [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
+                scene=scene, command=command)
 
 
-def _panels(comparison: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
+def _panels(comparison: Comparison, aligned: Sequence[Measured],
+            stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
     start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
-    for label, unit, attribute in QUANTITIES:
-        for errors in comparison.of(attribute):
-            yield error_panel(f'{errors.topic}: {label}, body axes', unit, errors.times_ns,
-                              getattr(errors, attribute), start_ns)
+    for errors, sensor in zip(comparison.errors, aligned):
+        if len(sensor):
+            yield from _of_sensor(errors, sensor, start_ns)
     motion = comparison.motion
     if isinstance(motion, Problem):
         yield from torque_panels(motion.logs, start_ns, end_ns, motion.options.timeout_ns)
         yield from field_panels(motion, stamps_ns, start_ns)
-    torque = comparison.residual_torque
-    if torque:
-        yield Panel('residual torque, body axes', 'N m', [Curves.thinned(
-            torque.times_ns, torque.torques, style.TORQUES, start_ns)], SINCE_FIRST)
+    if comparison.residual_torque:
+        yield from residual_panels(comparison.residual_torque, aligned, start_ns)
+
+
+def _of_sensor(errors: Errors, sensor: Measured, start_ns: int) -> Iterator[Panel]:
+    """Generate what a sensor measured over what was computed, and the errors."""
+    samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
+    pairs = []
+    if sensor.attitude is not None and errors.rotation_vectors is not None:
+        pairs.append((sensor.attitude, so3.multiply(sensor.attitude,
+                                                    so3.exp(-errors.rotation_vectors))))
+    if sensor.angular_velocity is not None and errors.rates is not None:
+        pairs.append((sensor.angular_velocity, sensor.angular_velocity - errors.rates))
+    names = {4: ('attitude quaternion', '', *QUANTITIES[0]),
+             3: ('angular velocity', 'rad/s', *QUANTITIES[1])}
+    for measured, computed in pairs:
+        name, unit, label, error_unit, attribute = names[measured.shape[1]]
+        yield overlay_panel(f'{errors.topic}: {name}, body axes', unit, samples, measured,
+                            computed, start_ns)
+        values = getattr(errors, attribute)
+        yield error_panel(f'{errors.topic}: {label}, measured minus computed, body axes',
+                          error_unit, samples, values,
+                          ('±2 sigma of the noise of a sample', 2.0 * _noise(values)), start_ns)
+
+
+def _noise(errors: Floats) -> float:
+    """
+    Return the noise of errors: the scatter of each sample about the mean of its neighbours.
+
+    So what lasts longer than a sample does not count, as an error of the model does.
+    """
+    if len(errors) < 3:
+        return 0.0
+    scatter = errors[1:-1] - 0.5 * (errors[:-2] + errors[2:])
+    return float(np.median(np.abs(scatter))) / (_MEDIAN * np.sqrt(1.5))
+
+
+def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
+    """Generate how far the motion is off some time after a restart."""
     horizons = sorted((horizon for horizon in comparison.horizons if len(horizon.angles)),
                       key=lambda horizon: horizon.seconds)
-    if horizons:
-        yield _horizon_panel(horizons)
-
-
-def _horizon_panel(horizons: Sequence[Horizon]) -> Panel:
+    if not horizons:
+        return
     seconds = np.array([horizon.seconds for horizon in horizons])
     errors = np.maximum([np.percentile(horizon.angles, [50.0, 95.0]) for horizon in horizons],
                         1e-16)
-    names = 'median', '95 %'
-    texts = [[f'{error:.3g} rad {horizon.seconds:g} s after a restart, in '
+    factor, unit = scaled('rad', degrees)
+    texts = [[f'{factor * error:.3g} {unit} {horizon.seconds:g} s after a restart, in '
               f'{len(horizon.angles)} windows' for horizon, error in zip(horizons, column)]
              for column in errors.T]
-    return Panel('attitude error after a restart', 'rad', [Curves(seconds, errors, errors, names)],
-                 'time since the restart from the measurement (s)', 'loglog', texts=texts)
+    yield Panel('attitude error after a restart', 'rad', [
+        Curves(seconds, errors, errors, ('median', '95 %'))],
+        'time since the restart from the measurement (s)', 'loglog', texts=texts)
 
 
-def _body(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """Return the propagated motion at some of the measured stamps."""
-    step = -(-len(stamps_ns) // moving_body.MOST)
-    times_ns = np.union1d(stamps_ns[::step], stamps_ns[-1:])
-    motion = problem.propagate(at=times_ns)
-    torque = problem.torque(times_ns, motion.attitude)
-    return moving_body.as_data(problem.body, times_ns, np.hstack([
-        motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))
+def _body(problem: Problem, aligned: Sequence[Measured],
+          stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
+    """Return the propagated motion at some of the measured stamps, and the measured one."""
+    body = moving_body.of_motion(problem, stamps_ns)
+    for sensor in aligned:
+        if sensor.attitude is not None and len(sensor):
+            return {**body, 'ghost': moving_body.ghost(int(stamps_ns[0]), sensor.stamps_ns,
+                                                       sensor.attitude)}
+    return body

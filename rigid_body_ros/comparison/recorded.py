@@ -39,7 +39,8 @@ from rigid_body_ros.sensing.recorded import Measurements, read_observed, Reading
 
 def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,
                       motion: str | Path | None = None, align: Collection[str] = (),
-                      horizons: Sequence[float] = (), track: Track = no_progress) -> Comparison:
+                      horizons: Sequence[float] | None = None,
+                      track: Track = no_progress) -> Comparison:
     """
     Compare measured topics of a recording with the motion under its torques.
 
@@ -52,7 +53,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     motion : str or Path, optional
         A recorded motion to compare with instead, such as the output of a replay.
     align, horizons
-        As for `compare`.
+        As for `compare`, with the usual horizons by default.
     track : callable
         Wraps the iteration over restarts and possible causes, to show progress.
 
@@ -68,16 +69,18 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
 
     """
     reading = reading or Reading()
+    moves_clocks = any(name.partition('@')[0] == CLOCK for name in align)
     moved: Motion
     if motion is None:
-        searched = LARGEST_OFFSET if CLOCK in align else 0.0
+        searched = LARGEST_OFFSET if moves_clocks else 0.0
         moved, during = read_observed(path, scene, reading, searched)
     else:
         moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
     try:
         sensors = during.until_end()
-        if CLOCK in align and during.is_followed:  # some of them may be of the next epoch
-            sensors = during.until_end(aligned_by(moved, sensors, align).clock_offset_s)
+        if moves_clocks and during.is_followed:  # some of them may be of the next epoch
+            sensors = during.until_end([one.clock_offset_s for one
+                                        in aligned_by(moved, sensors, align)])
         found = compare_motion(moved, sensors, align, horizons, track=track)
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error

@@ -27,15 +27,15 @@ from rigid_body_ros.comparison.errors import Comparison, QUANTITIES, statistics
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.report.text import lines
+from rigid_body_ros.report.text import lines, rounded, scaled
 
 
-def summary(comparison: Comparison) -> str:
+def summary(comparison: Comparison, degrees: bool = False) -> str:
     """Return a summary, one line per fact."""
-    return lines(f'{name:17}{text}' for name, text in rows(comparison))
+    return lines(f'{name:17}{text}' for name, text in rows(comparison, degrees))
 
 
-def rows(comparison: Comparison) -> Iterator[tuple[str, str]]:
+def rows(comparison: Comparison, degrees: bool = False) -> Iterator[tuple[str, str]]:
     """Generate the facts: names, which are empty if a fact continues, and texts."""
     topics = ', '.join(errors.topic for errors in comparison.errors)
     yield 'measured', f'{comparison.samples} samples of {topics}, over {comparison.span_s:.9g} s'
@@ -48,54 +48,77 @@ def rows(comparison: Comparison) -> Iterator[tuple[str, str]]:
         yield 'lost', damage
     if isinstance(comparison.motion, Problem) and not comparison.motion.sources:
         yield 'torques', 'none in the recording: the body is free'
-    yield from _alignment(comparison.alignment)
+    yield from _alignments(comparison, degrees)
     for label, unit, attribute in QUANTITIES:
-        yield from _errors(label, unit, comparison.pooled(attribute), True)
+        yield from _errors(label, *scaled(unit, degrees), comparison.pooled(attribute), True)
+    factor, unit = scaled('rad', degrees)
     for horizon in comparison.horizons:
-        angles = horizon.angles
+        angles = factor * horizon.angles
         text = f'rms {math.sqrt(np.mean(angles ** 2)):.3g}, 95 % ' \
-               f'{np.percentile(angles, 95.0):.3g} rad in {len(angles)} windows' \
+               f'{np.percentile(angles, 95.0):.3g} {unit} in {len(angles)} windows' \
             if len(angles) else 'no window, or no measured attitude'
         yield f'after {horizon.seconds:g} s', text
+    if comparison.predictable_s is not None:
+        yield 'predictable', f'for {comparison.predictable_s:.4g} s from the start; later ' \
+                             'errors say nothing about the model, those after horizons do'
     torque = comparison.residual_torque
     if torque:
-        yield from _errors('residual torque', 'N m', torque.torques)
+        yield from _errors('residual torque', 1.0, 'N m', torque.torques)
         yield '', f'noise {written(torque.noise)} N m, in windows of {torque.window_s:.3g} s'
     for cause in comparison.causes:
-        yield 'likely cause', f'{cause.text} ({cause.evidence})'
+        yield 'likely cause' if cause.explains else 'reduces', f'{cause.text} ({cause.evidence})'
 
 
-def _alignment(alignment: Alignment) -> Iterator[tuple[str, str]]:
+def _alignments(comparison: Comparison, degrees: bool) -> Iterator[tuple[str, str]]:
+    for one, sensor in zip(comparison.alignments, comparison.measured):
+        sigma = one.sigma or {}
+        of = f' of {sensor.topic}' if len(comparison.measured) > 1 else ''
+        if 'clock_offset_s' in sigma:
+            spread = float(sigma['clock_offset_s'])
+            yield 'clock offset', f'{rounded(one.clock_offset_s, spread)} s ' \
+                                  f'({_known(spread, "s")}), added to the measured stamps{of}'
+        if 'mount_rad' in sigma:
+            yield 'mounting', _turn(one.mount, sigma['mount_rad'], degrees) + of
+    yield from _common(comparison.alignment, degrees)
+
+
+def _turn(quaternion: Floats, sigma: Floats, degrees: bool) -> str:
+    return 'rotation vector ' + _vector(so3.log(quaternion), sigma, *scaled('rad', degrees))
+
+
+def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
+    """Generate the alignment that all sensors share."""
     sigma = alignment.sigma or {}
-    if 'clock_offset_s' in sigma:
-        spread = _sigma(sigma, 'clock_offset_s', 's')
-        yield 'clock offset', f'{alignment.clock_offset_s:.6g} s ({spread}), added to the ' \
-                              'measured stamps'
-    for name, key, quaternion in (('mounting', 'mount_rad', alignment.mount),
-                                  ('space axes', 'space_rad', alignment.space)):
-        if key in sigma:
-            yield name, f'rotation vector {written(so3.log(quaternion))} rad ' \
-                        f'({_sigma(sigma, key, "rad")})'
+    if 'space_rad' in sigma:
+        yield 'space axes', _turn(alignment.space, sigma['space_rad'], degrees)
     if alignment.start:
         text = f'attitude xyzw {written(alignment.start.attitude)}'
         if 'initial_attitude_rad' in sigma:
-            text += f' ({_sigma(sigma, "initial_attitude_rad", "rad")})'
+            factor, unit = scaled('rad', degrees)
+            text += f' ({_known(factor * np.max(sigma["initial_attitude_rad"]), unit)})'
         yield 'start', text
-        yield '', f'angular velocity {written(alignment.start.angular_velocity)} rad/s (' \
-                  f'{_sigma(sigma, "initial_angular_velocity_rad_s", "rad/s")})'
+        yield '', 'angular velocity ' + _vector(
+            alignment.start.angular_velocity, sigma['initial_angular_velocity_rad_s'],
+            *scaled('rad/s', degrees))
 
 
-def _sigma(sigma: dict[str, Any], key: str, unit: str) -> str:
-    largest = float(np.max(sigma[key]))
-    return f'sigma {largest:.2g} {unit}' if math.isfinite(largest) else \
+def _vector(values: Floats, sigma: Any, factor: float, unit: str) -> str:
+    """Return a vector, each component rounded to its standard deviation, and the largest one."""
+    spreads = factor * np.broadcast_to(sigma, 3)
+    texts = ', '.join(rounded(factor * value, spread) for value, spread in zip(values, spreads))
+    return f'({texts}) {unit} ({_known(float(spreads.max()), unit)})'
+
+
+def _known(sigma: float, unit: str) -> str:
+    return f'sigma {sigma:.2g} {unit}' if math.isfinite(sigma) else \
         'the measurement does not determine it'
 
 
-def _errors(name: str, unit: str, vectors: Floats | None,
+def _errors(name: str, factor: float, unit: str, vectors: Floats | None,
             final: bool = False) -> Iterator[tuple[str, str]]:
     if vectors is None or not len(vectors):
         return
-    values = statistics(vectors, final)
+    values = statistics(factor * vectors, final)
     axes = written(np.array(values.pop('axes_rms')))
     names = {'rms': 'rms', 'median': 'median', 'p95': '95 %', 'max': 'max', 'final': 'at the end'}
     parts = ', '.join(f'{names[key]} {value:.3g}' for key, value in values.items())

@@ -35,11 +35,15 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.runtime.parameters import resembled
+from rigid_body_ros.scene.fields import MOMENT
 
 #: The rotation vector of the initial attitude.
 _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')
 #: Estimates without effect on the motion: those of sensors, and starts of later recordings.
-_NOT_IN_MOTION = re.compile(r'(mount|gyro_bias)\.[xyz]|clock_offset|.*\[\d+\]')
+_NOT_IN_MOTION = re.compile(r'((mount|gyro_bias|gyro_scale)\.[xyz]|clock_offset|clock_drift)(@.*)?'
+                            r'|.*\[\d+\]')
+#: An estimated weight, which is a field of the fitted scene.
+_WEIGHT = re.compile(r'^weight(\.[xyz])$')
 #: Eigenvalues and pivots of a correlation matrix that are rounding errors.
 _ROUNDING = 1e-12
 _KINDS = {bool: 'true or false', dict: 'names and values', float: 'a number', list: 'a list'}
@@ -154,13 +158,14 @@ def _fitted(data: Any, known: Mapping[str, str], force: bool) -> Fitted:
               for (name, one), unit in zip(estimates.items(), units)}
     matrix = np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
                        for k, row in enumerate(rows)])
-    varied = [name for name in names if not _NOT_IN_MOTION.fullmatch(name)]
-    _check_names(varied, values, (*known, *_ROTATION))
-    of_varied = [names.index(name) for name in varied]
+    of_varied = [k for k, name in enumerate(names) if not _NOT_IN_MOTION.fullmatch(name)]
+    varied = [_WEIGHT.sub(rf'weight.{MOMENT}\1', names[k]) for k in of_varied]
+    found = dict(zip(varied, (values[names[k]] for k in of_varied)))
+    _check_names(varied, found, (*known, *_ROTATION))
     matrix = matrix[np.ix_(of_varied, of_varied)]
     _check_covariance(varied, matrix)
-    return Fitted({name: values[name] for name in varied}, _guess(data), matrix,
-                  tuple(name for name in names if name not in varied))
+    return Fitted(found, _guess(data), matrix,
+                  tuple(name for k, name in enumerate(names) if k not in of_varied))
 
 
 def _typed(value: Any, kind: type, where: str) -> Any:

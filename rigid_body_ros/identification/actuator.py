@@ -60,6 +60,14 @@ def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> lis
     return result
 
 
+def check_delay(physics: Physics) -> None:
+    """Raise InputError if torques act later, or earlier, than windows know of them."""
+    delay = physics.number('torque_delay')
+    if abs(delay) > MEMORY:
+        raise InputError(f'torque_delay: expected at most {MEMORY:g} s, found {delay:.4g} s; '
+                         'shift the stamps of the torques')
+
+
 def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
     """
     Return a torque that follows another one with a first-order lag.

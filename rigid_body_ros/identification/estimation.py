@@ -24,6 +24,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.identification import residuals
+from rigid_body_ros.identification.actuator import applied, check_delay
 from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
     channels_of,
@@ -38,6 +39,7 @@ from rigid_body_ros.identification.names import (
     split_topic,
     START,
     unit_of,
+    WEIGHT,
 )
 from rigid_body_ros.identification.parameters import (
     checked_priors,
@@ -110,8 +112,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     Raises
     ------
     InputError
-        A name is unknown, no field or topic has it, a noise or a prior is not positive, or a
-        topic has too few finite samples.
+        A name is unknown, no field or topic has it, a noise or a prior is not positive, a topic
+        has too few finite samples, or the torque acts more than two seconds late.
 
     """
     names = checked_names(estimate)
@@ -120,6 +122,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
             raise InputError(f'{name}: expected a number greater than zero, found {noise}')
     if not 0.0 <= validate < 1.0:
         raise InputError(f'validate: expected a fraction from 0 to less than 1, found {validate}')
+    if WEIGHT in names and not np.any(gravity):
+        raise InputError(f'gravity: expected a field other than zero for {WEIGHT}, found zeros')
     experiments = [experiments] if isinstance(experiments, Experiment) else [*experiments]
     if not experiments:
         raise InputError('experiments: expected at least one recording, found none')
@@ -128,8 +132,9 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     problems = [Problem(body, one.start, one.log, wheels=one.wheels, fields=one.fields,
                         torque_timeout=torque_timeout) for one in experiments]
     setup = _setup(problems, training, names, attitude_noise, rate_noise, gravity)
-    known = checked_priors(priors or {}, setup.parameters)
+    known = checked_priors(priors or {}, setup.parameters, setup.given)
     solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
+    check_delay(solution.physics)
     return _result(examined(solution), every if validate else [], accept)
 
 
@@ -213,22 +218,36 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
                                 float(numbers.guesses[i]), float(sigma[i]),
                                 bool(known.identifiable[i]), systematic.get(name, 0.0))
                  for i, name in enumerate(numbers.names)}
+    aligned = residuals.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
+                                   physics, setup.problems[0].start.time_ns)
     return Identification(
-        physics.body, [_start(solution, number)[0] for number in range(len(setup.problems))],
+        physics.body, physics.acting(setup.problems[0].fields),
+        [_start(solution, number)[0] for number in range(len(setup.problems))],
         estimates, _covariance(known, numbers.scales),
         setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
         residuals.Misfit.of(fitted, solution.problem.size),
         residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged, verdict,
         any(log.torques.any() for problem in setup.problems for log in problem.logs),
-        findings.predictable_s)
+        findings.predictable_s, _first_motion(solution, max(
+            int(one.stamps_ns[-1]) for one in aligned)), aligned)
+
+
+def _first_motion(solution: Solution, end_ns: int) -> Problem:
+    """Return the problem of the first recording with all estimates; a bias acts up to a time."""
+    given, physics = solution.problem.setup.problems[0], solution.physics
+    found = given.replaced(body=physics.body, start=_start(solution, 0)[0],
+                           log=applied(given.logs, physics, given.options.timeout_ns),
+                           fields=physics.acting(given.fields) or None)
+    bias = physics.value('torque_bias')
+    return found.biased(bias, end_ns) if bias.any() else found
 
 
 def _numbers(solution: Solution) -> _Numbers:
     """Return all components: those of the shared parameters, and of the starts."""
     setup, parameters = solution.problem.setup, solution.problem.setup.parameters
     shared = _Numbers([*parameters.names], parameters.values(solution.physics),
-                      parameters.values(parameters.guess), parameters.scales,
+                      parameters.values(setup.given), parameters.scales,
                       np.eye(parameters.size))
     if 'rotor_momentum' in parameters.groups:
         columns = parameters.columns(['rotor_momentum'])

@@ -28,13 +28,13 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.noise import Noise, noise_of
 from rigid_body_ros.identification.parameters import Parameters
 from rigid_body_ros.identification.problem import LeastSquares, Weights
 from rigid_body_ros.identification.residuals import ahead_of, Residuals
 from rigid_body_ros.identification.solve import Solution, states_at
 from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.noise import Noise, noise_of
 
 #: Relative size from which on what is left of a column is no rounding error.
 _ROUNDING = 1e-5

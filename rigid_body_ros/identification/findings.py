@@ -38,21 +38,26 @@ from rigid_body_ros.identification.evidence import (
     widened,
 )
 from rigid_body_ros.identification.names import components_of
-from rigid_body_ros.identification.noise import LONGEST, Noise
 from rigid_body_ros.identification.problem import LeastSquares
 from rigid_body_ros.identification.residuals import Residuals
 from rigid_body_ros.identification.solve import polished, Solution
 from rigid_body_ros.identification.suspects import candidates, extended
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.noise import (
+    ALARM,
+    batches_of,
+    chance,
+    come_together,
+    FEWEST,
+    Noise,
+)
 
-#: Probability of a false alarm of each test.
-ALARM = 1e-4
 #: Ratio of spreads from which on the fit is repeated with them.
 _UNEQUAL = 1.05
 #: Pieces of a recording, after each of which the inertia may have changed.
 _PIECES = 16
-#: s; errors are averaged over this time, and over at least this many samples.
-_BATCH, _FEWEST = 1.0, 10
+#: s; errors are averaged over this time.
+_BATCH = 1.0
 #: Standard deviations of a normal variable that it exceeds with the probability of an alarm.
 _FAR = 3.72
 #: Smallest size of the noise of an axis, relative to that of all axes.
@@ -212,10 +217,10 @@ def _breaks(solution: Solution) -> Iterator[Score]:
             bad = np.cumsum(~inliers)
             count = np.arange(1, len(bad) + 1)
             after = (bad[-1] - bad) / np.maximum(len(bad) - count, 1)
-            apart = np.abs(bad / count - after)[_FEWEST:-_FEWEST]
+            apart = np.abs(bad / count - after)[FEWEST:-FEWEST]
             if not apart.size or apart.max() < _APART:
                 continue
-            row = _FEWEST + int(np.argmax(apart))
+            row = FEWEST + int(np.argmax(apart))
             seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
             left = error[~inliers] / level
             drop = float(np.nansum(left ** 2))
@@ -268,19 +273,12 @@ def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
 
 def _outliers(solution: Solution) -> Iterator[Reason]:
     """Generate reasons for outliers that come together, or are too many."""
-    from scipy.special import ndtr
     for number, channels in enumerate(solution.problem.setup.channels):
         for channel, inliers in zip(channels, solution.inliers[number]):
-            bad = ~inliers
-            count, total = int(bad.sum()), len(bad)
-            share = count / total
-            if count < _FEWEST:
+            share = float(np.mean(~inliers))
+            if np.sum(~inliers) < FEWEST:
                 continue
-            # Wald and Wolfowitz (1940): the number of runs of outliers.
-            runs = int(bad[0]) + int(np.sum(bad[1:] & ~bad[:-1]))
-            mean = count * (1.0 - share)
-            spread = max(np.sqrt(mean * share * (1.0 - share)), 1e-9)
-            together = float(ndtr((runs - mean) / spread)) < ALARM
+            together = come_together(~inliers)
             if together or share > _SCATTERED:
                 how = 'in clusters' if together else 'more than a sensor has'
                 yield Reason(f'{channel.topic}: {100.0 * share:.2g} % of the samples are '
@@ -289,7 +287,6 @@ def _outliers(solution: Solution) -> Iterator[Reason]:
 
 def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     """Generate reasons for errors that last longer than the noise of the sensor."""
-    from scipy.special import chdtrc
     problem = solution.problem
     sums: dict[tuple[int, int], list[Floats]] = {}
     for k, window in enumerate(problem.windows):
@@ -300,20 +297,11 @@ def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason
             stamps_ns = window.channels[channel].stamps_ns
             spacing = max(float(np.median(np.diff(stamps_ns))) * 1e-9, 1e-9) \
                 if len(stamps_ns) > 1 else 1.0
-            size = max(_FEWEST, round(_BATCH / spacing))
-            count = len(left) // size
-            if count:
-                batches = left[:count * size].reshape(count, size, 3)
-                known = np.maximum(np.isfinite(batches).sum(axis=1), 1)
-                sums.setdefault((window.experiment, channel), []).append(
-                    np.stack([np.nansum(batches, axis=1) ** 2 / known,
-                              np.nansum(batches ** 2, axis=1) / known]))
+            size = max(FEWEST, round(_BATCH / spacing))
+            if len(left) >= size:
+                sums.setdefault((window.experiment, channel), []).append(batches_of(left, size))
     for (number, channel), parts in sums.items():
-        means, squares = np.concatenate(parts, axis=1)
-        lasting = found[number][channel].lasting
-        scale = 1.0 if lasting >= LONGEST else np.maximum(squares.mean(axis=0), 1e-300)
-        statistic = means.sum(axis=0) / scale
-        p = float(chdtrc(len(means), statistic).min())
+        p = chance(found[number][channel], np.concatenate(parts, axis=1))
         if p < ALARM:
             one = problem.setup.channels[number][channel]
             what = 'attitude' if one.is_attitude else 'angular velocity'

@@ -41,6 +41,8 @@ def _axes(name: str) -> tuple[str, ...]:
     return tuple(f'{name}.{axis}' for axis in 'xyz')
 
 
+#: The moment of the weight, and the name of its field.
+WEIGHT = 'weight'
 #: By name; the moment of a field and `start` are not among them.
 KINDS = {
     'inertia': Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
@@ -50,7 +52,7 @@ KINDS = {
     'torque_bias': Kind(_axes('torque_bias'), 'N m'),
     'torque_delay': Kind(('torque_delay',), 's'),
     'torque_lag': Kind(('torque_lag',), 's'),
-    'weight': Kind(_axes('weight'), 'kg m'),
+    WEIGHT: Kind(_axes(WEIGHT), 'kg m'),
     'clock_offset': Kind(('clock_offset',), 's', is_of_sensor=True),
     'clock_drift': Kind(('clock_drift',), '', is_of_sensor=True),
     'mount': Kind(_axes('mount'), 'rad', is_of_sensor=True),
@@ -65,7 +67,7 @@ START = 'start'
 NAMES = (*KINDS, START)
 #: Names that are not among the parameters of a scene.
 NOT_IN_SCENES = tuple(name for name in KINDS if name not in (
-    'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum'))
+    'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum', WEIGHT))
 #: Pairs of names that say the same.
 _EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
 #: Units by the beginning of a component name.
@@ -140,11 +142,16 @@ def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Float
     Raises
     ------
     InputError
-        There is no field of that name other than zero.
+        There is no field of that name other than zero, or there is one of the name of the weight.
 
     """
     given = {f'{one.name}.{MOMENT}': np.asarray(one.moment) for one in fields
              if isinstance(one, UniformField) and one.name and np.any(one.field)}
+    names = [*names]
+    if WEIGHT in names and any(isinstance(one, UniformField) and one.name == WEIGHT
+                               for one in fields):
+        raise InputError(f'estimate: {WEIGHT}: expected a scene without a field of that name, '
+                         f'found one; estimate {WEIGHT}.{MOMENT}')
     wanted = [name for name in names if field_of(name)]
     for name in wanted:
         if name not in given:

@@ -16,46 +16,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.result import Estimate, Identification
-from rigid_body_ros.identification.summary import rows, verdict_rows
+from rigid_body_ros.identification.residuals import correlations, Residuals
+from rigid_body_ros.identification.result import Identification
+from rigid_body_ros.identification.summary import estimates, rows, verdict_rows
 from rigid_body_ros.identification.verdict import Verdict
-from rigid_body_ros.report.charts import Panel
+from rigid_body_ros.report import matrix, moving_body, style
+from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page, table
-from rigid_body_ros.report.panels import signed_error_panel, torque_panels
+from rigid_body_ros.report.panels import (
+    Drawn,
+    error_panel,
+    in_degrees,
+    overlay_panel,
+    torque_panels,
+)
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.sensing.residual_torque import residual_torque, with_attitude
+from rigid_body_ros.sensing.torque_panels import residual_panels
 
-_HEADER = 'parameter', 'value', 'sigma', '95 % interval', 'guess', 'unit'
+#: s; lags of an autocorrelation that are drawn, and fewest samples.
+_LAG, _FEWEST = 2.0, 20
+#: Half the width of a 95 % interval, in standard deviations.
+_NORMAL_95 = 1.96
 
 
 def page(fit: Identification, first: Experiment, name: str, scene: Scene,
-         command: str) -> Page:
+         command: str, degrees: bool = False) -> Page:
     """
     Return the page of an identification.
 
     Parameters
     ----------
     fit : Identification
-        Outliers are not drawn.
+        With at least one sample.
     first : Experiment
-        The first recording, whose errors and torques are drawn.
+        The first recording, whose motion, errors and torques are drawn.
     name : str
         Its name.
     scene : Scene
         The scene with the guess.
     command : str
         The command line.
+    degrees : bool
+        Whether to show angles in degrees.
 
     """
-    estimates = table(_HEADER, [_cells(one) for one in fit.estimates.values()])
-    story = [('recording', name), *verdict_rows(fit.verdict), *rows(fit)]
+    story = [('recording', name), *verdict_rows(fit.verdict), *rows(fit, degrees),
+             ('moving body', 'the motion with all estimates'), *_restarts(fit)]
+    panels, (header, *estimated) = [*_panels(fit, first)], estimates(fit, degrees)
     return Page(f'{name}: estimated parameters', story,
-                [*_panels(fit, first)], warnings=[*_banner(fit.verdict), *scene.warnings],
-                table=estimates, scene=scene, command=command)
+                [*map(in_degrees, panels)] if degrees else panels, _body(fit),
+                [*_banner(fit.verdict), *scene.warnings],
+                table=table(header, estimated),
+                picture=matrix.picture('correlation of the estimates (orange: positive, blue: '
+                                       'negative)', [*fit.estimates],
+                                       fit.correlation) if fit.estimates else '',
+                scene=scene, command=command)
 
 
 def _banner(verdict: Verdict) -> Iterator[str]:
@@ -64,24 +87,95 @@ def _banner(verdict: Verdict) -> Iterator[str]:
         yield next(verdict_rows(verdict))[1]
 
 
-def _cells(one: Estimate) -> list[str]:
-    spread = [f'{one.sigma:.2g}', '{:.6g} to {:.6g}'.format(*one.interval_95)] \
-        if one.interval_95 else ['unknown', 'not determined by the data']
-    return [one.name, f'{one.value:.7g}', *spread, f'{one.start:.5g}', one.unit]
+def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:
+    """Generate why the computed curves jump, if they do."""
+    stamps_ns = np.concatenate([part.stamps_ns for part in fit.residuals
+                                if part.is_training and not part.recording])
+    if 1e-9 * np.ptp(stamps_ns) > 1.5 * fit.window_s:
+        yield 'computed curves', f'begin again every {fit.window_s:.3g} s in the part that was ' \
+                                 'fitted, with the state that fits best'
 
 
 def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
     quantities = fit.first_errors()
     if not quantities:
         return
-    times_ns = [np.concatenate([part.kept_ns for part in parts]) for parts in quantities]
-    start_ns = min(int(each.min()) for each in times_ns)
-    for parts, each_ns in zip(quantities, times_ns):
-        label, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
-        panel = signed_error_panel(f'{parts[0].topic}: {label} error, axes of the sensor', unit,
-                                   each_ns, np.concatenate([part.kept for part in parts]),
-                                   parts[0].noise, start_ns)
-        lines = [('start of the validation', 1e-9 * float(part.stamps_ns[0] - start_ns))
-                 for part in parts if not part.is_training]
-        yield replace(panel, lines=dict(lines))
-    yield from torque_panels(first.logs, start_ns, max(int(each.max()) for each in times_ns))
+    start_ns = _first_ns(fit)
+    for parts in quantities:
+        lines = _lines(fit, parts, start_ns)
+        yield from (replace(panel, lines=lines) for panel in _of_channel(parts, start_ns))
+    end_ns = max(int(part.stamps_ns[-1]) for parts in quantities for part in parts)
+    yield from torque_panels(first.logs, start_ns, end_ns, fit.motion.options.timeout_ns)
+    yield from _of_torque(fit, start_ns)
+    for parts in quantities:
+        yield from _correlations(parts[0])
+
+
+def _first_ns(fit: Identification) -> int:
+    """Return the first stamp of the first recording."""
+    return min(int(part.stamps_ns[0]) for part in fit.residuals if not part.recording)
+
+
+def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
+    """Generate what was measured and computed, and the errors."""
+    stamps_ns, inliers, measured, computed, errors = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))
+    samples, first = Drawn(stamps_ns, inliers), parts[0]
+    name, unit, error, error_unit = ('attitude quaternion', '', 'attitude error', 'rad') \
+        if first.is_attitude else ('angular velocity', 'rad/s', 'rate error', 'rad/s')
+    yield overlay_panel(f'{first.topic}: {name}, axes of the sensor', unit, samples, measured,
+                        computed, start_ns)
+    yield error_panel(f'{first.topic}: {error}, computed minus measured, axes of the sensor',
+                      error_unit, samples, errors,
+                      ('±2 sigma assumed by the fit', 2.0 * first.noise), start_ns)
+
+
+def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> dict[str, float]:
+    """Return where the validation begins, and from when on its errors are no finding."""
+    ahead = [part for part in parts if not part.is_training]
+    lines = {}
+    if ahead:
+        lines['start of the validation'] = 1e-9 * float(ahead[0].stamps_ns[0] - start_ns)
+    if ahead and fit.predictable_s is not None:
+        lines['predictable up to here'] = fit.predictable_s + 1e-9 * (
+            fit.motion.start.time_ns - start_ns)
+    return lines
+
+
+def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:
+    """Generate the torque that the estimates leave unexplained."""
+    sensors = sorted(fit.aligned, key=len, reverse=True)
+    attitudes = [one for one in sensors if one.is_attitude and len(one) > 1]
+    rates = [one for one in sensors if not one.is_attitude]
+    sensor = with_attitude(rates[0], attitudes[0]) if rates and attitudes \
+        else [*rates, *sensors][0]
+    torque = residual_torque(fit.motion, sensor)
+    if torque:
+        yield from residual_panels(torque, attitudes, start_ns)
+
+
+def _correlations(errors: Residuals) -> Iterator[Panel]:
+    """Generate how errors that were fitted depend on those before."""
+    if len(errors.stamps_ns) < 4 * _FEWEST or not errors.is_training:
+        return
+    spacing = 1e-9 * float(np.median(np.diff(errors.stamps_ns)))
+    found = correlations(errors)[1:max(_FEWEST, round(_LAG / spacing)) + 1]
+    lags = np.arange(1, len(found) + 1) * spacing
+    limit: Floats = np.full((2, 1), _NORMAL_95 / np.sqrt(errors.inliers.sum()))
+    quantity = 'attitude' if errors.is_attitude else 'rate'
+    yield Panel(f'{errors.topic}: autocorrelation of the {quantity} errors of the fit', '', [
+        Curves(np.asarray(lags, np.float64), found, found, style.SIGNED),
+        Curves(np.asarray(lags[[0, -1]], np.float64), -limit, limit,
+               ['95 % limits of white noise'], style='limits')],
+        'lag (s)')
+
+
+def _body(fit: Identification) -> dict[str, Any]:
+    """Return the motion with all estimates, and the measured attitudes as its ghost."""
+    stamps_ns = np.unique(np.concatenate([
+        part.stamps_ns for part in fit.residuals if not part.recording]))
+    body = moving_body.of_motion(fit.motion, stamps_ns)
+    ghosts = [one for one in fit.aligned if one.attitude is not None]
+    return body if not ghosts else {**body, 'ghost': moving_body.ghost(
+        int(stamps_ns[0]), ghosts[0].stamps_ns, ghosts[0].values)}

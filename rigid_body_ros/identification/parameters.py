@@ -32,6 +32,7 @@ from rigid_body_ros.identification.names import (
     SHIFTS,
     split_topic,
     START,
+    WEIGHT,
 )
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field, UniformField
@@ -51,6 +52,13 @@ SHORT_LAG = 0.02
 _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
 #: Column i has the entries xx ... yz of the tensor of direction i.
 _OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(ROWS, COLUMNS)])
+
+
+class Prior(NamedTuple):
+    """What is known of a component beforehand: its value, with a standard deviation."""
+
+    value: float
+    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +112,8 @@ class Physics:
             replace(one, moment=self.values[f'{one.name}.{MOMENT}'])
             if isinstance(one, UniformField) and f'{one.name}.{MOMENT}' in self.values else one
             for one in fields]
-        weight = self.value('weight')
-        return [*acting, UniformField(weight, self.gravity)] if weight.any() else acting
+        weight = self.value(WEIGHT)
+        return [*acting, UniformField(weight, self.gravity, WEIGHT)] if weight.any() else acting
 
 
 class Magnitudes(NamedTuple):
@@ -167,13 +175,13 @@ class Parameters:
         As `checked_names` returns them.
     guess : Physics
     magnitudes : Magnitudes
-    priors : dict of str to float
-        Standard deviation with which a component is known beforehand to be that of the guess.
+    priors : dict of str to Prior
+        By component.
 
     """
 
     def __init__(self, names: Sequence[str], guess: Physics, magnitudes: Magnitudes,
-                 priors: Mapping[str, float] = MappingProxyType({})) -> None:
+                 priors: Mapping[str, Prior] = MappingProxyType({})) -> None:
         self.magnitudes, self.priors = magnitudes, priors
         self.groups = tuple(name for name in names if name != START)
         self.names = [name for group in self.groups for name in components_of(group)]
@@ -182,14 +190,14 @@ class Parameters:
         self._size = float(np.sqrt(np.trace(self._moments)))
         inertia = inertia_of(self._moments)
         self._scales = _scales(inertia, magnitudes)
-        strengths = {'weight': max(float(np.linalg.norm(guess.gravity)), 1e-9),
+        strengths = {WEIGHT: max(float(np.linalg.norm(guess.gravity)), 1e-9),
                      **magnitudes.strengths}
         for name, strength in strengths.items():
             weak = max(magnitudes.torque, float(inertia.max()) * magnitudes.rate ** 2) / strength
             given = guess.values.get(name, np.zeros(3))
             self._scales[name] = np.full(3, max(weak, float(np.linalg.norm(given))))
 
-    def with_priors(self, priors: Mapping[str, float]) -> Parameters:
+    def with_priors(self, priors: Mapping[str, Prior]) -> Parameters:
         """Return the same parameters, of which something is known beforehand."""
         return Parameters(self.groups, self.guess, self.magnitudes, priors)
 
@@ -216,9 +224,10 @@ class Parameters:
         return steps
 
     def surprise(self, physics: Physics) -> Floats:
-        """Return the differences from the guess of what is known beforehand, in deviations."""
-        rows = [self.names.index(name) for name in self.priors]
-        return (self.values(physics) - self.values(self.guess))[rows] / [*self.priors.values()]
+        """Return the differences from what is known beforehand, in standard deviations."""
+        values = dict(zip(self.names, self.values(physics)))
+        return np.array([(values[name] - prior.value) / prior.sigma
+                         for name, prior in self.priors.items()])
 
     def columns(self, groups: Iterable[str]) -> list[int]:
         """Return the numbers of the components of some parameters."""
@@ -301,16 +310,20 @@ class Parameters:
         return _attribute(name, _values(name, physics) + scaled, physics)
 
 
-def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, float]:
+def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
+                   guess: Physics) -> dict[str, Prior]:
     """
-    Return the standard deviation of each component that is known beforehand.
+    Return what is known of each component beforehand.
 
     Parameters
     ----------
     priors : dict of str to float or str
-        By name of a parameter or of a component, in its unit, or relative to the guess: '5%'.
+        Standard deviations by name of a parameter or of a component, in its unit, or relative to
+        the guess: '5%'.
     parameters : Parameters
         What is fitted.
+    guess : Physics
+        As it was given.
 
     Raises
     ------
@@ -318,7 +331,7 @@ def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) ->
         Something else is known, a number is not positive, or the guess of a relative one is 0.
 
     """
-    values = dict(zip(parameters.names, parameters.values(parameters.guess)))
+    values = dict(zip(parameters.names, parameters.values(guess)))
     result = {}
     for name, given in priors.items():
         components = [name] if name in values else [
@@ -336,7 +349,7 @@ def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) ->
             if not (np.isfinite(sigma) and sigma > 0.0):
                 raise InputError(f'prior: {component}: expected a standard deviation greater than '
                                  f'zero, found {text} of a guess of {values[component]:g}')
-            result[component] = float(sigma)
+            result[component] = Prior(float(values[component]), float(sigma))
     return result
 
 

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.names import WEIGHT
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.triangles import triangle
@@ -257,7 +258,7 @@ class LeastSquares:
 
     def _free(self, k: int) -> int:
         """Return by how many unknowns of a window the derivatives need no motion."""
-        is_in_body = self.windows[k].is_in_body and 'weight' not in self.parameters.groups
+        is_in_body = self.windows[k].is_in_body and WEIGHT not in self.parameters.groups
         return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 
     def _adapt(self, largest: Floats) -> None:
@@ -312,9 +313,9 @@ class LeastSquares:
         shared = self.parameters.size
         width = shared + sum(len(self.unknowns[k]) for k in kept)
         known = np.zeros((len(self.parameters.priors), width))
-        for row, (name, sigma) in zip(known, self.parameters.priors.items()):
+        for row, (name, prior) in zip(known, self.parameters.priors.items()):
             i = self.parameters.names.index(name)
-            row[i] = self.parameters.scales[i] / sigma
+            row[i] = self.parameters.scales[i] / prior.sigma
         blocks, column = [known], shared
         for k in range(len(self.windows)):
             factor = triangle(self.derivatives(k, physics))

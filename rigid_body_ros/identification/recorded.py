@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the recordings of a fit, and write the fitted scene."""
+"""Read the recordings of a fit, and write the fitted scene or its body."""
 
 from __future__ import annotations
 
@@ -24,9 +24,13 @@ from typing import Any
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.names import field_of, NOT_IN_SCENES, split_topic
+from rigid_body_ros.identification.names import NOT_IN_SCENES, split_topic, WEIGHT
 from rigid_body_ros.identification.result import Identification
+from rigid_body_ros.mechanics.fields import UniformField
+from rigid_body_ros.mechanics.urdf import robot
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.fields import FIELDS, values_of
+from rigid_body_ros.scene.parameters import parameters_with
 from rigid_body_ros.sensing.recorded import read_observed, Reading
 import yaml
 
@@ -71,10 +75,10 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     The values that a scene cannot contain are in comments. A robot_description is left out if
     the inertia was fitted, because it has one of its own.
     """
-    parameters = scene.parameters
+    changed = _changed(fit)
+    parameters = parameters_with(changed.get(FIELDS, []))
     values = {name: value for name, value in scene.values.items()
               if value != parameters[name].default or name.startswith('inertia')}
-    changed = _changed(fit)
     if any(name.startswith('inertia') for name in changed):
         values.pop('robot_description', None)
         values.pop('link', None)
@@ -84,15 +88,44 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
         if name in values:
             group, _, key = name.rpartition('.')
             (tree.setdefault(group, {}) if group else tree)[key] = values[name]
-    comments = [f'# {name}: {one.value!r} {one.unit}'.rstrip()
-                for name, one in fit.estimates.items()
-                if split_topic(name)[0].split('.')[0] in NOT_IN_SCENES]
+    others = [name for name in fit.estimates if _group(name) in NOT_IN_SCENES]
     text = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
-    reasons = [f'# {fit.verdict.level}: {reason}' for reason in fit.verdict.reasons]
-    return '\n'.join(['# Fitted by attitude_identify.', *reasons, *comments, text])
+    return '\n'.join([*(f'# {line}' for line in _comments(fit, others)), text])
 
 
-def _changed(fit: Identification) -> dict[str, float]:
+def fitted_urdf(scene: Scene, fit: Identification) -> str:
+    """
+    Return a URDF with the inertia of the fitted body; other estimates are in comments.
+
+    The link is that of the robot_description of the scene, or has the name of the body frame.
+    """
+    about = 'the pivot' if any(one.name == WEIGHT for one in _uniform(fit)) else \
+        'the centre of mass'
+    others = [name for name in fit.estimates if _group(name) != 'inertia']
+    comments = [*_comments(fit, others),
+                f'inertia about {about}; mass: not known from a rotation, replace it']
+    return robot(fit.body.inertia, scene.values['link'] or scene.body_frame, comments)
+
+
+def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
+    """Return what is wrong with a fit, and some of its estimates."""
+    estimates = [(name, fit.estimates[name]) for name in names]
+    return ['Fitted by attitude_identify.',
+            *(f'{fit.verdict.level}: {reason}' for reason in fit.verdict.reasons),
+            *(f'{name}: {one.value!r} {one.unit}'.rstrip() for name, one in estimates)]
+
+
+def _group(name: str) -> str:
+    """Return the parameter of a component."""
+    return split_topic(name)[0].split('.')[0]
+
+
+def _uniform(fit: Identification) -> list[UniformField]:
+    """Return the fields that have names."""
+    return [one for one in fit.fields if isinstance(one, UniformField) and one.name]
+
+
+def _changed(fit: Identification) -> dict[str, Any]:
     """Return the estimated parameters of a scene, with those that depend on them."""
     names = {name.split('.')[0] for name in fit.estimates}
     start = fit.starts[0]
@@ -102,6 +135,9 @@ def _changed(fit: Identification) -> dict[str, float]:
         'initial_attitude': ('xyzw', start.attitude),
         'initial_angular_velocity': ('xyz', start.angular_velocity),
         'initial_rotor_momentum': ('xyz', start.rotor_momentum)}
-    moments = {name: one.value for name, one in fit.estimates.items() if field_of(name[:-2])}
+    uniform = _uniform(fit)
+    fields: dict[str, Any] = {FIELDS: [one.name for one in uniform]} if uniform else {}
+    for one in uniform:
+        fields |= values_of(one)
     return {f'{group}.{key}': float(value) for group, (keys, numbers) in groups.items()
-            if group in names for key, value in zip(keys, numbers)} | moments
+            if group in names for key, value in zip(keys, numbers)} | fields

@@ -23,11 +23,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.identification.problem import errors_of
+from rigid_body_ros.identification.sensors import corrected
 from rigid_body_ros.identification.solve import Solution
 from rigid_body_ros.identification.windows import Window, windows_of
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 
+#: Most samples that an autocorrelation reaches.
+_LONGEST = 2000
 #: A sample of the validation is left out if its error is this many times the median.
 _OUTLIER = 8.0
 
@@ -51,6 +56,8 @@ class Residuals:
     errors : array, shape (n, 3)
         Predicted minus measured; rotation vectors (rad) or angular velocities (rad/s) in the axes
         of the sensor.
+    measured : array, shape (n, 4) or (n, 3)
+        Attitudes, or angular velocities.
     inliers : array of bool, shape (n,)
         Which samples are not outliers.
     noise : float
@@ -64,6 +71,7 @@ class Residuals:
     is_training: bool
     stamps_ns: NDArray[np.int64]
     errors: Floats
+    measured: Floats
     inliers: NDArray[np.bool_]
     noise: float
 
@@ -82,6 +90,12 @@ class Residuals:
     def kept_ns(self) -> NDArray[np.int64]:
         """Return the stamps of these errors, ns."""
         return self.stamps_ns[self.inliers]
+
+    @property
+    def computed(self) -> Floats:
+        """Return the prediction of what was measured."""
+        return so3.multiply(self.measured, so3.exp(self.errors)) if self.is_attitude \
+            else self.measured + self.errors
 
     @property
     def autocorrelation(self) -> float:
@@ -133,6 +147,42 @@ class Misfit:
                 'chi2_per_dof': self.chi2_per_dof}
 
 
+def correlations(residuals: Residuals) -> Floats:
+    """
+    Return the autocorrelation of errors, shape (m + 1, 3), for 0 to m samples apart.
+
+    Outliers do not count. m is a quarter of the samples, and at most 2000.
+    """
+    kept = residuals.inliers[:, None]
+    errors = np.where(kept, residuals.errors, 0.0)
+    most = min(len(errors) // 4, _LONGEST)
+    pairs, products = (_products(values, most) for values in (kept.astype(float), errors))
+    variance = products[0] / max(pairs[0, 0], 1.0)
+    return np.asarray(products / np.maximum(pairs, 1.0) / np.where(variance > 0.0, variance, 1.0))
+
+
+def _products(values: Floats, most: int) -> Floats:
+    """Return the sums of the products of rows 0 to so many apart."""
+    size = 2 * len(values)
+    power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2
+    return np.asarray(np.fft.irfft(power, size, axis=0)[:most + 1])
+
+
+def inliers_of(residuals: Sequence[Residuals], physics: Physics, origin_ns: int
+               ) -> list[Measured]:
+    """Return what the channels of a recording measured, in the time and the axes of the body."""
+    channels: dict[str, list[Residuals]] = {}
+    for one in residuals:
+        channels.setdefault(one.name, []).append(one)
+    found = []
+    for parts in channels.values():
+        stamps_ns = np.concatenate([part.kept_ns for part in parts])
+        values = np.concatenate([part.measured[part.inliers] for part in parts])
+        found.append(Measured(parts[0].topic, stamps_ns, values, None) if parts[0].is_attitude
+                     else Measured(parts[0].topic, stamps_ns, None, values))
+    return corrected([one for one in found if len(one)], physics, origin_ns)
+
+
 def of_training(solution: Solution) -> list[Residuals]:
     """Return the errors of the samples that were fitted."""
     result = []
@@ -142,8 +192,8 @@ def of_training(solution: Solution) -> list[Residuals]:
                 solution.weights.sigma[number]):
             used = np.isfinite(errors[:, 0])  # a clock offset moves some before the start
             result.append(Residuals(number, channel.topic, channel.is_attitude, True,
-                                    channel.stamps_ns[used], errors[used], inliers[used],
-                                    float(noise)))
+                                    channel.stamps_ns[used], errors[used],
+                                    channel.values[used], inliers[used], float(noise)))
     return result
 
 
@@ -187,5 +237,6 @@ def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> li
             sizes = np.linalg.norm(errors, axis=1)
             limit = _OUTLIER * max(float(np.median(sizes)) if len(sizes) else 0.0, noise)
             result.append(Residuals(number, channel.topic, channel.is_attitude, False,
-                                    channel.stamps_ns, errors, sizes <= limit, float(noise)))
+                                    channel.stamps_ns, errors, channel.values, sizes <= limit,
+                                    float(noise)))
     return result

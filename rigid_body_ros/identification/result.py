@@ -26,7 +26,10 @@ from rigid_body_ros.identification.parameters import second_moments
 from rigid_body_ros.identification.residuals import Misfit, Residuals
 from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.sensing.measured import Measured
 
 #: Half the width of a 95 % interval, in standard deviations.
 _NORMAL_95 = 1.959963984540054
@@ -64,6 +67,11 @@ class Estimate:
         half = _NORMAL_95 * self.sigma + self.systematic
         return (self.value - half, self.value + half) if self.identifiable else None
 
+    @property
+    def uncertainty(self) -> float:
+        """Return half of the interval in standard deviations, with the systematic part."""
+        return self.sigma + self.systematic / _NORMAL_95
+
 
 @dataclass(frozen=True, eq=False)
 class Identification:
@@ -74,6 +82,8 @@ class Identification:
     ----------
     body : RigidBody
         With the estimated inertia and damping.
+    fields : list of Field
+        Of the first recording, with the estimated moments, and the estimated weight.
     starts : list of State
         The initial state of each recording.
     estimates : dict of str to Estimate
@@ -100,10 +110,16 @@ class Identification:
     predictable_s : float or None
         How long after the start the motion can be predicted: until the uncertainty of the fit
         explains an error of 0.1 rad; None if to its end, and without a validation.
+    motion : Problem
+        The first recording, with all estimates.
+    aligned : list of Measured
+        Each quantity that a sensor of the first recording measured, without outliers, in the time
+        and the axes of the body.
 
     """
 
     body: RigidBody
+    fields: list[Field]
     starts: list[State]
     estimates: dict[str, Estimate]
     covariance: Floats
@@ -118,6 +134,8 @@ class Identification:
     verdict: Verdict
     has_torque: bool
     predictable_s: float | None
+    motion: Problem
+    aligned: list[Measured]
 
     @property
     def is_complete(self) -> bool:

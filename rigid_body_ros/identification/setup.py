@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rigid_body_ros.identification.parameters import Parameters, Physics
@@ -42,6 +42,11 @@ class Setup:
     fits_start: bool
     attitude_noise: float | None
     rate_noise: float | None
+
+    @property
+    def given(self) -> Physics:
+        """Return the guess as it was given: a fit may begin with a thicker body."""
+        return replace(self.parameters.guess, inertia=self.problems[0].body.inertia)
 
     @property
     def fits_attitude(self) -> list[bool]:

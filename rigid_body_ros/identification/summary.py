@@ -17,12 +17,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import math
 
 import numpy as np
 from rigid_body_ros.identification.residuals import Misfit
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.verdict import APPROXIMATE, EXPLAINED, REJECTED, Verdict
-from rigid_body_ros.report.text import lines
+from rigid_body_ros.report.text import lines, rounded, scaled
 
 _MEANINGS = {
     EXPLAINED: 'nothing speaks against the model',
@@ -34,10 +35,11 @@ _CORRELATED, _PAIRS = 0.95, 6
 _COLOURED = 0.2
 
 
-def summary(fit: Identification) -> str:
+def summary(fit: Identification, degrees: bool = False) -> str:
     """Return a table of the estimates, and one line for each other fact."""
     verdict = [f'{name:17}{text}' for name, text in verdict_rows(fit.verdict)]
-    return lines([*verdict, *_table(fit), *(f'{name:17}{text}' for name, text in rows(fit))])
+    return lines([*verdict, *_table(fit, degrees),
+                  *(f'{name:17}{text}' for name, text in rows(fit, degrees))])
 
 
 def verdict_rows(verdict: Verdict) -> Iterator[tuple[str, str]]:
@@ -53,33 +55,48 @@ def verdict_rows(verdict: Verdict) -> Iterator[tuple[str, str]]:
                          f'{ahead}; {one.command}'
 
 
-def _table(fit: Identification) -> Iterator[str]:
-    width = max([len(name) for name in fit.estimates] + [9])
-    yield f'{"parameter":{width}}  {"value":>13}  {"sigma":>9}  {"95 % interval":>27}  ' \
-          f'{"guess":>11}  unit'
-    for name, one in fit.estimates.items():
-        yield f'{name:{width}}  {one.value:13.7g}  {_spread(one)}  {one.start:11.5g}  {one.unit}'
+def _table(fit: Identification, degrees: bool) -> Iterator[str]:
+    every = estimates(fit, degrees)
+    widths = [max(map(len, column)) for column in zip(*every)]
+    for row in every:
+        name, *middle = (f'{cell:>{width}}' if column else f'{cell:{width}}'
+                         for column, (cell, width) in enumerate(zip(row[:-1], widths)))
+        yield '  '.join([name, *middle, row[-1]])
 
 
-def _spread(one: Estimate) -> str:
+def estimates(fit: Identification, degrees: bool) -> list[list[str]]:
+    """Return titles, and the texts of each estimate; values are rounded to their sigma."""
+    every = [['parameter', 'value', 'sigma', 'systematic', '95 % interval', 'guess', 'unit'],
+             *(_cells(one, degrees) for one in fit.estimates.values())]
+    has_systematic = any(one.systematic for one in fit.estimates.values())
+    return every if has_systematic else [[*row[:3], *row[4:]] for row in every]
+
+
+def _cells(one: Estimate, degrees: bool) -> list[str]:
+    factor, unit = scaled(one.unit, degrees)
+    value, guess = factor * one.value, f'{factor * one.start:.5g}'
     if one.interval_95 is None:
-        return f'{"unknown":>9}  {"not determined by the data":>27}'
-    low, high = one.interval_95
-    return f'{one.sigma:9.2g}  {f"{low:.6g} to {high:.6g}":>27}'
+        return [one.name, rounded(value, math.inf), 'unknown', '', 'not determined by the data',
+                guess, unit]
+    known = factor * one.uncertainty
+    low, high = (rounded(factor * limit, known) for limit in one.interval_95)
+    return [one.name, rounded(value, known), rounded(factor * one.sigma, factor * one.sigma),
+            rounded(factor * one.systematic, factor * one.systematic), f'{low} to {high}', guess,
+            unit]
 
 
-def rows(fit: Identification) -> Iterator[tuple[str, str]]:
+def rows(fit: Identification, degrees: bool = False) -> Iterator[tuple[str, str]]:
     """Generate the facts other than the estimates: names and texts."""
     for direction in fit.unidentifiable:
         yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
     for first, second, value in _correlated(fit):
         yield 'correlated', f'{first} and {second}: {value:.4f}'
     for name, level in fit.noise.items():
-        unit = 'rad' if 'attitude' in name.split()[1] else 'rad/s'
-        yield 'noise', f'{name}: {level:.4g} {unit}, {_colour(fit.autocorrelation[name])}'
-    yield from _misfit('training', fit.training)
+        factor, unit = scaled('rad' if 'attitude' in name.split()[1] else 'rad/s', degrees)
+        yield 'noise', f'{name}: {factor * level:.4g} {unit}, {_colour(fit.autocorrelation[name])}'
+    yield from _misfit('training', fit.training, degrees)
     if fit.validation:
-        yield from _misfit('validation', fit.validation)
+        yield from _misfit('validation', fit.validation, degrees)
     if fit.predictable_s is not None:
         yield 'predictable', f'for {fit.predictable_s:.4g} s from the start; later errors say ' \
                              'nothing about the model'
@@ -106,12 +123,13 @@ def _correlated(fit: Identification) -> list[tuple[str, str, float]]:
     return [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:_PAIRS]]
 
 
-def _misfit(name: str, one: Misfit) -> Iterator[tuple[str, str]]:
+def _misfit(name: str, one: Misfit, degrees: bool) -> Iterator[tuple[str, str]]:
     parts = [f'{one.samples} samples, {one.outliers} outliers']
-    if one.attitude_rms is not None:
-        parts.append(f'attitude rms {one.attitude_rms:.4g} rad')
-    if one.rate_rms is not None:
-        parts.append(f'rate rms {one.rate_rms:.4g} rad/s')
+    for quantity, rms, unit in (('attitude', one.attitude_rms, 'rad'),
+                                ('rate', one.rate_rms, 'rad/s')):
+        if rms is not None:
+            factor, unit = scaled(unit, degrees)
+            parts.append(f'{quantity} rms {factor * rms:.4g} {unit}')
     if one.chi2_per_dof is not None:
         parts.append(f'chi-square per degree of freedom {one.chi2_per_dof:.3f}')
     yield name, ', '.join(parts)

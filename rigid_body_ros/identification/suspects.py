@@ -27,12 +27,14 @@ from rigid_body_ros.identification.names import (
     of_sensors,
     split_topic,
     START,
+    WEIGHT,
 )
 from rigid_body_ros.identification.parameters import Parameters, Physics, SHORT_LAG
 from rigid_body_ros.identification.problem import LeastSquares
 from rigid_body_ros.identification.sensors import mount_of, topics_of
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import fitted, Solution
+from rigid_body_ros.scene.fields import MOMENT
 
 #: Evaluations of a fit with a suspect, and its tolerance.
 _MOST, _TOLERANCE = 15, 1e-6
@@ -93,8 +95,8 @@ def _of_body(setup: Setup) -> list[str]:
     names = ['damping', 'rotor_momentum', *setup.parameters.magnitudes.strengths]
     if 'inertia' not in groups:
         names.insert(0, 'inertia')
-    if all(setup.fits_attitude):
-        names.append('weight')
+    if all(setup.fits_attitude) and f'{WEIGHT}.{MOMENT}' not in names:
+        names.append(WEIGHT)
     names.append('torque_bias')
     if any(log.torques.any() for problem in problems for log in problem.logs):
         names += ['torque_delay', 'torque_lag', 'torque_gains']

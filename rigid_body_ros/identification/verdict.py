@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.errors import listed
 from rigid_body_ros.identification.findings import (
-    ALARM,
     Findings,
     INERTIA_CHANGE,
     probability,
@@ -39,6 +38,7 @@ from rigid_body_ros.identification.suspects import (
     with_suspect,
 )
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.noise import ALARM
 
 #: How far what a model lacks may move an estimate, relative to its scale.
 ACCEPT = 0.05

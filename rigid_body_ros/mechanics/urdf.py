@@ -24,11 +24,12 @@ urdf_parser/src/joint.cpp).
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
 import math
 import re
 from typing import NamedTuple
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
@@ -90,6 +91,30 @@ def inertia(text: str, link: str = '') -> Floats:
         _check_thickness(tensor, where)
     attitude = euler.to_quaternion(angles, 'xyz')
     return so3.rotate(attitude, so3.rotate(attitude, tensor).T)
+
+
+def robot(tensor: Floats, link: str, comments: Iterable[str] = ()) -> str:
+    """
+    Return the URDF of a robot with one link, from which `inertia` reads the same numbers.
+
+    Parameters
+    ----------
+    tensor : array, shape (3, 3), kg m^2
+        In the axes of the link.
+    link : str
+        Name of the link, and of the robot. Its mass is 1 kg: no rotation depends on it.
+    comments : iterable of str
+        Lines that precede the robot.
+
+    """
+    entries = {_ENTRIES[k]: float(tensor.flat[k]) for k in (0, 4, 8, 1, 2, 5)}
+    root = Element('robot', name=link)
+    inertial = SubElement(SubElement(root, 'link', name=link), 'inertial')
+    SubElement(inertial, 'mass', value='1')
+    SubElement(inertial, 'inertia', {name: repr(entry) for name, entry in entries.items()})
+    ElementTree.indent(root)
+    lines = [f'<!-- {re.sub("-(?=-)", "- ", line)} -->' for line in comments]
+    return '\n'.join([*lines, ElementTree.tostring(root, 'unicode'), ''])
 
 
 def fixed_frames(text: str, link: str = '') -> Frames:

@@ -15,11 +15,12 @@
 """
 Recordings: read torques and other messages, write motion.
 
-Reading: `source` finds a topic in a recording of any format. `mcap_file`, `sqlite_file` and
-`csv_file` read the files of a recording through the interface in `file`; `csv_columns` interprets
-the first line of a CSV file, `unpack` decompresses, `bulk` decodes messages, and `transforms`
-those of one pair of frames. `torques` turns messages into a torque log, and divides the log of a
-node into its epochs; `problem` makes problems of them, with a scene.
+Reading: `source` finds a topic in a recording of any format, whose files `opening` opens.
+`mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` read the files of a recording through the
+interface in `file`; `csv_columns` interprets the first line of a CSV file, `unpack` decompresses,
+`bulk` decodes messages, and `transforms` those of one pair of frames. `torques` turns messages
+into a torque log, and divides the log of a node into its epochs; `problem` makes problems of them,
+with a scene.
 
 Writing: `writer` writes MCAP files, with the records of the format in `container`; `folder` adds
 the metadata.yaml of a rosbag2 bag.
@@ -53,10 +54,11 @@ from rigid_body_ros.recording.torques import (
     torque_log,
     torque_pieces,
 )
+from rigid_body_ros.recording.ulog_file import is_ulog
 from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
 
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter',
            'Logged', 'Messages', 'NotInOrderError', 'Piece', 'Source', 'Stream', 'Streams',
-           'Topics', 'Writer', 'chosen', 'epochs', 'first_epoch', 'joined', 'read',
+           'Topics', 'Writer', 'chosen', 'epochs', 'first_epoch', 'is_ulog', 'joined', 'read',
            'read_epochs', 'read_problem', 'suffix_of', 'topics',
            'torque_log', 'torque_pieces', 'whole', 'writer_of']

@@ -73,6 +73,17 @@ class Raw(NamedTuple):
         return cls(np.frombuffer(b''.join(messages), np.uint8), np.cumsum(sizes) - sizes, sizes,
                    log_ns, publish_ns)
 
+    @classmethod
+    def from_values(cls, kind: MessageType, stamps_ns: Ints, values: Floats,
+                    logged_ns: Ints | None = None) -> Raw:
+        """Encode messages without frame_ids, with values in field order, shape (n, doubles)."""
+        filled = np.empty(len(values), kind.layout(''))
+        kind.fill(filled, stamps_ns, values, '')
+        size = filled.dtype.itemsize
+        times_ns = stamps_ns if logged_ns is None else logged_ns
+        return cls(np.frombuffer(filled.tobytes(), np.uint8), np.arange(len(values)) * size,
+                   np.full(len(values), size), times_ns, times_ns)
+
     def message(self, row: int) -> bytes:
         """Return the bytes of one message."""
         return self.data[self.starts[row]:self.starts[row] + self.sizes[row]].tobytes()

@@ -118,8 +118,4 @@ def _raw(rows: list[tuple[int, list[float]]]) -> Raw:
     stamps_ns = np.array([stamp_ns for stamp_ns, _ in rows], np.int64)
     values = np.zeros((len(rows), 6))
     values[:, 3:] = [torque for _, torque in rows]
-    filled = np.empty(len(rows), messages.WRENCH.layout(''))
-    messages.WRENCH.fill(filled, stamps_ns, values, '')
-    size = filled.dtype.itemsize
-    return Raw(np.frombuffer(filled.tobytes(), np.uint8), np.arange(len(rows)) * size,
-               np.full(len(rows), size), stamps_ns, stamps_ns)
+    return Raw.from_values(messages.WRENCH, stamps_ns, values)

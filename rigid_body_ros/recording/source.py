@@ -19,30 +19,23 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-import os
-from pathlib import Path, PurePath
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, listed, quoted, reason, shortened
+from rigid_body_ros.common.errors import InputError, listed, shortened
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk, transforms
 from rigid_body_ros.recording.bulk import Raw
-from rigid_body_ros.recording.csv_file import CsvFile
-from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.mcap_file import McapFile
-from rigid_body_ros.recording.sqlite_file import SqliteFile
-from rigid_body_ros.recording.unpack import temporary, unpack_each, unpack_file
+from rigid_body_ros.recording.opening import open_files
+from rigid_body_ros.recording.unpack import unpack_each
 from rigid_body_ros.recording.writer import Writer
-from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.terminal import no_progress, Track
-import yaml
-from yaml.constructor import BaseConstructor
 
 #: Possible sources of the time of a message.
 TIME_SOURCES = ('header', 'log', 'publish')
@@ -157,7 +150,7 @@ class Source:
         self._longer = 0
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files, self._compressed, self._missing = _open_files(path, stack)
+            self._files, self._compressed, self._missing = open_files(path, stack)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
             self.topic, self.kind = _select_topic(path, self.types, topic, kinds,
                                                   preferred)
@@ -298,7 +291,7 @@ def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
     """Return the topics of a recording that have one of the types, with the errors of `read`."""
     names = {kind.name for kind in kinds}
     with ExitStack() as stack:
-        files, _, _ = _open_files(path, stack)
+        files, _, _ = open_files(path, stack)
         return [*{topic: None for file in files for topic, kind in file.types.items()
                   if kind in names}]
 
@@ -336,68 +329,3 @@ def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
         raise InputError(f'{path}: {shortened(topic, 100)}: expected {expected}, '
                          f'found {shortened(types[topic], 100) or "no type"}')
     return topic, by_name[types[topic]]
-
-
-def _open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, str]:
-    # Return the files, whether each message is compressed by itself, and why files are missing.
-    if name == '':  # as a path it is the current folder
-        raise InputError('expected a recording, found an empty name')
-    path = Path(name)
-    if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
-        return [_open_file(path, stack)], False, ''
-    about = _metadata(path / 'metadata.yaml')
-    compressed = str(about.get('compression_mode', '')).lower() == 'message'
-    files: list[File] = []
-    for file in _bag_files(path, about.get('relative_file_paths')):
-        try:
-            files.append(_open_file(file, stack))
-        except InputError as error:
-            if not files:
-                raise
-            return files, compressed, f'{error}; only the files before it were read'
-    return files, compressed, ''
-
-
-def _bag_files(folder: Path, names: object) -> list[Path]:
-    """Return the paths of the files of a bag; raise InputError unless they are in its folder."""
-    where = f'{folder}/metadata.yaml: relative_file_paths'
-    if not names or not isinstance(names, list):
-        raise InputError(f'{where}: expected file names, found {quoted(names)}')
-    home = os.path.realpath(folder)
-    paths: dict[str, Path] = {}
-    for name in names:
-        if not isinstance(name, str) or '\0' in name or not PurePath(name).name:
-            raise InputError(f'{where}: expected file names, found {quoted(name)}')
-        named = PurePath(name)
-        if named.name in paths:
-            raise InputError(f'{where}: expected each file once, found {quoted(name)} twice')
-        # Early versions of rosbag2 wrote the name of the folder before that of the file.
-        path = paths[named.name] = folder / named.name
-        if named.is_absolute() or '..' in named.parts \
-                or os.path.dirname(os.path.realpath(path)) != home:
-            raise InputError(f'{where}: expected files in the folder of the bag, '
-                             f'found {quoted(name)}')
-    return [*paths.values()]
-
-
-def _metadata(path: Path) -> dict[str, Any]:
-    if not os.path.lexists(path):
-        raise InputError(f'{path}: file not found; a bag folder must contain it')
-    root = read_yaml(path, 'metadata of the recording', aliases=True)
-    try:
-        found = BaseConstructor().construct_document(root) if root else None
-    except yaml.YAMLError as error:  # a key that is not a name
-        raise InputError(f'{path}: expected names as keys ({reason(error)})') from error
-    about = found.get('rosbag2_bagfile_information') if isinstance(found, dict) else None
-    if not isinstance(about, dict):
-        raise InputError(f'{path}: expected the key rosbag2_bagfile_information, found none')
-    return about
-
-
-def _open_file(path: Path, stack: ExitStack) -> File:
-    if path.suffix.lower() == '.csv':
-        return CsvFile(path)
-    is_compressed = path.suffix in ('.zstd', '.zst')
-    unpacked = unpack_file(path, temporary(stack)) if is_compressed else path
-    return SqliteFile(path, unpacked, stack) if unpacked.suffix == '.db3' else \
-        McapFile(path, unpacked)

@@ -23,13 +23,16 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.report.thinning import Extremes
+
+#: A gap between samples, in usual intervals.
+_GAP = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,12 @@ class Curves:
         Of the k curves.
     step : bool
         Whether a value holds to the next abscissa.
+    style : str
+        'line', 'broad' (what the lines of other curves are compared with), 'marks' (single
+        values, which do not widen the range of the ordinate) or 'limits' (the smallest and the
+        largest value as two dashed lines). All but lines have the colours of the first lines.
+    gap : float, optional
+        Neighbours that are further apart are not joined.
 
     """
 
@@ -54,28 +63,38 @@ class Curves:
     high: Floats
     names: Sequence[str]
     step: bool = False
+    style: str = 'line'
+    gap: float | None = None
 
     @classmethod
     def thinned(cls, times_ns: NDArray[np.int64], values: Floats, names: Sequence[str],
-                start_ns: int, step: bool = False) -> Curves:
-        """Return the curves of a series over seconds from the start, of any length."""
+                start_ns: int, style: str = 'line') -> Curves:
+        """Return the curves of samples over seconds from the start, of any number."""
         extremes = Extremes(values.shape[1])
         extremes.add(times_ns, values)
-        return cls.of(extremes, names, start_ns, step)
+        found = cls.of(extremes, names, start_ns, style=style)
+        return replace(found, gap=_GAP * float(np.median(np.diff(found.x)))) \
+            if len(found.x) > 1 else found
 
     @classmethod
-    def of(cls, extremes: Extremes, names: Sequence[str], start_ns: int,
-           step: bool = False) -> Curves:
+    def of(cls, extremes: Extremes, names: Sequence[str], start_ns: int, step: bool = False,
+           style: str = 'line') -> Curves:
         """Return the curves of a series that has been thinned."""
         times, low, high = extremes.result()
-        return cls(np.asarray((times - start_ns) * 1e-9, np.float64), low, high, names, step)
+        seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
+        return cls(seconds, low, high, names, step, style)
+
+    def times(self, factor: float) -> Curves:
+        """Return the curves with values in another unit."""
+        return replace(self, low=factor * self.low, high=factor * self.high)
 
     def as_data(self) -> dict[str, Any]:
         """Return data for the page; the values are 32-bit differences from an offset."""
         offsets = _offsets(self.low, self.high)
         single = np.array_equal(self.low, self.high)
         return {'x': packed(self.x), 'names': [*self.names], 'step': self.step,
-                'offsets': offsets.tolist(), 'low': packed((self.low - offsets).T, np.float32),
+                'style': self.style, 'gap': self.gap, 'offsets': offsets.tolist(),
+                'low': packed((self.low - offsets).T, np.float32),
                 'high': None if single else packed((self.high - offsets).T, np.float32)}
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import hermite, so3
 from rigid_body_ros.mechanics.body import RigidBody, uniform_box
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.charts import packed
 
 #: Columns of the rows: attitude, angular velocity, torque and rotor momentum in body axes.
@@ -61,6 +62,37 @@ def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[
             'moments': body.principal_moments.tolist(),
             'sides': np.maximum(uniform_box(body), _THINNEST).tolist(),
             'poinsot': _is_nearly_free(body, rows)}
+
+
+def of_motion(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
+    """Return data of the motion of a problem, at some of many ascending times."""
+    step = -(-len(stamps_ns) // MOST)
+    times_ns = np.union1d(stamps_ns[::step], stamps_ns[-1:])
+    motion = problem.propagate(at=times_ns)
+    torque = problem.torque(times_ns, motion.attitude)
+    return as_data(problem.body, times_ns, np.hstack([
+        motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))
+
+
+def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[str, Any]:
+    """
+    Return data for a second body, drawn as an outline at its nearest sample.
+
+    Parameters
+    ----------
+    start_ns : int
+        When the motion of the page begins.
+    times_ns : array of int64, shape (n,)
+        Ascending.
+    attitude : array, shape (n, 4)
+        Quaternions x y z w.
+
+    """
+    rows = slice(None, None, -(-len(times_ns) // MOST))
+    seconds = (times_ns[rows] - start_ns) * 1e-9
+    usual = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    return {'times': packed(seconds), 'attitude': packed(attitude[rows], np.float32),
+            'reach': 2.0 * usual}
 
 
 def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:

@@ -65,6 +65,8 @@ class Page:
         Texts, each with a button to copy it.
     table : str
         From `table`, '' for none.
+    picture : str
+        HTML below the charts, '' for none.
 
     """
 
@@ -75,6 +77,7 @@ class Page:
     warnings: Sequence[str] = ()
     copied: Sequence[str] = ()
     table: str = ''
+    picture: str = ''
     scene: Scene | None = field(default=None, kw_only=True)
     command: str = field(default='', kw_only=True)
 
@@ -112,7 +115,7 @@ def html(page: Page) -> str:
         title=escape(page.title), style=style, style_hash=_hash(style),
         script_hashes=' '.join(map(_hash, (charts, body))), charts=charts, body=body,
         warnings=''.join(f'<p class="warning">{escape(text)}</p>' for text in page.warnings),
-        story=_facts(page.story), table=page.table,
+        story=_facts(page.story), table=page.table, picture=page.picture,
         copied=''.join(f'<pre>{escape(text)}</pre><button class="copy" type="button">Copy</button>'
                        for text in page.copied),
         made=_facts(_origin(page)), data=embedded(data))

@@ -17,6 +17,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import style
 from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.text import scaled
 from rigid_body_ros.report.thinning import Extremes
 
 #: The label of an abscissa that begins at the first measurement.
@@ -33,24 +36,93 @@ SINCE_FIRST = 'time from the first measurement (s)'
 _SAMPLES = 5000
 
 
-def error_panel(label: str, unit: str, times_ns: NDArray[np.int64], errors: Floats,
-                start_ns: int) -> Panel:
-    """Return a panel with the sizes of errors, shape (n, 3), and of their components."""
-    sizes = np.abs(np.column_stack([errors, np.linalg.norm(errors, axis=1)]))
-    names = (*style.ERRORS[1:], style.ERRORS[0])
-    return Panel(label, unit, [Curves.thinned(times_ns, sizes, names, start_ns)], SINCE_FIRST,
-                 'log')
+class Drawn(NamedTuple):
+    """
+    What was measured and computed, or the errors, at some times.
+
+    Attributes
+    ----------
+    times_ns : array of int64, shape (n,)
+    inliers : array of bool, shape (n,)
+        Which samples are not outliers, which are drawn as marks.
+
+    """
+
+    times_ns: NDArray[np.int64]
+    inliers: NDArray[np.bool_]
+
+    def curves(self, values: Floats, names: Sequence[str], start_ns: int,
+               style: str = 'line') -> Iterator[Curves]:
+        """Generate the curves of the inliers, and marks at outliers if there are any."""
+        kept = self.inliers
+        if kept.any():
+            yield Curves.thinned(self.times_ns[kept], values[kept], names, start_ns, style)
+        if not kept.all():
+            unnamed = ['outliers (at the edge if out of range)', *[''] * (values.shape[1] - 1)]
+            yield Curves.thinned(self.times_ns[~kept], values[~kept], unnamed, start_ns, 'marks')
 
 
-def signed_error_panel(label: str, unit: str, times_ns: NDArray[np.int64], errors: Floats,
-                       sigma: float, start_ns: int) -> Panel:
-    """Return a panel with errors, shape (n, 3), between plus and minus two standard deviations."""
-    names = [name.strip('|') for name in style.ERRORS[1:]]
-    band: Floats = np.full((2, 2), 2.0 * sigma) * [1.0, -1.0]
+def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, computed: Floats,
+                  start_ns: int) -> Panel:
+    """
+    Return a panel with computed curves over measured ones.
+
+    Parameters
+    ----------
+    label, unit : str
+        Of the ordinate.
+    samples : Drawn
+        Their times, and which are outliers.
+    measured, computed : array, shape (n, 4) or (n, 3)
+        Quaternions x y z w, whose signs are chosen so that the curves have no jumps, or vectors.
+    start_ns : int
+        Where the abscissa begins.
+
+    """
+    names: Sequence[str] = style.QUATERNION if measured.shape[1] == 4 else style.RATES
+    if measured.shape[1] == 4:
+        measured, computed = _without_jumps(measured, samples.inliers), _without_jumps(computed)
+        if np.sum(measured * computed) < 0.0:
+            measured = -measured
     return Panel(label, unit, [
-        Curves.thinned(times_ns, errors, names, start_ns),
-        Curves.thinned(times_ns[[0, -1]], band, ['2 sigma of the noise', '-2 sigma'], start_ns)],
-        SINCE_FIRST)
+        *samples.curves(measured, [f'{name} measured' for name in names], start_ns, 'broad'),
+        Curves.thinned(samples.times_ns, computed, [f'{name} computed' for name in names],
+                       start_ns)], SINCE_FIRST)
+
+
+def _without_jumps(attitude: Floats, chosen: NDArray[np.bool_] | None = None) -> Floats:
+    """Return quaternions, those chosen with the sign that is next to the one before."""
+    found = attitude.copy()
+    rows = slice(None) if chosen is None else np.flatnonzero(chosen)
+    part = attitude[rows]
+    same = np.sum(part[1:] * part[:-1], axis=1) >= 0.0
+    found[rows] *= np.cumprod(np.append(1.0, np.where(same, 1.0, -1.0)))[:len(part), None]
+    return found
+
+
+def error_panel(label: str, unit: str, samples: Drawn, errors: Floats,
+                band: tuple[str, float], start_ns: int) -> Panel:
+    """Return a panel with errors, shape (n, 3), and a band: its name, and half of its width."""
+    name, size = band
+    curves = [*samples.curves(errors, style.SIGNED, start_ns)]
+    if size:
+        curves.append(limits(samples.times_ns, np.full((2, 1), size), name, start_ns))
+    return Panel(label, unit, curves, SINCE_FIRST)
+
+
+def limits(times_ns: NDArray[np.int64], sizes: Floats, name: str, start_ns: int) -> Curves:
+    """Return curves with plus and minus some sizes, shape (n, k), or (2, k) for constant ones."""
+    times_ns = times_ns[[0, -1]] if len(sizes) == 2 else times_ns
+    extremes = Extremes(sizes.shape[1])
+    extremes.add(times_ns, sizes)
+    found = Curves.of(extremes, [name, *[''] * (sizes.shape[1] - 1)], start_ns, style='limits')
+    return replace(found, low=-found.high)
+
+
+def in_degrees(panel: Panel) -> Panel:
+    """Return a panel with angles in degrees."""
+    factor, unit = scaled(panel.unit, True)
+    return replace(panel, unit=unit, curves=[each.times(factor) for each in panel.curves])
 
 
 def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,

@@ -30,6 +30,7 @@ RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'),
 #: The label of the torques that depend on the attitude.
 FIELDS = 'torque of the fields'
 ERRORS = ('|e|', '|e₁|', '|e₂|', '|e₃|')
+SIGNED = ('e₁', 'e₂', 'e₃')
 
 
 def euler_names(sequence: str) -> tuple[str, ...]:

@@ -17,8 +17,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+import math
 
 from rigid_body_ros.common.errors import printable
+
+#: Units of angles: how many of them are one, and their names.
+_ANGLES = {'rad': (math.degrees(1.0), 'deg'), 'rad/s': (math.degrees(1.0), 'deg/s')}
+#: Most significant digits of a value, and the exponents between which it has no exponent.
+_DIGITS, _PLAIN = 15, range(-4, 7)
+
+
+def scaled(unit: str, degrees: bool) -> tuple[float, str]:
+    """Return the factor to the unit that is shown, and its name; angles may be in degrees."""
+    return _ANGLES.get(unit, (1.0, unit)) if degrees else (1.0, unit)
+
+
+def rounded(value: float, sigma: float) -> str:
+    """
+    Return a value to the place of the second digit of its standard deviation.
+
+    See JCGM 100 (GUM), 7.2.6. Without a finite positive deviation there are seven digits.
+    """
+    if not (0.0 < sigma < math.inf):
+        return f'{value:.7g}'
+    place = int(f'{sigma:.1e}'.partition('e')[2]) - 1
+    value = round(value, -place) + 0.0  # without negative zeros
+    if place > 0 and abs(value) < 10.0 ** _PLAIN.stop:
+        return f'{value:.0f}'
+    first = int(f'{value:.{_DIGITS}e}'.partition('e')[2]) if value else place
+    digits = min(max(first - place, 0), _DIGITS)
+    if max(first, place + 1) not in _PLAIN:
+        return f'{value:.{digits}e}'
+    return f'{value:.{min(max(-place, 0), _DIGITS)}f}'
 
 
 def lines(texts: Iterable[str]) -> str:

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,9 +91,9 @@ class Measurements:
         """Return whether another epoch follows."""
         return self.end_ns < Measurements.end_ns
 
-    def until_end(self, offset_s: float = 0.0) -> list[Measured]:
+    def until_end(self, offsets: Sequence[float] = ()) -> list[Measured]:
         """
-        Return the samples before the end, if a clock offset is to be added to their stamps.
+        Return the samples before the end, given what to add to the clock of each sensor, s.
 
         Raises
         ------
@@ -100,13 +101,15 @@ class Measurements:
             A sensor has none.
 
         """
-        end_ns = self.end_ns - round(1e9 * offset_s)
-        for sensor in self.sensors:
+        ends = [self.end_ns - round(1e9 * one)
+                for one in offsets or [0.0] * len(self.sensors)]
+        for sensor, end_ns in zip(self.sensors, ends):
             if sensor.stamps_ns[0] >= end_ns:
                 raise InputError(f'{sensor.topic}: expected measurements before the next epoch, '
                                  f'which begins at {end_ns} ns on their clock, found them from '
                                  f'{sensor.stamps_ns[0]} ns on')
-        return [sensor.rows(sensor.stamps_ns < end_ns) for sensor in self.sensors]
+        return [sensor.rows(sensor.stamps_ns < end_ns)
+                for sensor, end_ns in zip(self.sensors, ends)]
 
 
 def read_observed(path: str | Path, scene: Scene, reading: Reading,

@@ -23,7 +23,7 @@ torque. Logged torques enter as exact impulses, so a step between two measuremen
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -81,6 +81,23 @@ class ResidualTorque:
     window_s: float
     logged: Floats
     of_inertia: Floats
+
+    def in_space(self, sensor: Measured) -> tuple[Floats, Floats]:
+        """Return torques and noise, shape (n, 3), in space axes, by attitudes of a sensor."""
+        assert sensor.attitude is not None
+        attitude = interpolated(sensor.stamps_ns, sensor.attitude, self.times_ns)
+        axes = so3.rotate(attitude[:, None], np.eye(3))
+        noise = np.sqrt(np.einsum('nkj,k->nj', axes ** 2, self.noise ** 2))
+        return so3.rotate(attitude, self.torques), noise
+
+
+def with_attitude(rates: Measured, attitudes: Measured) -> Measured:
+    """Return the angular velocities between attitudes of another sensor, with these."""
+    assert attitudes.attitude is not None
+    first_ns, last_ns = attitudes.stamps_ns[[0, -1]]
+    inside = rates.rows((rates.stamps_ns >= first_ns) & (rates.stamps_ns <= last_ns))
+    return replace(inside, attitude=interpolated(attitudes.stamps_ns, attitudes.attitude,
+                                                 inside.stamps_ns))
 
 
 def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None:
@@ -186,11 +203,12 @@ def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -
     """Return the measured attitude at times, else that of the motion."""
     if sensor.attitude is None:
         return problem.propagate(at=times_ns).attitude
-    return _interpolated(sensor.stamps_ns, sensor.attitude, times_ns)
+    return interpolated(sensor.stamps_ns, sensor.attitude, times_ns)
 
 
-def _interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
-                  times_ns: NDArray[np.int64]) -> Floats:
+def interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
+                 times_ns: NDArray[np.int64]) -> Floats:
+    """Return attitudes at times, shape (m, 4), from those at ascending stamps, shape (n, 4)."""
     rows = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0, len(stamps_ns) - 2)
     part = (times_ns - stamps_ns[rows]) / np.diff(stamps_ns)[rows]
     step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))

@@ -15,13 +15,13 @@
 """
 Speed against accuracy: every solver over a ladder of settings, on the user's own motion.
 
-All settings run over a *stretch*: the beginning of the motion, up to about a thousand radians and
-samples. They are compared with a reference there: the Taylor series at its tightest tolerance with
-shorter steps. The *rounding floor* is the largest difference between the reference and motions
-that round differently: the series with other steps and in principal axes, and, without torque, the
-closed form. If a change of the last digits of inertia, torques and start moves the motion by more
-than the floor, no solver guarantees a smaller error than that. A setting that meets a target on
-the stretch is recommended only if it also meets the target on the whole motion.
+All settings run over a *stretch*: the motion, or its beginning of up to about ten thousand radians
+or samples. They are compared with a reference there: the Taylor series at its tightest tolerance
+with shorter steps. The *rounding floor* is the largest difference between the reference and
+motions that round differently: the series with other steps and in principal axes, and, without
+torque, the closed form. If a change of the last digits of inertia, torques and start moves the
+motion by more than the floor, no solver guarantees a smaller error than that. A setting that meets
+a target on the stretch is recommended only if it also meets the target on the whole motion.
 """
 
 from rigid_body_ros.tradeoff.choices import Choice, Error, Measurement, recommend

@@ -40,8 +40,8 @@ TIGHTEST = 1e-15
 TURNS = 50.0
 #: Typical angle of a step of the Taylor series, rad.
 _SERIES_ANGLE = 0.5
-#: Largest number of samples and series steps in a stretch; they take about a tenth of a second.
-_WORK = 4000
+#: Largest number of samples and series steps in a stretch; they take a few milliseconds.
+_WORK = 20_000
 #: Outputs in addition to the torque stamps, to catch errors between stamps that are far apart.
 _OUTPUTS = 100
 

@@ -35,6 +35,10 @@ _FLOORS = (
     ('largest difference between runs that round differently: the series with other steps;',
      'it does not show an error common to all'))
 _DIGITS = 'a change of the last digit of inertia, torque or start moves the attitude by {:.1e} rad'
+_LIMITS = {'rounding': 'rounding: a tighter setting does not help',
+           'last digits': 'the last digits of inertia, torque and start: a tighter setting does '
+                          'not help',
+           'solver': 'the solver: a tighter setting is more accurate'}
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',
            's per s', 'x real time')
 _ROW = '{:1} {:14} {:>17} {:>10} {:>11} {:>9} {:>9} {:>9} {:>9} {:>11}'
@@ -59,9 +63,9 @@ def summary(result: Tradeoff, all_rows: bool = False) -> str:
 def rows(result: Tradeoff) -> Iterator[tuple[str, str]]:
     """Generate what was found for each target, and the limits of accuracy, without the table."""
     for target, choice in result.choices.items():
-        aim, (name, text), limit = _found(result, target)
+        aim, (name, text), *limits = _found(result, target)
         setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
-        yield from (aim, (name, setting + text), limit)
+        yield from (aim, (name, setting + text), *limits)
     yield from _facts(result)
 
 
@@ -123,19 +127,19 @@ def reference_errors(result: Tradeoff) -> dict[str, float]:
 
 def _recommended(result: Tradeoff, target: float) -> Iterator[str]:
     choice = result.choices[target]
-    aim, recommended, limit = map(_pair, _found(result, target))
+    aim, recommended, *limits = map(_pair, _found(result, target))
     yield from (aim, f'{recommended}:' if choice else recommended)
     if choice:
         yield from (f'    {line}' for line in choice.measurement.setting.parameters)
-    yield from (limit, '')
+    yield from (*limits, '')
 
 
 def _found(result: Tradeoff, target: float) -> list[tuple[str, str]]:
     choice = result.choices[target]
     recommended = _expected(result, choice) if choice else \
-        f'none: no setting is certain to meet it, {_why(result)}'
+        f'none: no setting is certain to meet it, {_why(result, target)}'
     return [('target', f'{target:.3g} rad'), ('recommended', recommended),
-            ('limited by', _dominant(result, target))]
+            *_limits(result, target)]
 
 
 def _expected(result: Tradeoff, choice: Choice) -> str:
@@ -145,25 +149,51 @@ def _expected(result: Tradeoff, choice: Choice) -> str:
     return f'{choice.error:.1e} rad ({how}), {speed:.3g} times real time'
 
 
-def _why(result: Tradeoff) -> str:
-    reference = result.reference
+def _why(result: Tradeoff, target: float) -> str:
+    """Return the figure that decides, and the part of the motion that it is of."""
+    reference, of_whole = result.reference, result.error_on_whole.reference
+    part = '' if result.stretch is result.whole else \
+        f' in the first {result.stretch.seconds:.9g} s'
+    if reference.guaranteed_error <= target and of_whole and of_whole is not reference:
+        reference, part = of_whole, ' on the whole motion'
+    if reference.guaranteed_error <= target:
+        return _smallest(result, target, part)
     if reference.floor >= reference.last_digits:
-        return f'the rounding floor is {reference.floor:.1e} rad'
-    return _DIGITS.format(reference.last_digits)
+        return f'the rounding floor is {reference.floor:.1e} rad{part}'
+    return _DIGITS.format(reference.last_digits) + part
 
 
-def _dominant(result: Tradeoff, target: float) -> str:
+def _smallest(result: Tradeoff, target: float, part: str) -> str:
+    """Return the smallest error of all settings, if no limit of accuracy forbids the target."""
+    least = min(one.error.attitude for one in result.measurements if not one.failure)
+    least += result.reference.guaranteed_error
+    measured = result.error_on_whole.least
+    if least > target:
+        return f'the smallest error is {least:.1e} rad{part}'
+    if measured is not None:
+        return f'the smallest error is {measured:.1e} rad on the whole motion'
+    scaled = least * result.growth ** 2
+    return f'the smallest error is {least:.1e} rad{part}, and {scaled:.1e} rad scaled to the ' \
+           'whole motion by the square of the time'
+
+
+def _limits(result: Tradeoff, target: float) -> Iterator[tuple[str, str]]:
+    """Generate what limits the accuracy; a torque that is held has no error of interpolation."""
     dominant, own = result.dominant(target), result.interpolation_error
-    if dominant == 'interpolation' and own:
-        better = result.better_interpolation
-        remedy = f'use {better.interpolation} (about {better.estimate:.1e} rad)' \
-            if better else 'only more closely spaced samples help'
-        return (f'the {own.interpolation} interpolation between torque samples (about '
-                f'{own.estimate:.1e} rad): {remedy}')
-    return {'rounding': 'rounding: a tighter setting does not help',
-            'last digits': 'the last digits of inertia, torque and start: a tighter setting does '
-                           'not help',
-            'solver': 'the solver: a tighter setting is more accurate'}[dominant]
+    if dominant != 'interpolation' or not own:
+        yield 'limited by', _LIMITS[dominant]
+        return
+    better = result.better_interpolation
+    remedy = f'use {better.interpolation} (about {better.estimate:.1e} rad)' \
+        if better else 'only more closely spaced samples help'
+    varies = f'the {own.interpolation} interpolation between torque samples (about ' \
+             f'{own.estimate:.1e} rad): {remedy}'
+    if own.interpolation != 'hold':
+        yield 'limited by', varies
+        return
+    yield 'limited by', 'if the actuator holds the torque between its samples, ' \
+                        f'{_LIMITS[result.dominant(target, held=True)]};'
+    yield '', f'if the torque varies between them, {varies}'
 
 
 def _table(result: Tradeoff, all_rows: bool) -> list[str]:

@@ -16,9 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 import math
 import time
 
@@ -45,6 +44,65 @@ _REFERENCE_COST = 14.0
 _BRIEF = 0.01
 
 
+class OnWhole:
+    """
+    The errors of settings on the whole log, measured as long as time allows.
+
+    Parameters
+    ----------
+    whole, stretch : Case
+    reference : Reference
+        Of the stretch.
+    measurements : sequence of Measurement
+        On the stretch.
+    seconds : float
+        Wall time to spend.
+
+    Attributes
+    ----------
+    reference : Reference or None
+        Of the whole log, None as long as no error was measured there.
+
+    """
+
+    def __init__(self, whole: Case, stretch: Case, reference: Reference,
+                 measurements: Sequence[Measurement], seconds: float) -> None:
+        self.reference = reference if stretch is whole else None
+        self._whole, self._is_measured = whole, stretch is whole
+        self._growth, self._remaining = whole.seconds / stretch.seconds, seconds
+        self._series = min((one.seconds for one in measurements
+                            if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
+        self._found: dict[Measurement, float] = {}
+
+    def __call__(self, measurement: Measurement) -> float | None:
+        """Return the largest attitude error, rad, or None if that takes too long to compute."""
+        if self._is_measured:
+            assert self.reference
+            return measurement.error.attitude + self.reference.guaranteed_error
+        if measurement not in self._found:
+            runs = 0.0 if self.reference else _REFERENCE_COST
+            cost = self._growth * (measurement.seconds + runs * self._series)
+            if cost > self._remaining:
+                return None
+            self._remaining -= cost
+            self._found[measurement] = self._measured(measurement)
+        return self._found[measurement]
+
+    @property
+    def least(self) -> float | None:
+        """Return the smallest error that was measured, rad; None if none was."""
+        return min(self._found.values(), default=None)
+
+    def _measured(self, measurement: Measurement) -> float:
+        self.reference = self.reference or Reference.of(self._whole)
+        try:
+            motion = self._whole.run(**measurement.setting.options)
+        except ValueError:
+            return math.inf
+        error = so3.angle_between(motion.attitude, self.reference.trajectory.attitude)
+        return float(error.max()) + self.reference.guaranteed_error
+
+
 @dataclass(frozen=True, eq=False)
 class Tradeoff:
     """
@@ -65,7 +123,7 @@ class Tradeoff:
         `final_differences`.
     choices : dict
         By target, rad, the recommended setting, or None if no setting meets the target.
-    error_on_whole : callable
+    error_on_whole : OnWhole
         Returns the attitude error of a measurement on the whole log; see `recommend`.
     ensemble : Advice, optional
         For the ensemble that sets one of the targets.
@@ -80,7 +138,7 @@ class Tradeoff:
     interpolation_errors: tuple[InterpolationError, ...]
     interpolation_differences: Mapping[str, float | None]
     choices: Mapping[float, Choice | None]
-    error_on_whole: Callable[[Measurement], float | None]
+    error_on_whole: OnWhole
     ensemble: Advice | None = None
 
     @property
@@ -100,14 +158,18 @@ class Tradeoff:
         own = self.interpolation_error
         return better_interpolation(self.interpolation_errors, own) if own else None
 
-    def dominant(self, target: float) -> str:
-        """Return the largest source of error; without a recommendation, of the best setting."""
+    def dominant(self, target: float, held: bool = False) -> str:
+        """
+        Return the largest source of error; without a recommendation, of the best setting.
+
+        A torque that is held between its samples has no error of the interpolation.
+        """
         floor, own = self.reference.floor, self.interpolation_error
         choice = self.choices[target]
         errors = [one.error.attitude for one in self.measurements if not one.failure]
         solver = choice.measurement.error.attitude if choice else min(errors, default=math.inf)
         shares = {'rounding': floor, 'solver': solver, 'last digits': self.reference.last_digits,
-                  'interpolation': own.estimate if own else 0.0}
+                  'interpolation': own.estimate if own and not held else 0.0}
         # The error of a solver at the floor is rounding.
         if solver <= 2.0 * floor:
             shares['solver'] = 0.0
@@ -152,7 +214,7 @@ def measure(problem: Problem, *, end_ns: int | None = None,
                      track),
         reference.floor)
     growth = case.seconds / stretch.seconds
-    error_on_whole = _evaluator(case, stretch, reference, measurements, seconds)
+    error_on_whole = OnWhole(case, stretch, reference, measurements, seconds)
     choices = {target: recommend(measurements, target, reference.guaranteed_error, growth,
                                  error_on_whole)
                for target in targets}
@@ -219,32 +281,3 @@ def _with_pareto_front(measurements: Sequence[Measurement],
             optimal.add(number)
     return tuple(replace(one, pareto_optimal=number in optimal)
                  for number, one in enumerate(measurements))
-
-
-def _evaluator(whole: Case, stretch: Case, reference: Reference,
-               measurements: Sequence[Measurement], seconds: float
-               ) -> Callable[[Measurement], float | None]:
-    """Return a function that measures the error of a setting on the whole log, if time allows."""
-    if stretch is whole:
-        return lambda measurement: measurement.error.attitude + reference.guaranteed_error
-    growth = whole.seconds / stretch.seconds
-    remaining, whole_reference = seconds, None
-    series = max((one.seconds for one in measurements
-                  if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
-
-    @cache
-    def error_on_whole(measurement: Measurement) -> float | None:
-        nonlocal remaining, whole_reference
-        cost_of_reference = 0.0 if whole_reference else _REFERENCE_COST * series
-        cost = growth * (measurement.seconds + cost_of_reference)
-        if cost > remaining:
-            return None
-        remaining -= cost
-        whole_reference = whole_reference or Reference.of(whole)
-        try:
-            motion = whole.run(**measurement.setting.options)
-        except ValueError:
-            return math.inf
-        error = so3.angle_between(motion.attitude, whole_reference.trajectory.attitude)
-        return float(error.max()) + whole_reference.guaranteed_error
-    return error_on_whole

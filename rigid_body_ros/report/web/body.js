@@ -159,6 +159,8 @@ class Scene {
       document.getElementById('poinsot-figure').hidden = false;
       this.views.push(new View(document.getElementById('poinsot'), turning));
     }
+    this.ghost = data.ghost && {times: unpacked(data.ghost.times, Float64Array),
+      attitudes: unpacked(data.ghost.attitude, Float32Array), reach: data.ghost.reach};
     this.views.forEach((view) => this.listen(view));
     this.scales = ARROWS.map(([, , , vector]) => this.largest(vector));
     this.prepareCurves();
@@ -220,6 +222,7 @@ class Scene {
     view.begin();
     this.drawSpaceAxes(view);
     this.drawBox(view);
+    this.drawGhost(view);
     ['x', 'y', 'z'].forEach((name, k) => {
       const axis = rotated(state.attitude, [0, 1, 2].map((j) => (j === k ? 1.05 : 0)));
       view.arrow(axis, view.colour('ink'), [], name, 1.2);
@@ -237,30 +240,43 @@ class Scene {
       view.colour('quiet'), [2, 3], name, 1));
   }
 
-  drawBox(view) {
-    const {sides, axes} = this.data, c = view.context;
-    const corner = (signs) => rotated(this.state.attitude, sum(...signs.map(
+  faces(view, attitude) {
+    const {sides, axes} = this.data;
+    const corner = (signs) => rotated(attitude, sum(...signs.map(
       (sign, k) => times(0.6 * sign * sides[k], axes[k]))));
-    const faces = [0, 1, 2].flatMap((k) => [-1, 1].map((sign) => {
+    return [0, 1, 2].flatMap((k) => [-1, 1].map((sign) => {
       const [a, b] = [(k + 1) % 3, (k + 2) % 3];
-      const points = [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([p, q]) => {
+      const points = [[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]].map(([p, q]) => {
         const signs = [];
         [signs[k], signs[a], signs[b]] = [sign, p, q];
         return corner(signs);
       });
-      const normal = view.seen(rotated(this.state.attitude, times(sign, axes[k])));
+      const normal = view.seen(rotated(attitude, times(sign, axes[k])));
       return {points, facing: normal[2], light: normal[1]};
-    }));
-    for (const face of faces.filter((one) => one.facing > 0)) {
+    })).filter((one) => one.facing > 0);
+  }
+
+  drawBox(view) {
+    const c = view.context;
+    for (const face of this.faces(view, this.state.attitude)) {
       c.beginPath();
       face.points.forEach((point) => c.lineTo(...view.point(point)));
-      c.closePath();
       c.globalAlpha = 0.55 + 0.3 * Math.max(0, face.light);
       c.fillStyle = view.colour('face');
       c.fill();
       c.globalAlpha = 1;
-      view.path([...face.points, face.points[0]], view.colour('quiet'), [], 1);
+      view.path(face.points, view.colour('quiet'), [], 1);
     }
+  }
+
+  drawGhost(view) {  // the measured body, unless no sample is near
+    if (!this.ghost) return;
+    const {times: stamps, attitudes, reach} = this.ghost, now = this.state.time;
+    let i = indexAt(stamps, now);
+    if (i + 1 < stamps.length && stamps[i + 1] - now < now - stamps[i]) i++;
+    if (Math.abs(stamps[i] - now) > reach) return;
+    for (const face of this.faces(view, Array.from(attitudes.subarray(4 * i, 4 * i + 4))))
+      view.path(face.points, view.colour('c4'), [], 1.8);
   }
 
   drawPoinsot(view) {
@@ -374,7 +390,8 @@ let motion = null;
 if (page.body) {
   document.getElementById('moving').hidden = false;
   const scene = new Scene(page.body), list = document.getElementById('arrows');
-  for (const [name, colour, dashes] of ARROWS) {
+  const ghost = page.body.ghost ? [['the measured body', 4, []]] : [];
+  for (const [name, colour, dashes] of [...ARROWS, ...ghost]) {
     const item = html('li', list);
     const line = element('svg', {viewBox: '0 0 30 10', 'aria-hidden': 'true'}, item);
     element('line', {x1: 0, x2: 30, y1: 5, y2: 5, 'stroke-width': 2.5, class: `c${colour}`,

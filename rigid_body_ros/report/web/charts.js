@@ -8,6 +8,8 @@ const MARGIN = {left: 62, right: 10, top: 8, bottom: 34};
 const HEIGHT = 210;
 const PREFIXES = {0: '', '-3': 'm', '-6': 'µ', '-9': 'n', '-12': 'p', '-15': 'f', '-18': 'a'};
 
+const markAt = (x, y) => `M ${(x - 3).toFixed(1)} ${(y - 3).toFixed(1)} l 6 6 m -6 0 l 6 -6`;
+
 class Group {  // the panels that share an abscissa
   constructor() {
     this.panels = [];
@@ -53,13 +55,16 @@ class Panel {
     this.logY = data.kind === 'loglog' || data.kind === 'log';
     this.tall = data.kind === 'loglog';
     this.height = this.tall ? 2 * HEIGHT : HEIGHT;
+    this.lines = 0;
+    this.isDense = data.curves.some((curves) => curves.style === 'limits');
+    this.isNoisy = data.kind === 'log' || data.curves.some((curves) => curves.style !== 'line');
     this.series = data.curves.flatMap((curves) => this.read(curves));
     this.unit = this.withPrefix();
     const box = html('div', parent);
     box.className = 'panel';
     html('h3', box, data.label + (this.unit ? ` (${this.unit})` : ''));
     this.svg = element('svg', {class: this.tall ? 'plot tall' : 'plot', role: 'img', 'aria-label':
-      `${data.label} over ${data.xLabel}: ${this.series.map((one) => one.name).join(', ')}`}, box);
+      `${data.label} over ${data.xLabel}: ${this.named().map((one) => one.name).join(', ')}`}, box);
     this.legend(box);
     if (data.texts.length) {
       this.said = html('p', box, 'Point at a marker to read it.');
@@ -78,9 +83,22 @@ class Panel {
       const part = [k * x.length, (k + 1) * x.length], offset = curves.offsets[k];
       const values = (source) => Float64Array.from(source.subarray(...part), (v) => v + offset);
       const lower = values(low);
-      return {name, x, low: lower, high: high === low ? lower : values(high), step: curves.step};
+      return {name, x, low: lower, high: high === low ? lower : values(high), step: curves.step,
+        style: curves.style, isAlone: curves.names.length === 1, gap: curves.gap ?? Infinity, ...this.look(curves, k)};
     });
   }
+
+  look(curves, k) {  // noisy curves have no dashes; what belongs to lines has their colours
+    if (curves.style === 'line') {
+      const number = this.lines++;
+      return {colour: `c${number % 6}`, dashes: this.isNoisy ? '' : DASHES[number % 4]};
+    }
+    const isLimit = curves.style === 'limits';
+    return {colour: isLimit && curves.names.length === 1 ? 'c3' : `c${k % 6}`,
+      dashes: isLimit ? '5 4' : ''};
+  }
+
+  named() { return this.series.filter((one) => one.name); }
 
   withPrefix() {  // small numbers have a unit with a prefix, as mrad/s
     this.scale = 1;
@@ -96,7 +114,7 @@ class Panel {
 
   extremes() {
     let low = Infinity, high = -Infinity;
-    for (const one of this.series) {
+    for (const one of this.series.filter(({style}) => style !== 'marks')) {
       for (let i = 0; i < one.x.length; i++) {
         low = Math.min(low, one.low[i]);
         high = Math.max(high, one.high[i]);
@@ -105,20 +123,18 @@ class Panel {
     return [low, high];
   }
 
-  colour(k) { return `c${k % 6}`; }
-
-  dashes(k) { return this.data.kind === 'log' ? '' : DASHES[k % 4]; }  // errors are noisy
-
   legend(box) {
     const list = html('ul', box);
     list.className = 'legend';
-    this.readings = this.series.map((one, k) => {
+    this.named().forEach((one) => {
       const item = html('li', list);
       const line = element('svg', {viewBox: '0 0 30 10', 'aria-hidden': 'true'}, item);
-      element('line', {x1: 0, x2: 30, y1: 5, y2: 5, 'stroke-width': 2, class: this.colour(k),
-        'stroke-dasharray': this.dashes(k)}, line);
+      if (one.style === 'marks') element('path', {d: markAt(15, 5), class: 'curve c6'}, line);
+      else element('path', {d: 'M 0 5 L 30 5', class: `curve swatch ${one.style} ${one.style ===
+        'limits' ? 'c3' : one.colour}`, 'stroke-dasharray': one.dashes}, line);
       html('span', item, `${one.name} `);
-      return html('output', item);
+      if (one.style !== 'marks' && (one.style !== 'limits' || one.isAlone))
+        one.reading = html('output', item);
     });
     Object.keys(this.data.lines).forEach((name, k) => {
       const item = html('li', list);
@@ -171,7 +187,7 @@ class Panel {
 
   findLimits() {
     let low = Infinity, high = -Infinity;
-    for (const one of this.series) {
+    for (const one of this.series.filter(({style}) => style !== 'marks')) {
       const [first, stop] = this.visible(one);
       for (let i = first; i < stop; i++) {
         if (this.logY && one.high[i] <= 0) continue;
@@ -202,12 +218,31 @@ class Panel {
     Object.values(this.data.lines).forEach((value, k) => element('line', {x1: this.toX(value),
       x2: this.toX(value), y1: MARGIN.top, y2: this.height, class: 'c6',
       'stroke-dasharray': DASHES[k % 4]}, frame));
-    this.series.forEach((one, k) => element('path', {d: this.path(one), class:
-      `curve ${this.colour(k)}`, 'stroke-dasharray': this.dashes(k)}, frame));
+    for (const style of ['broad', 'line', 'limits', 'marks'])
+      for (const one of this.series.filter((each) => each.style === style))
+        element('path', {d: this.shape(one),
+          class: `curve ${style} ${one.colour}${this.isDense ? ' dense' : ''}`,
+          'stroke-dasharray': one.dashes}, frame);
     if (this.data.texts.length) this.drawPoints(frame);
     this.chosen = element('rect', {class: 'chosen', y: 0, height: this.height, width: 0}, frame);
     this.line = element('line', {class: 'cursor', y1: 0, y2: this.height}, frame);
     this.drawCursor();
+  }
+
+  shape(one) {
+    if (one.style === 'marks') return this.marks(one);
+    if (one.style !== 'limits') return this.path(one);
+    return `${this.path({...one, high: one.low})} ${this.path({...one, low: one.high})}`;
+  }
+
+  marks(one) {  // those beyond the range stand at its edge
+    const [first, stop] = this.visible(one), parts = [], bottom = this.height - MARGIN.bottom;
+    for (let i = first; i < stop; i++) {
+      for (const value of new Set([one.low[i], one.high[i]]))
+        parts.push(markAt(this.toX(one.x[i]),
+          Math.max(MARGIN.top, Math.min(this.toY(value), bottom - 4))));
+    }
+    return parts.join(' ');
   }
 
   // Two points, minimum and maximum, for each pixel column that has several samples.
@@ -223,9 +258,9 @@ class Panel {
     for (let i = first; i < stop;) {
       const x = this.toX(one.x[i]);
       let low = one.low[i], high = one.high[i], last = one.low[i], k = i + 1;
-      if (Math.abs(last - before) > jump) pen = 'M';
+      if (Math.abs(last - before) > jump || one.x[i] - one.x[i - 1] > one.gap) pen = 'M';
       while (k < stop && stop - first > 2 * this.width && this.toX(one.x[k]) < x + 1
-             && Math.abs(one.low[k] - last) <= jump) {
+             && Math.abs(one.low[k] - last) <= jump && one.x[k] - one.x[k - 1] <= one.gap) {
         low = Math.min(low, one.low[k]);
         high = Math.max(high, one.high[k]);
         last = one.low[k++];
@@ -244,7 +279,7 @@ class Panel {
   drawPoints(frame) {
     this.series.forEach((one, k) => one.x.forEach((x, i) => {
       const text = `${one.name}: ${(this.data.texts[k] || [])[i] || ''}`;
-      const point = element('circle', {class: `point ${this.colour(k)}`, cx: this.toX(x),
+      const point = element('circle', {class: `point ${one.colour}`, cx: this.toX(x),
         cy: this.toY(one.low[i]), r: 5, tabindex: 0, role: 'img', 'aria-label': text}, frame);
       for (const event of ['focus', 'pointerenter'])
         point.addEventListener(event, () => { this.said.textContent = text; });
@@ -302,10 +337,10 @@ class Panel {
     this.line.setAttribute('x1', x);
     this.line.setAttribute('x2', x);
     if (this.logX) return;
-    this.series.forEach((one, k) => {
+    this.named().filter((one) => one.reading && one.x.length).forEach((one) => {
       const i = indexAt(one.x, value), shown = (v) => (this.logY ? v.toPrecision(4)
         : written(v / this.scale, this.finest / this.scale));
-      this.readings[k].textContent = one.low[i] === one.high[i] ? shown(this.drawn(one, i, value))
+      one.reading.textContent = one.low[i] === one.high[i] ? shown(this.drawn(one, i, value))
         : `${shown(one.low[i])} to ${shown(one.high[i])}`;
     });
   }

@@ -20,8 +20,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
+#: Probability of a false alarm of a test.
+ALARM = 1e-4
+#: Fewest samples of a batch, and fewest outliers that can come together.
+FEWEST = 10
 #: Most samples before, on which a sample depends.
 _ORDER = 3
 #: The noise of no sensor lasts longer: that of an autoregression with a coefficient of 0.92.
@@ -65,6 +70,51 @@ class Noise:
         for k, coefficient in enumerate(self.coefficients, 1):
             result -= coefficient * errors[order - k:len(errors) - k]
         return result
+
+
+def batches_of(left: Floats, size: int) -> Floats:
+    """Return squares of sums, and sums of squares, of samples in batches, over their numbers."""
+    count = len(left) // size
+    batches = left[:count * size].reshape(count, size, 3)
+    known = np.maximum(np.isfinite(batches).sum(axis=1), 1)
+    return np.stack([np.nansum(batches, axis=1) ** 2 / known,
+                     np.nansum(batches ** 2, axis=1) / known])
+
+
+def chance(noise: Noise, batches: Floats) -> float:
+    """
+    Return the probability that innovations scatter in batches as they do if they are independent.
+
+    Parameters
+    ----------
+    noise : Noise
+        Of the errors.
+    batches : array, shape (2, n, 3)
+        As `batches_of` returns them, of innovations.
+
+    Returns
+    -------
+    float
+        Of the axis with the smallest.
+
+    """
+    from scipy.special import chdtrc
+    means, squares = batches
+    scale = 1.0 if noise.lasting >= LONGEST else np.maximum(squares.mean(axis=0), 1e-300)
+    return float(chdtrc(len(means), means.sum(axis=0) / scale).min())
+
+
+def come_together(bad: NDArray[np.bool_]) -> bool:
+    """Return whether outliers come in clusters, by the number of their runs."""
+    from scipy.special import ndtr
+    count, share = int(bad.sum()), float(np.mean(bad))
+    if count < FEWEST:
+        return False
+    # Wald and Wolfowitz (1940)
+    runs = int(bad[0]) + int(np.sum(bad[1:] & ~bad[:-1]))
+    mean = count * (1.0 - share)
+    spread = max(np.sqrt(mean * share * (1.0 - share)), 1e-9)
+    return float(ndtr((runs - mean) / spread)) < ALARM
 
 
 def noise_of(parts: Sequence[Floats], share: float) -> Noise:

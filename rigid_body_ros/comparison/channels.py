@@ -1,0 +1,139 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The errors of one quantity of one sensor, beside its noise.
+
+The spread of a measurement follows from how its errors change from one sample to the next, so a
+wrong model does not enlarge it. Errors are compatible with the noise if they come in no clusters
+and last no longer than the noise of a sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.comparison.errors import Comparison
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.sensing.noise import (
+    ALARM,
+    batches_of,
+    chance,
+    come_together,
+    FEWEST,
+    noise_of,
+)
+
+#: Ratio of the standard deviation of normal noise to the median of its magnitude.
+_NORMAL = 1.4826
+#: Spreads from which on an error is an outlier, and share of outliers that no sensor has.
+_OUTLIER, _SCATTERED = 15.0, 0.3
+#: rad or rad/s; errors below this are those of rounding.
+_ROUNDING = 1e-7
+#: Smallest spread of an axis, relative to the largest.
+_LEAST = 1e-3
+#: s; errors are averaged over this time.
+_BATCH = 1.0
+ATTITUDE, RATE = 'rotation_vectors', 'rates'
+UNITS = {ATTITUDE: 'rad', RATE: 'rad/s'}
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """
+    The errors of one quantity of one sensor.
+
+    Attributes
+    ----------
+    topic : str
+    kind : str
+        'rotation_vectors' or 'rates'.
+    seconds : array, shape (n,), s
+    errors : array, shape (n, 3), rad or rad/s
+
+    """
+
+    topic: str
+    kind: str
+    seconds: Floats
+    errors: Floats
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Return what identifies it: topic and quantity."""
+        return self.topic, self.kind
+
+    @cached_property
+    def spread(self) -> Floats:
+        """Return the standard deviation of the noise of each axis, from neighbouring samples."""
+        before, here, after = self.seconds[:-2], self.seconds[1:-1], self.seconds[2:]
+        share = ((here - before) / (after - before))[:, None]
+        left = np.abs(self._curved(share)) / np.sqrt(1.0 + share ** 2 + (1.0 - share) ** 2)
+        sizes = _NORMAL * np.median(left, axis=0)
+        return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))
+
+    def _curved(self, share: Floats) -> Floats:
+        """Return by how much errors are off the line through those before and after."""
+        if self.kind != ATTITUDE:
+            return self.errors[1:-1] - (1.0 - share) * self.errors[:-2] - share * self.errors[2:]
+        turns = so3.exp(self.errors)  # rotation vectors jump at half a turn
+        back = so3.conjugate(turns[:-2])
+        middle = so3.exp(share * so3.log(so3.multiply(back, turns[2:])))
+        return so3.log(so3.multiply(so3.conjugate(middle), so3.multiply(back, turns[1:-1])))
+
+    @cached_property
+    def outliers(self) -> NDArray[np.bool_]:
+        """Return which errors are much larger than the spread."""
+        return np.asarray((np.abs(self.errors) > _OUTLIER * self.spread).any(axis=1))
+
+    @property
+    def median(self) -> float:
+        """Return the median length of the errors."""
+        return float(np.median(np.linalg.norm(self.errors, axis=1)))
+
+    @property
+    def ratio(self) -> float:
+        """Return the median error of an axis, in those of noise with the spread."""
+        return float(np.median(np.abs(self.errors) / self.spread)) * _NORMAL
+
+    @cached_property
+    def is_noise(self) -> bool:
+        """Return whether the errors are compatible with the noise of a sensor."""
+        if np.median(np.abs(self.errors)) <= _ROUNDING:
+            return True
+        if self.outliers.mean() > _SCATTERED or come_together(self.outliers):
+            return False
+        errors = np.where(self.outliers[:, None], np.nan, self.errors)
+        noise = noise_of([errors], 1.0)
+        left = noise.innovations(errors / np.maximum(noise.sizes, 1e-300))
+        size = max(FEWEST, round(_BATCH / float(np.median(np.diff(self.seconds)))))
+        return len(left) < size or chance(noise, batches_of(left, size)) >= ALARM
+
+
+def channels_of(comparison: Comparison, until_ns: int = NEVER_NS) -> Iterator[Channel]:
+    """Generate the channels of a comparison, with the samples up to a time."""
+    for errors in comparison.errors:
+        rows = errors.times_ns <= until_ns
+        seconds = np.asarray(1e-9 * (errors.times_ns[rows] - comparison.motion.start.time_ns),
+                             float)
+        for kind in (ATTITUDE, RATE):
+            values = getattr(errors, kind)
+            if values is not None and len(seconds) >= FEWEST:
+                yield Channel(errors.topic, kind, seconds, values[rows])

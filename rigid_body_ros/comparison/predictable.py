@@ -1,0 +1,86 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How long a motion can be predicted from what is measured of its start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.comparison.channels import ATTITUDE, Channel
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
+
+#: rad; a prediction that is less certain than this is none.
+_LOST = 0.1
+#: s; the start is known from the samples of this time, and from at least so many.
+_SPAN, _FEWEST = 1.0, 11
+#: rad and rad/s; small changes of the start. About how many instants are looked at.
+_STEP, _INSTANTS = 1e-7, 1000
+
+
+def predictable_s(problem: Problem, channels: Sequence[Channel]) -> float | None:
+    """
+    Return after which time the uncertainty of the start alone explains an error of 0.1 rad.
+
+    The start is as uncertain as a second of the measurement leaves it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its motion may magnify a change of the start.
+    channels : sequence of Channel
+        What was measured.
+
+    Returns
+    -------
+    float, s, or None
+        Since the start; None if the motion can be predicted to the last sample.
+
+    """
+    end = max((float(channel.seconds[-1]) for channel in channels), default=0.0)
+    if end <= 0.0:
+        return None
+    seconds = np.linspace(0.0, end, _INSTANTS + 1)[1:]
+    times_ns = problem.start.time_ns + np.round(1e9 * seconds).astype(np.int64)
+    start, attitude = problem.start, problem.propagate(at=times_ns).attitude
+    variances = np.zeros(len(times_ns))
+    for row, sigma in enumerate(_deviations(channels)):
+        change = _STEP * np.eye(6)[row]
+        moved = State(start.time_ns, so3.multiply(start.attitude, so3.exp(change[:3])),
+                      start.angular_velocity + change[3:], start.rotor_momentum)
+        other = problem.replaced(start=moved).propagate(at=times_ns).attitude
+        variances += (sigma / _STEP * so3.angle_between(attitude, other)) ** 2
+    lost = np.flatnonzero(variances > _LOST ** 2)
+    return float(seconds[lost[0]]) if lost.size else None
+
+
+def _deviations(channels: Sequence[Channel]) -> Floats:
+    """Return standard deviations of a start, rad and rad/s; 0 for an attitude without sensor."""
+    found: Floats = np.full(6, np.inf)
+    for channel in channels:
+        spacing = float(np.median(np.diff(channel.seconds)))
+        count = max(_FEWEST, round(_SPAN / spacing))
+        mean = channel.spread / np.sqrt(count)
+        if channel.kind == ATTITUDE:
+            found[:3] = np.minimum(found[:3], mean)
+            # The slope of a line through the samples.
+            mean = mean * np.sqrt(12.0) / (count * spacing)
+        found[3:] = np.minimum(found[3:], mean)
+    if not any(channel.kind == ATTITUDE for channel in channels):
+        found[:3] = 0.0
+    return found

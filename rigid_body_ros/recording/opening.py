@@ -1,0 +1,100 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Open the files of a recording in any format."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+import os
+from pathlib import Path, PurePath
+from typing import Any
+
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.recording.csv_file import CsvFile
+from rigid_body_ros.recording.file import File
+from rigid_body_ros.recording.mcap_file import McapFile
+from rigid_body_ros.recording.sqlite_file import SqliteFile
+from rigid_body_ros.recording.ulog_file import is_ulog, UlogFile
+from rigid_body_ros.recording.unpack import temporary, unpack_file
+from rigid_body_ros.runtime.limits import read_yaml
+import yaml
+from yaml.constructor import BaseConstructor
+
+
+def open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, str]:
+    """Return the files, whether each message is compressed, and why files are missing."""
+    if name == '':  # as a path it is the current folder
+        raise InputError('expected a recording, found an empty name')
+    path = Path(name)
+    if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
+        return [_open_file(path, stack)], False, ''
+    about = _metadata(path / 'metadata.yaml')
+    compressed = str(about.get('compression_mode', '')).lower() == 'message'
+    files: list[File] = []
+    for file in _bag_files(path, about.get('relative_file_paths')):
+        try:
+            files.append(_open_file(file, stack))
+        except InputError as error:
+            if not files:
+                raise
+            return files, compressed, f'{error}; only the files before it were read'
+    return files, compressed, ''
+
+
+def _bag_files(folder: Path, names: object) -> list[Path]:
+    """Return the paths of the files of a bag; raise InputError unless they are in its folder."""
+    where = f'{folder}/metadata.yaml: relative_file_paths'
+    if not names or not isinstance(names, list):
+        raise InputError(f'{where}: expected file names, found {quoted(names)}')
+    home = os.path.realpath(folder)
+    paths: dict[str, Path] = {}
+    for name in names:
+        if not isinstance(name, str) or '\0' in name or not PurePath(name).name:
+            raise InputError(f'{where}: expected file names, found {quoted(name)}')
+        named = PurePath(name)
+        if named.name in paths:
+            raise InputError(f'{where}: expected each file once, found {quoted(name)} twice')
+        # Early versions of rosbag2 wrote the name of the folder before that of the file.
+        path = paths[named.name] = folder / named.name
+        if named.is_absolute() or '..' in named.parts \
+                or os.path.dirname(os.path.realpath(path)) != home:
+            raise InputError(f'{where}: expected files in the folder of the bag, '
+                             f'found {quoted(name)}')
+    return [*paths.values()]
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    if not os.path.lexists(path):
+        raise InputError(f'{path}: file not found; a bag folder must contain it')
+    root = read_yaml(path, 'metadata of the recording', aliases=True)
+    try:
+        found = BaseConstructor().construct_document(root) if root else None
+    except yaml.YAMLError as error:  # a key that is not a name
+        raise InputError(f'{path}: expected names as keys ({reason(error)})') from error
+    about = found.get('rosbag2_bagfile_information') if isinstance(found, dict) else None
+    if not isinstance(about, dict):
+        raise InputError(f'{path}: expected the key rosbag2_bagfile_information, found none')
+    return about
+
+
+def _open_file(path: Path, stack: ExitStack) -> File:
+    if path.suffix.lower() == '.csv':
+        return CsvFile(path)
+    if is_ulog(path):
+        return UlogFile(path)
+    is_compressed = path.suffix in ('.zstd', '.zst')
+    unpacked = unpack_file(path, temporary(stack)) if is_compressed else path
+    return SqliteFile(path, unpacked, stack) if unpacked.suffix == '.db3' else \
+        McapFile(path, unpacked)

@@ -1,0 +1,90 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The spectrum of a residual torque."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.sensing.residual_torque import ResidualTorque
+
+#: s; longer residual torques are divided into segments of this length that overlap by half.
+SEGMENT = 60.0
+#: Probability that white noise exceeds its limit at one frequency.
+_EXCEEDS = 0.01
+#: Half the phase of a window, rad, up to which it lets half of an amplitude through.
+_FLATTENED = 2.5
+#: Frequencies for each period in a segment, so that none is far from the peak of a sine.
+_FINER = 4
+#: Fewest samples of a spectrum.
+_FEWEST = 16
+
+
+class Spectrum(NamedTuple):
+    """
+    Amplitudes of the residual torque by frequency.
+
+    Attributes
+    ----------
+    hertz : array, shape (m,)
+    amplitudes, limits : array, shape (m, 3), N m, body axes
+        Of a sine of that frequency, and what white noise of the angular velocity exceeds at one
+        frequency in a hundred.
+
+    """
+
+    hertz: Floats
+    amplitudes: Floats
+    limits: Floats
+
+
+def spectrum(torque: ResidualTorque) -> Spectrum | None:
+    """
+    Return the spectrum of a residual torque, None if that is too short.
+
+    The residual torque is the slope of a momentum over a window of T seconds, which multiplies
+    amplitudes by 3 (sin x - x cos x) / x^3 with x = pi f T if samples are dense. They are divided
+    by that, and end where it is a half.
+    """
+    seconds = 1e-9 * (torque.times_ns - torque.times_ns[0])
+    if len(seconds) < _FEWEST:
+        return None
+    spacing = float(np.median(np.diff(seconds)))
+    grid = np.arange(0.0, seconds[-1], spacing)
+    values = np.stack([np.interp(grid, seconds, column) for column in torque.torques.T], axis=1)
+    size = min(len(grid), round(SEGMENT / spacing))
+    segments = np.stack([values[first:first + size]
+                         for first in range(0, len(grid) - size + 1, max(size // 2, 1))])
+    window = np.hanning(size)
+    means = segments.mean(axis=1, keepdims=True)
+    power = np.abs(np.fft.rfft((segments - means) * window[:, None], _FINER * size, axis=1)) ** 2
+    hertz = np.fft.rfftfreq(_FINER * size, spacing)
+    kept = (np.pi * hertz * torque.window_s <= _FLATTENED) & (hertz > 1.5 / (size * spacing))
+    shown = np.asarray(hertz[kept], np.float64)
+    half = round(0.5 * torque.window_s / spacing)
+    times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
+    smoothed = np.sin(np.outer(turn, times)) @ times / turn / np.sum(times ** 2)
+    amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
+    # White noise of the momentum, of which the noise of the torque is that of a slope.
+    noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
+    return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
+
+
+def _exceeded(count: int) -> float:
+    """Return the limit of the mean of so many powers of noise, as an amplitude, in mean ones."""
+    from scipy.special import chdtri
+    return float(np.sqrt(chdtri(2 * count, _EXCEEDS) / (2 * count)))

@@ -1,0 +1,194 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Whether a comparison names what is wrong, and the sensor; `simulated` makes recordings."""
+
+from dataclasses import replace
+from functools import cache
+
+from conftest import at_night
+from measurements import truth
+import numpy as np
+import pytest
+from rigid_body_ros import compare, Measured, propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.mechanics import so3
+from scipy.spatial.transform import Rotation
+import simulated
+
+BIAS, SCALE = np.array([0.01, -0.02, 0.005]), np.array([1.03, 0.98, 1.0])
+
+
+def sensors(level=1.0, seed=0, **options):
+    both = truth().measured(2e-3 * level, 5e-3 * level, seed=seed, **options)
+    return [replace(both, topic='/mocap', angular_velocity=None),
+            replace(both, topic='/imu', attitude=None)]
+
+
+def against(motion, measured, **options):
+    return compare(motion.body, motion.start, motion.log, measured=measured, **options)
+
+
+def broken(name):
+    mocap, imu = sensors()
+    attitude, rates = mocap.attitude.copy(), imu.angular_velocity
+    if name == 'gyro_bias':
+        return mocap, replace(imu, angular_velocity=rates + BIAS)
+    if name == 'gyro_scale':
+        return mocap, replace(imu, angular_velocity=rates * SCALE)
+    if name == 'gyro_saturation':
+        return mocap, replace(imu, angular_velocity=np.clip(rates, -0.9, 0.9))
+    if name == 'degrees':
+        return mocap, replace(imu, angular_velocity=np.degrees(rates))
+    if name == 'frozen_attitude':
+        attitude[800:1100] = attitude[800]
+    elif name == 'flipped_attitude':
+        attitude[500:700] = so3.multiply(attitude[500:700], [0.0, 0.0, 1.0, 0.0])
+    elif name == 'quaternion_order':
+        attitude = np.roll(attitude, 1, axis=1)
+    return replace(mocap, attitude=attitude), imu
+
+
+@pytest.mark.parametrize(('name', 'topic', 'text'), [
+    ('gyro_bias', '/imu', 'bias of'), ('gyro_scale', '/imu', 'times the angular velocity'),
+    ('gyro_saturation', '/imu', 'saturates at 0.9 rad/s'), ('degrees', '/imu', 'degrees per'),
+    ('frozen_attitude', '/mocap', 'from 8 s to 10.9'),
+    ('flipped_attitude', '/mocap', '200 of 2000 samples, first 5 s after the start: 180 degrees'),
+    ('quaternion_order', '/mocap', 'w, x, y, z')])
+def test_a_fault_of_a_sensor_is_named_with_the_sensor(name, topic, text):
+    cause, = against(truth(), broken(name)).causes
+    assert (cause.name, cause.topic, cause.explains) == (name, topic, True)
+    assert cause.text.startswith(f'{topic}: ')
+    assert text in cause.text
+
+
+@cache
+def wrong(name):
+    kind = replace(simulated.named(name), seconds=12.0)
+    one, = simulated.recordings(kind, [0])
+    measured = [Measured('/mocap', one.attitude_ns, one.attitude, None),
+                Measured('/imu', one.rate_ns, None, one.rates)]
+    return compare(RigidBody(simulated.INERTIA), State(0, *one.start),
+                   TorqueLog(one.torque_ns, one.torques), measured=measured)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', [
+    'weight', 'damping', 'torque bias', *at_night('rotor', 'payload dropped',
+                                                  'gains of all axes')])
+def test_a_fault_of_the_model_is_named(name):
+    cause, = wrong(name).causes
+    assert (cause.name, cause.topic) in [(one, '') for one in simulated.named(name).causes]
+    assert cause.explains
+    assert cause.unit == 'N m'
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'topic', 'degrees'), [
+    ('mount 30 degrees', '/mocap', 30.0), ('mount of the gyro 5 degrees', '/imu', 5.0)])
+def test_a_mounting_is_named_with_its_angle(name, topic, degrees):
+    cause, = wrong(name).causes
+    assert (cause.name, cause.topic) == ('constant_rotation', topic)
+    angle = float(cause.text.split('rotation: ')[1].split(' degrees')[0])
+    assert angle == pytest.approx(degrees, rel=0.02)
+
+
+@pytest.mark.parametrize('level', [0.1, 1.0, 10.0])
+@pytest.mark.parametrize('seed', [0, *at_night(*range(1, 10))])
+def test_a_perfect_model_names_nothing(level, seed):
+    assert against(truth(), sensors(level, seed, outliers=0.02 * (seed % 2))).causes == ()
+
+
+@pytest.mark.parametrize('torque', [0.0, 1e-4])
+def test_a_body_at_rest_is_not_in_degrees(torque):
+    random, times = np.random.default_rng(0), np.arange(1, 2001) * 10 ** 7
+    body, start = RigidBody(simulated.INERTIA), State(0)
+    motion = propagate(body, start, TorqueLog([0], [[torque, 0.0, 0.0]]), at=times,
+                       torque_timeout=0.0)
+    noise = Rotation.from_rotvec(1e-3 * random.normal(size=(2000, 3)))
+    measured = [Measured('/mocap', times, (motion.rotation * noise).as_quat(), None),
+                Measured('/imu', times, None,
+                         motion.angular_velocity + 1e-3 * random.normal(size=(2000, 3)))]
+    causes = compare(body, start, measured=measured).causes
+    assert [cause.name for cause in causes] == (['torque_bias'] if torque else [])
+
+
+def test_what_leaves_more_than_noise_only_reduces():
+    mocap, imu = sensors()
+    imu = replace(imu, angular_velocity=0.5 * imu.angular_velocity + 0.03)
+    cause, = against(truth(), [mocap, imu]).causes
+    assert (cause.name, cause.topic, cause.explains) == ('gyro_scale', '/imu', False)
+    assert 'more than its noise' in cause.evidence
+
+
+def test_each_sensor_has_its_own_clock_and_mounting():
+    turns = {'/mocap': np.radians(3.0) * np.array([0.6, -0.64, 0.48]),
+             '/imu': np.radians(30.0) * np.array([0.0, 0.6, -0.8])}
+    clocks = {'/mocap': 0.03, '/imu': -0.03}
+    measured = [sensors(clock=clocks[topic], mount=Rotation.from_rotvec(turn))[number]
+                for number, (topic, turn) in enumerate(turns.items())]
+    found = against(truth(), measured, align=['clock', 'mount'])
+    assert not found.causes
+    for one, (topic, turn) in zip(found.alignments, turns.items()):
+        assert abs(one.clock_offset_s - clocks[topic]) < 3.0 * one.sigma['clock_offset_s']
+        apart = so3.log(so3.multiply(so3.conjugate(so3.exp(turn)), one.mount))
+        assert np.linalg.norm(apart) < 3.0 * np.linalg.norm(one.sigma['mount_rad'])
+    as_dict = found.as_dict()
+    assert [*as_dict['alignments']] == ['/mocap', '/imu']
+    for name, value in as_dict['alignments']['/mocap'].items():
+        assert as_dict['alignment'][name] == value
+
+
+def test_one_sensor_can_be_aligned_alone():
+    mocap, imu = sensors()
+    turned = replace(imu, angular_velocity=Rotation.from_rotvec([0.3, 0.0, 0.0]).apply(
+        imu.angular_velocity, inverse=True))
+    found = against(truth(), [mocap, turned], align=['mount@/imu'])
+    assert found.alignments[0].as_dict()['mount_xyzw'] == [0.0, 0.0, 0.0, 1.0]
+    np.testing.assert_allclose(so3.log(found.alignments[1].mount), [0.3, 0.0, 0.0], atol=2e-3)
+    assert not found.causes
+    with pytest.raises(InputError, match='align: mount@/gps: expected a topic among /mocap, /imu'):
+        against(truth(), [mocap, imu], align=['mount@/gps'])
+
+
+def test_errors_that_the_start_explains_are_no_finding():
+    # A spin about the middle axis flips over and over: a change of the start grows as exp(t).
+    body, times = RigidBody.from_moments(1.0, 2.0, 3.0), np.arange(1, 6001) * 5 * 10 ** 7
+    start = State(0, angular_velocity=(1e-3, 1.0, 1e-3))
+    random = np.random.default_rng(3)
+    motion = propagate(body, start, at=times)
+    noise = Rotation.from_rotvec(1e-3 * random.normal(size=(6000, 3)))
+    measured = Measured('/mocap', times, (motion.rotation * noise).as_quat(), None)
+
+    def frozen(first):
+        attitude = measured.attitude.copy()
+        attitude[first:first + 100] = attitude[first]
+        return compare(body, start, measured=replace(measured, attitude=attitude), horizons=None)
+    found = frozen(3000)
+    assert found.as_dict()['attitude_error_rad']['max'] > 0.1
+    assert 5.0 < found.predictable_s < 30.0
+    assert found.causes == ()
+    assert [one.name for one in frozen(60).causes] == ['frozen_attitude']
+    assert [one.seconds for one in found.horizons] == [0.1, 1.0, 10.0]
+    assert compare(body, start, measured=replace(
+        measured, attitude=motion.attitude)).predictable_s is None
+
+
+def test_usual_horizons_are_those_that_the_measurement_has():
+    mocap, imu = sensors()
+    assert [one.seconds for one in against(truth(), mocap, horizons=None).horizons] == [
+        0.1, 1.0, 10.0]
+    coarse = mocap.rows(np.arange(0, 900, 20))
+    assert [one.seconds for one in against(truth(), coarse, horizons=None).horizons] == [1.0]
+    assert against(truth(), imu, horizons=None).horizons == ()

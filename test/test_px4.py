@@ -1,0 +1,163 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Logs of PX4 as recordings."""
+
+import json
+
+import numpy as np
+import px4
+import pytest
+from rigid_body_ros import messages, recording, scene
+from rigid_body_ros.commands import main
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.sensing.reading import read_measured
+from tumbling import INERTIA, Truth
+
+pytest.importorskip('pyulog')
+#: us; a log begins some time after boot.
+BOOT = 60_000_000
+GAINS = np.array([0.08, 0.05, 0.02])
+
+
+def logged(path, truth, gains=1.0, noise=(2e-3, 5e-3)):
+    """Write a log of a motion; what it publishes is 3 ms late."""
+    sensor = truth.measured(*noise)
+    stamps = (sensor.stamps_ns // 1000 + BOOT).tolist()
+    attitude = np.roll(sensor.attitude, 1, axis=1).tolist()
+    torques = (truth.torques / gains).tolist()
+    return px4.write(path, {
+        'vehicle_attitude': [(t + 3000, t, q) for t, q in zip(stamps, attitude)],
+        'vehicle_angular_velocity': [(t + 3000, t, w) for t, w in zip(
+            stamps, sensor.angular_velocity.tolist())],
+        'vehicle_torque_setpoint': [(t, t - 3000, tau) for t, tau in zip(
+            (truth.times // 1000 + BOOT).tolist(), torques)],
+        'battery_status': [(BOOT + 1, (12.0,))]})
+
+
+def scene_of(path, inertia=INERTIA):
+    names = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
+    rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+    path.write_text('\n'.join(['/**:', '  ros__parameters:', *(
+        f'    inertia.{name}: {float(inertia[row, column])!r}'
+        for name, row, column in zip(names, rows, columns))]))
+    return path
+
+
+def test_the_numbers_of_a_log_in_its_own_frames(tmp_path):
+    samples = [(1000 + 10 * k, 1000 + 10 * k - 7, vector) for k, vector in enumerate(
+        np.random.default_rng(0).normal(size=(20_000, 4)).astype(np.float32).tolist())]
+    path = px4.write(tmp_path / 'log.ulg', {
+        'vehicle_attitude': samples, ('vehicle_attitude', 1): samples[:5],
+        'vehicle_angular_velocity': [(*row[:2], row[2][:3]) for row in samples],
+        'vehicle_torque_setpoint': [(*row[:2], row[2][1:]) for row in samples]})
+    times, sampled = (1000 * np.array([row[k] for row in samples]) for k in (0, 1))
+    numbers = np.array([row[2] for row in samples])
+    attitude = recording.read(path, 'vehicle_attitude', messages.QUATERNION)
+    np.testing.assert_array_equal(attitude.values, numbers[:, [1, 2, 3, 0]])
+    np.testing.assert_array_equal(attitude.stamps_ns, sampled)
+    rates = recording.read(path, 'vehicle_angular_velocity', messages.VECTOR3, time_source='log')
+    np.testing.assert_array_equal(rates.values, numbers[:, :3])
+    np.testing.assert_array_equal(rates.stamps_ns, times)
+    torques = recording.read(path)
+    assert torques.topic == 'vehicle_torque_setpoint'
+    np.testing.assert_array_equal(torques.values, np.pad(numbers[:, 1:], ((0, 0), (3, 0))))
+    np.testing.assert_array_equal(torques.stamps_ns, times)
+    assert {*torques.names, *attitude.names, *rates.names} == {''}
+    assert len(read_measured(path, 'vehicle_attitude_1')) == 5
+
+
+def test_a_log_that_changes_is_read_again(tmp_path):
+    path = tmp_path / 'log.ulg'
+    for count in (5, 6):
+        px4.write(path, {'vehicle_torque_setpoint': [(k, k, (0.0, 0.0, 0.1 * k))
+                                                     for k in range(1, count)]})
+        assert len(recording.read(path)) == count - 1
+
+
+def test_a_time_of_sampling_that_is_not_set(tmp_path):
+    rows = [(k, 0, (0.0, 0.0, 0.0, 1.0)) for k in range(1, 6)]
+    path = px4.write(tmp_path / 'log.ulg', {'vehicle_attitude': rows})
+    np.testing.assert_array_equal(read_measured(path).stamps_ns, 1000 * np.arange(1, 6))
+
+
+def test_what_is_lost_is_reported(tmp_path):
+    rows = [(k, k, (0.0, 0.0, 0.0, 1.0)) for k in range(1, 6)]
+    path = px4.write(tmp_path / 'log.ulg', {'vehicle_attitude': rows},
+                     [px4.dropout(30), px4.dropout(12)])
+    assert read_measured(path).damage == f'{path}: 2 dropouts of the logger, together 42 ms'
+
+
+@pytest.mark.parametrize(('content', 'message'), [
+    (b'', 'expected a log of PX4 .ULog.: Invalid file format'),
+    (b'\x89MCAP0\r\n' + bytes(30), 'expected a log of PX4 .ULog.: Invalid file format'),
+    (b'ULog\x01\x12\x35\x01' + bytes(8), 'expected one topic of type .*, found none')])
+def test_a_bad_log_is_one_line(tmp_path, capsys, content, message):
+    path = tmp_path / 'log.ulg'
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as raised:
+        recording.read(path)
+    assert '\n' not in str(raised.value)
+    assert capsys.readouterr().out == ''
+
+
+def test_a_time_after_the_last_of_ros_is_one_line(tmp_path):
+    path = px4.write(tmp_path / 'log.ulg', {'vehicle_attitude': [
+        (5, 5, (0.0, 0.0, 0.0, 1.0)), (2 ** 63, 5, (0.0, 0.0, 0.0, 1.0))]})
+    with pytest.raises(InputError, match='vehicle_attitude: message 2: expected a time up to'):
+        read_measured(path)
+
+
+def test_a_log_without_its_reader_is_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(main.sys.modules, 'pyulog', None)
+    path = px4.write(tmp_path / 'log.ulg', {'vehicle_attitude': []})
+    assert main.attitude_replay([str(path), '--scene', str(scene_of(tmp_path / 's.yaml'))]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "attitude_replay: error: Python module 'pyulog' is not installed; "
+        'run python3 -m pip install pyulog')
+
+
+def test_the_gains_of_normalized_torques(tmp_path, capsys):
+    path = logged(tmp_path / 'log.ulg', Truth(), GAINS)
+    out, arguments = tmp_path / 'out.json', [str(path), '--scene', str(scene_of(
+        tmp_path / 'scene.yaml')), '--topic', 'vehicle_torque_setpoint', '--measured',
+        'vehicle_attitude', '--measured', 'vehicle_angular_velocity', '--json']
+    assert main.attitude_identify([*arguments, str(out), '--estimate', 'start,torque_gains']) == 0
+    estimates = json.loads(out.read_text())['estimates']
+    for axis, gain in zip('xyz', GAINS):
+        one = estimates[f'torque_gains.{axis}']
+        assert abs(one['value'] - gain) < 4.0 * one['sigma']
+    assert 'normalized' not in capsys.readouterr().err
+    assert main.attitude_identify([*arguments, str(tmp_path / 'b.json')]) == 4
+    assert f'{path}: the torques of a PX4 log are normalized, not in N m' in \
+        capsys.readouterr().err
+
+
+def test_a_log_is_replayed_and_compared(tmp_path, capsys):
+    truth = Truth()
+    path, fitted = logged(tmp_path / 'log.ulg', truth), tmp_path / 'fitted.yaml'
+    topics = ['--topic', 'vehicle_torque_setpoint']
+    measured = [*topics, '--measured', 'vehicle_attitude']
+    guess = scene_of(tmp_path / 'guess.yaml', 1.2 * np.diag(np.diag(INERTIA)))
+    assert main.attitude_identify([str(path), '--scene', str(guess), *measured, '-o',
+                                   str(fitted)]) == 0
+    np.testing.assert_allclose(scene.load(fitted).body.inertia, INERTIA, atol=3e-4)
+    assert main.attitude_compare([str(path), '--scene', str(fitted), *measured, '--check']) == 0
+    motion = tmp_path / 'motion.mcap'
+    assert main.attitude_replay([str(path), '--scene', str(fitted), *topics, '-o', str(motion),
+                                 '--rate', '50']) == 0
+    assert len(read_measured(motion, '/attitude')) == 1001
+    assert main.attitude_compare([str(path), '--scene', str(fitted), *measured, '--motion',
+                                  str(motion)]) == 0
+    assert capsys.readouterr().err.count('normalized') == 4
