@@ -14,6 +14,8 @@
 
 """The node `attitude_monitor`: what it publishes, and what it says of its inputs."""
 
+from functools import partial
+import json
 import os
 import signal
 import subprocess
@@ -29,6 +31,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rigid_body_ros import messages, scene
+from rigid_body_ros.commands import main
+from rigid_body_ros.recording import Writer
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
 from rigid_body_ros.sensing.reading import sample
 from rosgraph_msgs.msg import Clock
@@ -121,8 +125,8 @@ class Session:
         for topic, (_, kind) in TOPICS.items():
             name = 'torques' if topic == '/torque' else f'measured {topic}'
             data = kind.encode(BEGIN_NS, 'nowhere', np.zeros(kind.doubles))
-            self.wait(lambda: self.publishers[topic].publish(data)
-                      or self.values(name)['rejected: unknown frame'])
+            publish = partial(self.publishers[topic].publish, data)
+            self.wait(partial(self.is_heard, name, publish))
         self.received = self.count()
 
     def wait(self, condition):
@@ -131,6 +135,11 @@ class Session:
             assert self.process.poll() is None, 'the monitor has ended'
             assert time.monotonic() < until, 'nothing happens'
             self._executor.spin_once(timeout_sec=0.1)
+
+    def is_heard(self, name, publish):
+        """Return whether a message has arrived; publish another."""
+        publish()
+        return self.values(name)['rejected: unknown frame']
 
     def count(self):
         """Return how many messages have arrived."""
@@ -143,16 +152,16 @@ class Session:
             if not number % 20:
                 self.set_clock(stamp_ns)
             self.publishers[topic].publish(data)
-            self.wait(lambda: self.judged_ns() > stamp_ns - 6 * SECOND)
+            self.wait(partial(self.has_judged, stamp_ns - 4 * SECOND))
         self.set_clock(found[-1][0])
         # Some of those before may have been on their way.
         self.received += len(found)
         self.wait(lambda: self.count() >= self.received)
 
-    def judged_ns(self):
-        """Return the end of the last window."""
+    def has_judged(self, time_ns):
+        """Return whether a window that ends after a time has been judged."""
         errors = self.errors['rate_error']
-        return messages.VECTOR3.decode(errors[-1]).stamp_ns if errors else BEGIN_NS
+        return (messages.VECTOR3.decode(errors[-1]).stamp_ns if errors else BEGIN_NS) > time_ns
 
     def set_clock(self, stamp_ns):
         clock = Clock()
@@ -171,6 +180,20 @@ class Session:
     def stop(self):
         self.process.send_signal(signal.SIGINT)
         return self.process.wait(PATIENCE)
+
+
+def compared(folder, found):
+    """Return what attitude_compare says of a recording of the same messages."""
+    with Writer(folder / 'flight.mcap') as writer:
+        for topic, (_, kind) in TOPICS.items():
+            writer.add_topic(topic, kind)
+        for stamp_ns, topic, data in found:
+            writer.write(topic, stamp_ns, data)
+    assert not main.attitude_compare([
+        str(folder / 'flight.mcap'), '--scene', str(folder / 'scene.yaml'), '--measured', '/mocap',
+        '--measured', '/gyro', '--horizon', '2', '--json', str(folder / 'found.json')])
+    horizon, = json.loads((folder / 'found.json').read_text())['horizons']
+    return horizon['monitor']
 
 
 def expected(session, found):
@@ -199,6 +222,9 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
             assert [one.stamp_ns for one in published] == [one.error.end_ns for one in twin]
             np.testing.assert_array_equal([one.values for one in published],
                                           [getattr(one.error, name) for one in twin])
+        twin = compared(tmp_path, found)[:len(twin)]
+        assert [one['rate_error_rad_s'] for one in twin] == [
+            one.values.tolist() for one in published]
         session.wait(lambda: session.status('model').message.startswith('the model explains'))
         assert session.status('model').level == b'\x00'
         assert session.stop() == 0
@@ -224,7 +250,7 @@ def test_a_wrong_torque_is_found_and_a_silent_sensor_is_said_to_be_silent(tmp_pa
         assert session.stop() == 0
 
 
-@pytest.mark.parametrize('line, words', [
+@pytest.mark.parametrize(('line', 'words'), [
     ('monitor.rate_noise:=0.0', 'monitor.rate_noise: expected the standard deviation'),
     ('inertia_topic:=true', 'inertia_topic: expected false')])
 def test_a_scene_that_cannot_be_checked_is_an_error_of_one_line(tmp_path, domain, line, words):
@@ -232,4 +258,5 @@ def test_a_scene_that_cannot_be_checked_is_an_error_of_one_line(tmp_path, domain
     result = subprocess.run([*session._command, '-p', line], env=session._environment, check=False,
                             capture_output=True, text=True, timeout=PATIENCE)
     assert result.returncode == 2
-    assert words in result.stderr and len(result.stderr.splitlines()) == 1
+    assert words in result.stderr
+    assert len(result.stderr.splitlines()) == 1

@@ -63,8 +63,8 @@ NAME = 'attitude_monitor'
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: s; period of the search for windows that are over, and that of diagnostics.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
-#: s; a topic that was heard within so long, and `history`, may have messages that wait.
-_PATIENCE = 1.0
+#: s; how long to wait for a topic that is behind others by more than `history`.
+_PATIENCE = 2.0
 #: s; how far a stamp may be ahead of simulated time.
 _OVERTAKING = 60.0
 #: Number of the first measured topic as a source of diagnostics; torques have lower ones.
@@ -137,7 +137,8 @@ class AttitudeMonitor(Node):
         #: By number of the source: the newest stamp, ns, and when it was heard, s, monotonic.
         self._newest_ns: dict[int, int] = {}
         self._heard_at: dict[int, float] = {}
-        self._begun_at = time.monotonic()
+        #: Since when a topic is behind others by more than `history`, s, monotonic clock.
+        self._behind_at: dict[int, float] = {}
 
     def _subscribe(self, source: TorqueTopic, kind: type, on_message: Any) -> None:
         drain = DrainCallback(partial(self._on_message, source.number, on_message), lambda: None,
@@ -150,6 +151,7 @@ class AttitudeMonitor(Node):
 
     def _on_message(self, source: int, handle: Any, data: bytes, sender: Sender) -> None:
         self._diagnostics.count(RECEIVED, source)
+        self._heard_at[source] = time.monotonic()
         try:
             now_ns = self._now_ns()
             if not now_ns:
@@ -165,7 +167,6 @@ class AttitudeMonitor(Node):
                                     f'when a message was newer than its end by history '
                                     f'({self._scene.history:g} s)')
             self._newest_ns[source] = max(self._newest_ns.get(source, 0), stamp_ns)
-            self._heard_at[source] = time.monotonic()
             self._diagnostics.count(APPLIED, source)
         except RejectedError as rejected:
             self._diagnostics.reject(rejected, source)
@@ -187,7 +188,7 @@ class AttitudeMonitor(Node):
             raise RejectedError(NOT_FINITE, 'expected a finite attitude or angular velocity, '
                                 'found neither')
         return message.stamp_ns, lambda stamp_ns: self._monitor.measure(
-            self._sources[source].topic, stamp_ns, attitude, rate)
+            self.resolve_topic_name(self._sources[source].topic), stamp_ns, attitude, rate)
 
     def _check_frame(self, kind: messages.MessageType, message: messages.Stamped) -> None:
         space, body = self._scene.space_frame, self._scene.body_frame
@@ -219,13 +220,18 @@ class AttitudeMonitor(Node):
             self._report(self._problems(), now_ns)
 
     def _complete_ns(self, now: float) -> int:
-        """Return up to when the messages of all topics that send have arrived, ns."""
-        # After a pause of the process, those of one topic may wait behind those of another.
-        patience = _PATIENCE + self._scene.history
-        sending = [number for number in self._drains
-                   if now < self._heard_at.get(number, self._begun_at) + patience]
-        return min((self._newest_ns.get(number, 0) for number in sending),
-                   default=self._monitor.newest_ns)
+        """Return up to when the messages of all topics but silent ones have arrived, ns."""
+        newest_ns = self._monitor.newest_ns
+        until_ns, waiting = newest_ns - duration_ns(self._scene.history, 'history'), [newest_ns]
+        for number in self._drains:
+            if self._newest_ns.get(number, 0) >= until_ns:
+                self._behind_at.pop(number, None)
+                continue
+            # After a pause of the process, its messages may wait behind those of other topics.
+            behind_at = self._behind_at.setdefault(number, now)
+            if now < max(behind_at, self._heard_at.get(number, behind_at)) + _PATIENCE:
+                waiting.append(self._newest_ns.get(number, 0))
+        return min(waiting)
 
     def _publish(self, judgement: Judgement) -> None:
         error, body = judgement.error, self._scene.body_frame

@@ -23,10 +23,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.sensing.windows import Noise, WindowError
 
 OK, WARN, ERROR = range(3)
@@ -67,6 +67,15 @@ class Judgement(NamedTuple):
     windows: int
     axis: str
     since_ns: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as JSON types; units are in the names."""
+        error = self.error
+        return {'end_ns': error.end_ns, 'level': ('OK', 'WARN', 'ERROR')[self.level],
+                'sigma': self.sigma, 'windows': self.windows, 'axis': self.axis,
+                'attitude_error_rad': as_json(error.attitude),
+                'rate_error_rad_s': as_json(error.rate),
+                'residual_torque_N_m': as_json(error.torque), 'outliers': error.outliers}
 
 
 @dataclass

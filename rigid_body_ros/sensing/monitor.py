@@ -17,10 +17,11 @@
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics.state import State
@@ -33,6 +34,8 @@ from rigid_body_ros.sensing.windows import window_error
 
 #: What a topic does not measure.
 _NO_ATTITUDE, _NO_RATE = np.full(4, np.nan), np.full(3, np.nan)
+#: ns; of a recording, how much is taken at a time, and the first time.
+_PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
 
 
 class Settings(NamedTuple):
@@ -52,6 +55,11 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
     """Return the settings among the parameters of a scene."""
     return Settings(values['monitor.window'], values['history'],
                     *(values[f'monitor.{name}'] for name in Settings._fields[2:]))
+
+
+def is_stated(values: Mapping[str, Any]) -> bool:
+    """Return whether the parameters of a scene state the noise of the measurements."""
+    return bool(values['monitor.attitude_noise'] and values['monitor.rate_noise'])
 
 
 class Monitor:
@@ -169,6 +177,45 @@ class Monitor:
     def _noise(self, topic: str) -> tuple[NoiseLevel, NoiseLevel]:
         return self.noises.setdefault(topic, (NoiseLevel(self._settings.attitude_noise),
                                               NoiseLevel(self._settings.rate_noise)))
+
+
+def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
+              ) -> Iterator[Judgement]:
+    """
+    Judge a recorded motion as a live check of its torques and measurements does.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its torques are held between samples.
+    sensors : sequence of Measured
+        In the axes of the body and the time of the torques.
+    settings : Settings
+        Its window and its noise.
+
+    """
+    monitor, begin_ns = Monitor(problem, settings), _EARLIEST_NS
+    logs = dict(enumerate(problem.logs)) | ({WHEELS: problem.wheels} if problem.wheels else {})
+    first_ns = min(int(sensor.stamps_ns[0]) for sensor in sensors)
+    last_ns = max(int(sensor.stamps_ns[-1]) for sensor in sensors)
+    for end_ns in range(first_ns + _PIECE_NS, last_ns + _PIECE_NS + 1, _PIECE_NS):
+        for source, log in logs.items():
+            rows = _between(log.times_ns, begin_ns, end_ns)
+            for time_ns, torque, in_space in zip(log.times_ns[rows].tolist(), log.torques[rows],
+                                                 log.in_space[rows]):
+                monitor.apply(time_ns, torque, 'space' if in_space else 'body', source)
+        for sensor in sensors:
+            part = sensor.rows(_between(sensor.stamps_ns, begin_ns, end_ns))
+            for row, time_ns in enumerate(part.stamps_ns.tolist()):
+                monitor.measure(sensor.topic, time_ns, *(
+                    None if values is None else values[row]
+                    for values in (part.attitude, part.angular_velocity)))
+        begin_ns = end_ns
+        yield from monitor.judgements(end_ns)
+
+
+def _between(times_ns: NDArray[np.int64], begin_ns: int, end_ns: int) -> slice:
+    return slice(*np.searchsorted(times_ns, [begin_ns, end_ns]).tolist())
 
 
 class _Rows:
