@@ -83,11 +83,11 @@ PUBLISHED = [
           'frame.'),
     Topic('angular_velocity', VECTOR3, STATE, 'rad/s, body axes; in the body frame.'),
     Topic('imu/data', 'sensor_msgs/msg/Imu', STATE,
-          'Attitude and angular velocity with one stamp; no acceleration '
-          '(`linear_acceleration_covariance[0]` is -1); in the body frame.'),
+          'Attitude and angular velocity with one stamp, with the errors that `imu.*` states; no '
+          'acceleration (`linear_acceleration_covariance[0]` is -1); in the body frame.'),
     Topic('odometry', ODOMETRY, STATE,
-          'Attitude and angular velocity, at position zero, for rviz and controllers; space frame '
-          'to body frame.'),
+          'Attitude and angular velocity, at position zero, for rviz and controllers, with the '
+          'covariances that `odometry.*` states; space frame to body frame.'),
     Topic('~/accepted_torque', WRENCH, LOG,
           'Every accepted torque, about the centre of mass, with the stamp from which it acts. '
           'Together with the scene it is the log of the run. Each epoch, the first of a process '
@@ -329,6 +329,49 @@ attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
 
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
 `torques_2` and so on for the others, and `wheel torques`.
+
+### An IMU with errors
+
+By default `imu/data` is exact. The parameters `imu.*` give it errors; all other topics stay exact:
+
+* `imu.gyro_noise_density` N: white noise of the angular velocity. At 100 Hz these are independent
+  numbers with the standard deviation N * sqrt(100 Hz) on each axis.
+* `imu.gyro_random_walk` K: a bias that wanders. After T seconds it has moved by K * sqrt(T)
+  (standard deviation).
+* `imu.gyro_bias`: a constant bias.
+* `imu.attitude_noise`: a small rotation, another one every millisecond. Each component of its
+  rotation vector in body axes has this standard deviation.
+* `imu.delay`: the motion from this long before the stamp, as of a driver that stamps on arrival;
+  in the first moments, the start state. [attitude_identify](identify.md) finds it, as a negative
+  `clock_offset`.
+
+N and K are the numbers of data sheets. The Allan deviation of the angular velocity is N / sqrt(T)
+for short and K * sqrt(T / 3) for long averaging times T.
+
+**The noise is a function of `imu.seed` and of the stamp, and of nothing else.** A live node, a
+lockstep loop and `attitude_replay --also imu` write the same bits at the same stamps, on every
+machine, in whatever order torques arrive. Two rates of publication have the same noise at common
+stamps, and an epoch that begins again at the same stamps repeats it. To achieve this
+
+* the gyro takes 1000 samples a second, and an output is the mean of the last ten: its noise is
+  white up to 100 Hz, whatever `publish_rate`, `step` or `--rate` is. At higher rates neighbours
+  share samples, and the density stays the same. At lower rates the outputs are every second, or
+  every tenth, of a sensor at 100 Hz: their standard deviation stays the same, so their density is
+  higher, as with every sensor that is read more slowly than its bandwidth;
+* the bias is zero at the stamp 0, and again every 2^25 ms (9.3 hours). In between it is a random
+  walk, conditional on that. With stamps of simulated time it begins at `imu.gyro_bias`. With those
+  of a wall clock it is on its way, as in a sensor that was switched on hours ago: 75 K in rad/s
+  (root mean square).
+
+The covariances of `imu/data` are those of the noise: on the diagonals `imu.attitude_noise`^2 and
+N^2 * 100 Hz. The bias is not in them, because it is no noise: estimators have a state for it.
+Without noise they are zero, which means unknown.
+
+`odometry` is exact. For estimators, which need covariances, `odometry.attitude_variance` and
+`odometry.rate_variance` put a variance on the diagonals: of the attitude, in the pose, and of the
+angular velocity, in the twist (body axes). Position and linear velocity, which are always zero,
+then have the variance 1e6 (m^2, m^2/s^2), so that no estimator trusts them. `~/committed` has no
+covariances.
 
 ### Inertia from robot_state_publisher
 

@@ -107,7 +107,8 @@ def test_odometry_carries_attitude_and_body_rates():
 
 def test_an_imu_measures_attitude_and_body_rates_and_no_acceleration():
     state = State(STAMP_NS, (0.5, -0.5, 0.5, 0.5), (1.0, 2.0, 3.0))
-    message = STORE.deserialize_cdr(messages.imu(state, 'base_link'), 'sensor_msgs/msg/Imu')
+    message = STORE.deserialize_cdr(messages.imu(STAMP_NS, 'base_link', state),
+                                    'sensor_msgs/msg/Imu')
     assert message.header.frame_id == 'base_link'
     assert doubles(message.orientation) == [0.5, -0.5, 0.5, 0.5]
     assert doubles(message.angular_velocity) == [1.0, 2.0, 3.0]

@@ -31,10 +31,11 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import Scene
 
 _FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
-#: Parameters of a scene that do not change its motion under given torques.
+#: Parameters of a scene, and groups of them, that do not change its motion under given torques.
 _OTHERS = frozenset([
-    'checkpoint', 'euler_sequence', 'history', 'max_future', 'mode', 'on_time_jump',
-    'publish_clock', 'publish_rate', 'publish_tf', 'stale_after', 'step', 'time_source'])
+    'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'mode', 'odometry',
+    'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf', 'stale_after', 'step',
+    'time_source'])
 #: Characters of a longer text, such as that of a URDF, are replaced by their hash.
 _LONGEST_TEXT = 200
 
@@ -171,7 +172,8 @@ def _defining(scene: Scene) -> dict[str, Any]:
     """Return the parameters of a scene that define its motion; long texts as their hashes."""
     return {name: f'sha256 {hashlib.sha256(value.encode()).hexdigest()}'
             if isinstance(value, str) and len(value) > _LONGEST_TEXT else value
-            for name, value in scene.values.items() if name not in _OTHERS}
+            for name, value in scene.values.items()
+            if name.partition('.')[0] not in _OTHERS}
 
 
 def _identity(path: Path) -> tuple[int, int, int] | None:

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Propagator
@@ -43,18 +44,17 @@ class Epoch:
     def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
         self.start, self._timeout_ns = start, scene.timeout_ns
         self._body, self._keep = scene.body, scene.inertia_change
+        #: How much older than the newest stamp a torque may be, ns.
+        self.history_ns = max(1, duration_ns(scene.history, 'history'))
+        # The IMU has earlier states.
         self._propagator = Propagator(scene.body, start, fields=scene.fields_from(start.time_ns),
-                                      **asdict(scene.options), history=scene.history)
+                                      **asdict(scene.options),
+                                      history=scene.history + scene.imu.delay)
         self._committed_ns = start.time_ns
         #: Source and stamp of the torques of the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}
         for torque in torques:
             self._put(torque)
-
-    @property
-    def history_ns(self) -> int:
-        """Return how much older than the newest stamp a torque may be, ns."""
-        return self._propagator.history_ns
 
     @property
     def newest_ns(self) -> int | None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 import time
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import (
@@ -41,6 +41,13 @@ from rigid_body_ros.scene import Scene
 LOG_DEPTH = 10_000
 #: s; how long computing the last states of an epoch may take.
 _END_BUDGET = 0.2
+
+
+class Snapshot(NamedTuple):
+    """What is published of a time: the state, and the earlier one that the IMU measures then."""
+
+    state: State
+    sensed: State
 
 
 class RunLog(Protocol):
@@ -83,6 +90,7 @@ class Run:
 
     def __init__(self, scene: Scene, log: RunLog, events: Events) -> None:
         self._scene, self._sink, self._events = scene, log, events
+        self._delay_ns = scene.imu.delay_ns
         self.epoch: Epoch | None = None
         self.committed: State | None = None
         #: Final states that are not logged yet.
@@ -159,6 +167,14 @@ class Run:
             self._events.event(NOT_COMPUTABLE,
                                f'cannot compute the state at {time_ns} ns: {error}')
             return None
+
+    def snapshot(self, time_ns: int, until: float) -> Snapshot | None:
+        """Return what to publish of a time, or None, with the arguments and errors of `state`."""
+        state = sensed = self.state(time_ns, until)
+        if state is not None and self._delay_ns:
+            start_ns = self._present().start.time_ns
+            sensed = self.state(max(time_ns - self._delay_ns, start_ns), until)
+        return None if state is None or sensed is None else Snapshot(state, sensed)
 
     def last_state(self, time_ns: int) -> State | None:
         """Return the state at a time, or None if it takes too long or cannot be computed."""

@@ -36,6 +36,7 @@ from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.closed_loop import DuplicateFilter, RepublishPolicy
 from rigid_body_ros.live.events import APPLIED, DIFFERS, FUTURE, RejectedError, REPLACED, STALE
 from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.live.run import Snapshot
 from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.clocks import ClockMonitor
@@ -71,9 +72,9 @@ class Lockstep(Mode):
         #: Whether torques wait in the queue until this is false again.
         self._is_paused = False
         saved = self._checkpoint and self._checkpoint.start
-        #: The state that waits for a torque, the start state, and since when it waits, s.
-        self._latest = self._start = saved or self.run.initial(self._given_start_ns)
-        self._since = time.monotonic()
+        self._start = saved or self.run.initial(self._given_start_ns)
+        #: The state that waits for a torque, and since when it waits, s.
+        self._latest, self._since = Snapshot(self._start, self._start), time.monotonic()
         #: The stamp of the state that waited for a torque when the motion was reset.
         self._stale_ns: int | None = None
         if saved or self._given_start_ns:
@@ -126,14 +127,14 @@ class Lockstep(Mode):
         """
         torques = self.run.torques_since(state.time_ns) if state.time_ns else []
         state = self.run.with_rotor_momentum(
-            state, state.time_ns or self._latest.time_ns, self._start)
+            state, state.time_ns or self._latest.state.time_ns, self._start)
         if state.time_ns:
             self._begin(state, torques)
         else:
             self.end()
             self._start = state
         self._clear_duplicates()
-        self._publish(self._start, self._start)
+        self._publish_start()
         begin = f'{state.time_ns} ns' if state.time_ns else 'the stamp of the next torque'
         return f'initial_state received: a new epoch begins at {begin}'
 
@@ -145,13 +146,13 @@ class Lockstep(Mode):
             self._begin(self._start)
         self._clear_duplicates()
         # The torque that responds to this state may be in transit.
-        self._stale_ns = self._latest.time_ns
-        self._publish(self._start, self._start)
+        self._stale_ns = self._latest.state.time_ns
+        self._publish_start()
         return 'reset to the initial state; waiting for the first torque'
 
     def now_ns(self) -> int:
         """Return the stamp to which the latest state is the response, ns: the time of the loop."""
-        return max(0, self._latest.time_ns - self._step_ns)
+        return max(0, self._latest.state.time_ns - self._step_ns)
 
     def problems(self) -> dict[int, list[str]]:
         """Return the present problems by source; those of the loop are of the first."""
@@ -168,7 +169,7 @@ class Lockstep(Mode):
                 problems[source].append(
                     f'{self._torques[source].topic_name}: no torque for {silence:.0f} s: the '
                     'controller has not responded to the state at '
-                    f'{self._latest.time_ns} ns')
+                    f'{self._latest.state.time_ns} ns')
         return problems
 
     def _stalls(self) -> list[str]:
@@ -182,14 +183,14 @@ class Lockstep(Mode):
 
     def _awaited(self) -> list[int]:
         """Return the sources whose torques the state waits for, all if none has a publisher."""
-        return self._missing(self._latest.time_ns, self._torques) or [
+        return self._missing(self._latest.state.time_ns, self._torques) or [
             source for source in self._torques if source != BODY]
 
     def stamp(self) -> Time:
         """Return the present time; if this node publishes /clock, the time published last."""
         if self._clock is None:
             return self._node.get_clock().now().to_msg()
-        return _time(self._latest.time_ns)
+        return _time(self._latest.state.time_ns)
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._is_paused = request.data
@@ -249,35 +250,40 @@ class Lockstep(Mode):
     def _respond(self, torque: Torque, until: float) -> None:
         if torque.source == BODY or not self._is_due(torque):
             return
-        state = self.run.state(torque.stamp_ns + self._step_ns, until)
-        if state is None:
+        snapshot = self.run.snapshot(torque.stamp_ns + self._step_ns, until)
+        if snapshot is None:
             self._refuse(torque)
             return
-        self._publish(state, max(state, self._latest, key=lambda state: state.time_ns))
+        self._publish(snapshot, max(snapshot, self._latest, key=lambda one: one.state.time_ns))
         for duplicates in self._duplicates.values():
             duplicates.responded(torque)
 
     def _refuse(self, torque: Torque) -> None:
         self._duplicates[torque.source].discard(torque)
 
-    def _publish(self, state: State, latest: State) -> None:
+    def _publish_start(self) -> None:
+        start = Snapshot(self._start, self._start)
+        self._publish(start, start)
+
+    def _publish(self, snapshot: Snapshot, latest: Snapshot) -> None:
         self._latest, self._since = latest, time.monotonic()
-        if state.time_ns == self._stale_ns:  # the new motion has reached the same time
+        if snapshot.state.time_ns == self._stale_ns:  # the new motion has reached the same time
             self._stale_ns = None
-        self._send(state, is_repeated=False)
+        self._send(snapshot, is_repeated=False)
 
     def _republish(self) -> None:
         if self._republishing.is_due(*self._connected()) and not self.waiting.total():
             self._send(self._latest, is_repeated=True)
 
-    def _send(self, state: State, is_repeated: bool) -> None:
+    def _send(self, snapshot: Snapshot, is_repeated: bool) -> None:
+        time_ns = snapshot.state.time_ns
         if self._clock is not None:
-            self._clock.publish(Clock(clock=_time(state.time_ns)))
-        self._outputs.publish(state)
+            self._clock.publish(Clock(clock=_time(time_ns)))
+        self._outputs.publish(snapshot)
         self._republishing.published(is_repeated)
         if self._republishing.has_controller or self.run.epoch is not None:
             for duplicates in self._duplicates.values():
-                duplicates.published(state.time_ns)
+                duplicates.published(time_ns)
 
     def _clear_duplicates(self) -> None:
         for duplicates in self._duplicates.values():

@@ -32,7 +32,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.live.events import UNSENT
 from rigid_body_ros.live.inputs import Torque
-from rigid_body_ros.live.run import LOG_DEPTH
+from rigid_body_ros.live.run import LOG_DEPTH, Snapshot
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
@@ -65,23 +65,26 @@ class Publishers:
         self._node, self._diagnostics = node, diagnostics
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
-        #: The publisher of each topic, and how it encodes a state.
-        self._states: list[tuple[Publisher, Callable[[State], bytes]]] = [
-            (self._publisher(QuaternionStamped, 'attitude'), lambda state: (
+        imu, variances = scene.imu, scene.odometry_variances
+        #: The publisher of each topic, and how it encodes the two states of a snapshot.
+        self._states: list[tuple[Publisher, Callable[[State, State], bytes]]] = [
+            (self._publisher(QuaternionStamped, 'attitude'), lambda state, _: (
                 messages.QUATERNION.encode(state.time_ns, space, state.attitude))),
-            (self._publisher(Vector3Stamped, 'euler_angles'), lambda state: (
+            (self._publisher(Vector3Stamped, 'euler_angles'), lambda state, _: (
                 messages.VECTOR3.encode(state.time_ns, space,
                                         euler.from_quaternion(state.attitude, sequence)))),
-            (self._publisher(Vector3Stamped, 'angular_velocity'), lambda state: (
+            (self._publisher(Vector3Stamped, 'angular_velocity'), lambda state, _: (
                 messages.VECTOR3.encode(state.time_ns, body, state.angular_velocity))),
-            (self._publisher(Imu, 'imu/data'), lambda state: messages.imu(state, body)),
-            (self._publisher(Odometry, 'odometry'), lambda state: (
-                messages.odometry(state, space, body)))]
+            (self._publisher(Imu, 'imu/data'), lambda state, sensed: (
+                messages.imu(state.time_ns, body, sensed, imu))),
+            (self._publisher(Odometry, 'odometry'), lambda state, _: (
+                messages.odometry(state, space, body, *variances)))]
         if scene.wheels:
-            self._states.append((self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state: (
-                messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum))))
+            self._states.append((
+                self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state, _: (
+                    messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum))))
         if scene.publish_tf:
-            self._states.append((self._publisher(_transform_type(), '/tf'), lambda state: (
+            self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, _: (
                 messages.transform(state, space, body))))
         #: By number of the source.
         self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)
@@ -99,11 +102,11 @@ class Publishers:
         """Return the number of connected subscriptions to states."""
         return sum(publisher.get_subscription_count() for publisher, _ in self._states)
 
-    def publish(self, state: State) -> None:
-        """Publish a state on every topic that has a subscription."""
+    def publish(self, snapshot: Snapshot) -> None:
+        """Publish a snapshot on every topic that has a subscription."""
         for publisher, encode in self._states:
             if publisher.get_subscription_count():
-                self._send(publisher, encode(state))
+                self._send(publisher, encode(*snapshot))
 
     def begin_log(self, start: State) -> None:
         """Mark in the logs of torques that an epoch begins with a state."""

@@ -274,7 +274,7 @@ class Realtime(Mode):
         self._deferred_ns = time_ns if self._current or self._queue else 0
         began = time.monotonic()
         try:
-            state = self.run.state(time_ns, began + BUDGET)
+            snapshot = self.run.snapshot(time_ns, began + BUDGET)
         except TimeoutError as error:
             self._miss_deadline(error)
             self._deferred_ns = time_ns
@@ -284,8 +284,8 @@ class Realtime(Mode):
             return
         now = time.monotonic()
         self._overdue_at = now + 1.0 / self._rate + 2.0 * (now - began)
-        if state is not None:
-            self._outputs.publish(state)
+        if snapshot is not None:
+            self._outputs.publish(snapshot)
 
     def _miss_deadline(self, error: TimeoutError) -> None:
         self._diagnostics.event(MISSED, 'cannot keep up: the body spins too fast, or late torques '

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels
-from rigid_body_ros.messages import MessageType
+from rigid_body_ros.messages import JointCommands, MessageType, Stamped
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
@@ -117,6 +117,8 @@ class Decoded(NamedTuple):
 
 def decode(kind: MessageType, raw: Raw) -> Decoded:
     """Return the contents of messages; raise BadMessageError at the first invalid one."""
+    if isinstance(kind, JointCommands):  # names of joints before each list
+        return _decode_each(kind, raw)
     count = len(raw.starts)
     stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
     texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
@@ -140,3 +142,18 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
         raise BadMessageError(row, str(error)) from error
     longer = int(np.sum(after > len(kind.after_doubles) + _PADDING))
     return Decoded(stamps, codes, [*names], bits.view(np.float64), longer)
+
+
+def _decode_each(kind: JointCommands, raw: Raw) -> Decoded:
+    """Return the contents of messages that the compiled loop does not know."""
+    found: list[Stamped] = []
+    names: dict[str, int] = {}
+    for row in range(len(raw.starts)):
+        try:
+            found.append(kind.decode(raw.message(row)))
+        except ValueError as error:
+            raise BadMessageError(row, str(error)) from error
+    frames = [names.setdefault(message.frame_id, len(names)) for message in found]
+    return Decoded(np.array([message.stamp_ns for message in found], np.int64),
+                   np.array(frames, np.intp), [*names],
+                   np.array([message.values for message in found]).reshape(-1, kind.doubles))

@@ -38,6 +38,8 @@ from rigid_body_ros.recording import NotInOrderError, Stream
 from rigid_body_ros.replay.gaps import announce, computing_time, Gaps
 from rigid_body_ros.scene import Scene
 
+#: Names of the additional topics that can be written.
+IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
 #: Largest number of outputs in a batch.
 _LARGEST = 2 ** 16
 #: Largest number of outputs of a replay; more would fill the disk.
@@ -57,6 +59,11 @@ class Request:
     #: Returns what takes each batch besides the output; None for nothing.
     collect: Callable[[], Collector] | None = None
 
+    @property
+    def sensor_delay_ns(self) -> int:
+        """Return how much earlier than its stamps the IMU measures the motion, ns."""
+        return self.scene.imu.delay_ns if IMU in self.also else 0
+
 
 class Collector(Protocol):
     """Takes each batch of a motion."""
@@ -66,10 +73,15 @@ class Collector(Protocol):
 
 
 class Batch(NamedTuple):
-    """A part of the motion, its piece of the torques, and the wall time to compute it, s."""
+    """
+    A part of the motion, its piece of the torques, and the wall time to compute it, s.
+
+    `sensed` is what the IMU measures at the times of the trajectory: the motion, or that earlier.
+    """
 
     problem: Problem
     trajectory: Trajectory
+    sensed: Trajectory
     seconds: float
 
     @property
@@ -109,11 +121,12 @@ class Batches:
         self._changes = changes
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
+        self._delay_ns = request.sensor_delay_ns
         stamps = [int(stream.piece.times_ns[0]) for stream in streams
                   if len(stream.piece.times_ns)]
         self.first_ns = min(stamps, default=start.time_ns)
-        #: The motion, and those with the other interpolations, which are removed if the body spins
-        #: too fast; none before the first piece.
+        #: The motion, that which a late IMU measures, and those with the other interpolations,
+        #: which are removed if the body spins too fast; none before the first piece.
         self._motions: dict[str, Integration] = {}
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
         self._alternatives = names
@@ -176,13 +189,18 @@ class Batches:
             self._thread = Thread(target=self._advance_alternatives, daemon=True,
                                   args=(others, until_ns, times_of(numbers[-1:]), limits))
             self._thread.start()
+            # If it measures the motion late, all torques are one piece.
+            earlier = self._continued(IMU, logs) if self._delay_ns else None
             for first in range(0, max(len(numbers), 1), _LARGEST):
-                trajectory = motion.advance(
-                    times_of(numbers[first:first + _LARGEST]),
-                    until_ns if first + _LARGEST >= len(numbers) else None)
+                times_ns = times_of(numbers[first:first + _LARGEST])
+                trajectory = sensed = motion.advance(
+                    times_ns, until_ns if first + _LARGEST >= len(numbers) else None)
+                if earlier:
+                    sensed = earlier.advance(
+                        np.maximum(times_ns - self._delay_ns, self.start.time_ns))
                 if trajectory.times_ns.size:
                     self._speed = _speed(trajectory.angular_velocity[-1])
-                yield Batch(motion.problem, trajectory, time.perf_counter() - began)
+                yield Batch(motion.problem, trajectory, sensed, time.perf_counter() - began)
                 began = time.perf_counter()
         except InputError:
             raise

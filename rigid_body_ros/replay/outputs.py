@@ -23,17 +23,14 @@ from pathlib import Path
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column
 from rigid_body_ros.replay import markers
-from rigid_body_ros.replay.batches import Request
+from rigid_body_ros.replay.batches import Batch, IMU, INPUT, MARKERS, Request, TF
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 
 _EULER_ANGLES, _ROTOR_MOMENTUM = '/euler_angles', '/rotor_momentum'
 _TOPICS = {ATTITUDE: messages.QUATERNION, _EULER_ANGLES: messages.VECTOR3,
            ANGULAR_VELOCITY: messages.VECTOR3}
-#: Names of the additional topics that can be written.
-IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
 _IMU_DATA, _TF = '/imu/data', '/tf'
 _ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS: markers.TOPICS}
 
@@ -67,10 +64,9 @@ def add_topics(writer: recording.Writer, request: Request) -> None:
         'torques': Path(request.path).name.encode(errors='replace').decode()})
 
 
-def write(writer: recording.Writer, request: Request, trajectory: Trajectory,
-          delay_ns: int = 0) -> None:
+def write(writer: recording.Writer, request: Request, batch: Batch, delay_ns: int = 0) -> None:
     """Write a part of a motion; it is logged `delay_ns` later than its stamps."""
-    scene = request.scene
+    scene, trajectory = request.scene, batch.trajectory
     space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
     attitude, rates = trajectory.attitude, trajectory.angular_velocity
     columns = [Column(ATTITUDE, space, attitude),
@@ -79,7 +75,9 @@ def write(writer: recording.Writer, request: Request, trajectory: Trajectory,
     if scene.has_rotors:
         columns.append(Column(_ROTOR_MOMENTUM, body, trajectory.rotor_momentum))
     if IMU in request.also:
-        columns.append(Column(_IMU_DATA, body, messages.imu_values(attitude, rates)))
+        columns.append(Column(_IMU_DATA, body, messages.imu_values(
+            trajectory.times_ns, batch.sensed.attitude, batch.sensed.angular_velocity,
+            scene.imu)))
     if TF in request.also:
         columns.append(Column(_TF, space, messages.transform_values(attitude), body))
     if MARKERS in request.also:

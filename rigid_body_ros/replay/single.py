@@ -44,10 +44,9 @@ from rigid_body_ros.recording import (
     whole,
 )
 from rigid_body_ros.replay import outputs
-from rigid_body_ros.replay.batches import Batch, Batches, Collector, Request
+from rigid_body_ros.replay.batches import Batch, Batches, Collector, INPUT, Request
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
 from rigid_body_ros.replay.gaps import Gaps
-from rigid_body_ros.replay.outputs import INPUT
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
@@ -220,7 +219,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
                 path, next(iter(topics.wrenches), topics.wheel_momentum), _KINDS,
                 preferred=topics.preferred))
             copied.check_copied(outputs.topics(request))
-        if not (keep or topics.wheel_momentum or topics.inertia):
+        if not (keep or topics.wheel_momentum or topics.inertia or request.sensor_delay_ns):
             with suppress(NotInOrderError), Streams(
                     path, scene, topics, progress('replaying', size=len), time_source,
                     start) as streams:
@@ -318,7 +317,7 @@ def _compute(request: Request, result: Replay, batches: Batches,
         interrupts.check()
         if writer:
             writing = time.perf_counter()
-            outputs.write(writer, request, batch.trajectory, delay_ns)
+            outputs.write(writer, request, batch, delay_ns)
             result.seconds['write'] += time.perf_counter() - writing
         if result.collected:
             result.collected.add(batch)

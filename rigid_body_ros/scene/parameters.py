@@ -22,7 +22,7 @@ from typing import Any
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
-from rigid_body_ros.scene import fields
+from rigid_body_ros.scene import fields, sensors
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
@@ -105,6 +105,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'component of the measured angular velocities; required', (0.0, BIG)),
     Parameter('monitor.false_alarms', 24.0, 'h', 'attitude_monitor: time in which a right model '
               'gives one alarm', (1e-3, BIG)),
+    *sensors.PARAMETERS,
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '

@@ -30,6 +30,7 @@ from rigid_body_ros.mechanics import euler, urdf
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.frames import Frames
+from rigid_body_ros.mechanics.imu import ImuErrors
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
@@ -46,6 +47,7 @@ from rigid_body_ros.scene.parameters import (
     parameters_with,
     QOS,
 )
+from rigid_body_ros.scene.sensors import imu_of, odometry_variances
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
@@ -124,6 +126,16 @@ class Scene:
         moved = at_start(self.values, start_ns)
         return fields_of({**self.values, **moved, 'start_time': start_ns}) \
             if moved else self.fields
+
+    @property
+    def imu(self) -> ImuErrors:
+        """Return the errors of the IMU."""
+        return imu_of(self.values)
+
+    @property
+    def odometry_variances(self) -> tuple[float, float]:
+        """Return the variances of attitude and angular velocity that odometry states."""
+        return odometry_variances(self.values)
 
     @property
     def options(self) -> Options:

@@ -1,0 +1,217 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What messages contain: states, torques, inertias, frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+import re
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import listed, quoted
+from rigid_body_ros.mechanics.frames import Frame, Frames
+from rigid_body_ros.mechanics.imu import ImuErrors
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.messages.kinds import (
+    IMU,
+    INERTIA,
+    MessageType,
+    ODOMETRY,
+    Stamped,
+    TRANSFORM,
+    WRENCH,
+)
+
+#: The frame_id of an epoch marker: this word, and the numbers of the start state.
+_EPOCH = '/epoch'
+_EPOCH_NUMBERS = re.compile(_EPOCH + ' attitude(' + 4 * r' \S+' + ') rates(' + 3 * r' \S+'
+                            + ') rotors(' + 3 * r' \S+' + ')')
+#: Position of the orientation in the doubles of an Odometry.
+ORIENTATION = slice(3, 7)
+#: Position of the angular velocity in the doubles of an Odometry.
+ANGULAR_VELOCITY = slice(46, 49)
+#: Position of the mass and the centre of mass in the doubles of an InertiaStamped.
+MASS_AND_CENTRE = slice(0, 4)
+#: m^2 and m^2/s^2; the variance of a position and a linear velocity that nobody has measured.
+_UNKNOWN = 1e6
+_NO_ERRORS = ImuErrors()
+#: Positions of ixx, iyy, izz, ixy, ixz, iyz.
+_ENTRIES = [4, 7, 9, 5, 6, 8]
+
+
+def torque(wrench: Stamped) -> Floats:
+    """Return the torque of a WrenchStamped, N m, shape (3,)."""
+    return wrench.values[3:]
+
+
+def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
+    """Return a WrenchStamped with a torque, N m, shape (3,), and zero force."""
+    return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
+
+
+def inertia_entries(values: Floats) -> Floats:
+    """Return ixx, iyy, izz, ixy, ixz, iyz, shape (..., 6), of the doubles of an InertiaStamped."""
+    return values[..., _ENTRIES]
+
+
+def inertia(stamp_ns: int, frame_id: str, entries: ArrayLike) -> bytes:
+    """Return an InertiaStamped with these entries, kg m^2, shape (6,), see `inertia_entries`."""
+    values = np.zeros(INERTIA.doubles)
+    values[_ENTRIES] = entries
+    return INERTIA.encode(stamp_ns, frame_id, values)
+
+
+def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
+    """
+    Return the marker that begins an epoch in the log of a node: a message of zeros.
+
+    Its stamp is that of the start state, whose numbers its frame_id contains with all digits. No
+    frame of tf2 has a name like that, because of the leading slash.
+    """
+    groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
+              'rotors': start.rotor_momentum}
+    words = [f'{name} {" ".join(map(repr, values.tolist()))}' for name, values in groups.items()]
+    return kind.encode(start.time_ns, f'{_EPOCH} {" ".join(words)}', np.zeros(kind.doubles))
+
+
+def is_epoch_marker(frame_id: str) -> bool:
+    """Return whether a message with this frame_id begins an epoch; see `epoch_marker`."""
+    return frame_id.startswith(f'{_EPOCH} ')
+
+
+def epoch_start(stamp_ns: int, frame_id: str) -> State:
+    """
+    Return the start state in the stamp and the frame_id of an epoch marker.
+
+    Raises
+    ------
+    ValueError
+        The frame_id is not one that `epoch_marker` writes.
+
+    """
+    found = _EPOCH_NUMBERS.fullmatch(frame_id)
+    if not found:
+        raise ValueError('frame_id: expected the start state of an epoch, '
+                         f'found {quoted(frame_id)}')
+    attitude, rates, rotors = ([float(number) for number in group.split()]
+                               for group in found.groups())
+    return State(stamp_ns, attitude, rates, rotors)
+
+
+def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
+    """
+    Return the axes of the torque in a WrenchStamped: 'body' or 'space'.
+
+    Raises
+    ------
+    ValueError
+        The frame_id is neither empty nor one of the two frames.
+
+    """
+    if frame_id in ('', body_frame):
+        return 'body'
+    if frame_id == space_frame:
+        return 'space'
+    raise ValueError(f"frame_id: expected '{body_frame}' or '' (body axes) or "
+                     f"'{space_frame}' (space axes), found {quoted(frame_id)}")
+
+
+def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
+                 links: Frames) -> tuple[str, Frame | None]:
+    """
+    Return the axes, 'body' or 'space', of the torque of a WrenchStamped, and its frame.
+
+    The frame is one of `links`; it converts the wrench to a torque about the centre of mass.
+    Without a frame the torque is about the centre of mass already, and
+    the force has no effect.
+
+    Raises
+    ------
+    ValueError
+        The frame_id is neither one that `torque_frame` accepts nor one of the links.
+
+    """
+    if frame_id not in ('', body_frame, space_frame) and (
+            frame_id in links or frame_id in links.others):
+        return 'body', links[frame_id]
+    try:
+        axes = torque_frame(frame_id, body_frame, space_frame)
+    except ValueError as error:
+        if links:
+            others = listed([repr(name) for name in links if name != links.link])
+            raise ValueError(f'{error}; links whose forces are accepted: {others}') from error
+        raise
+    return axes, links.of_body(body_frame) if axes == 'body' else None
+
+
+def odometry(state: State, space_frame: str, body_frame: str, attitude_variance: float = 0.0,
+             rate_variance: float = 0.0) -> bytes:
+    """
+    Return an Odometry at the origin with the attitude and the body rates of a state.
+
+    A variance other than 0, rad^2 or rad^2/s^2, is on the diagonal of its covariance. Position and
+    linear velocity, which are no estimates, then have one of 1e6 m^2 or m^2/s^2.
+    """
+    values = np.zeros(ODOMETRY.doubles)
+    values[ORIENTATION] = state.attitude
+    values[ANGULAR_VELOCITY] = state.angular_velocity
+    for first, variance in ((7, attitude_variance), (49, rate_variance)):
+        if variance:
+            values[first:first + 36:7] = 3 * (_UNKNOWN,) + 3 * (variance,)
+    return ODOMETRY.encode(state.time_ns, space_frame, values, body_frame)
+
+
+def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERRORS) -> bytes:
+    """Return an Imu with a stamp, with what an IMU measures of a state; see `imu_values`."""
+    values = imu_values(np.array([time_ns]), state.attitude[None], state.angular_velocity[None],
+                        errors)
+    return IMU.encode(time_ns, body_frame, values[0])
+
+
+def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity: Floats,
+               errors: ImuErrors = _NO_ERRORS) -> Floats:
+    """
+    Return the doubles of Imu messages with attitude and body rates, and no acceleration.
+
+    Parameters
+    ----------
+    stamps_ns, attitude, angular_velocity : array
+        As for `ImuErrors.measured`.
+    errors : ImuErrors
+        Covariances are those of its noise. Without noise they are zero, which means unknown.
+
+    Returns
+    -------
+    array, shape (n, 37)
+
+    """
+    values = np.zeros((len(attitude), IMU.doubles))
+    values[:, 0:4], values[:, 13:16] = errors.measured(stamps_ns, attitude, angular_velocity)
+    values[:, 4:13:4], values[:, 16:25:4] = errors.attitude_variance, errors.rate_variance
+    values[:, 28] = -1.0  # linear_acceleration_covariance[0]: no measurement
+    return values
+
+
+def transform(state: State, space_frame: str, body_frame: str) -> bytes:
+    """Return the transform from body coordinates to space coordinates, as a TFMessage."""
+    return TRANSFORM.encode(state.time_ns, space_frame, transform_values(state.attitude[None])[0],
+                            body_frame)
+
+
+def transform_values(attitude: Floats) -> Floats:
+    """Return the doubles of transforms, (n, 7), for attitudes (n, 4)."""
+    return np.pad(attitude, ((0, 0), (3, 0)))

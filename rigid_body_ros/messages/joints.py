@@ -1,0 +1,200 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Messages about named joints: JointState, of which wheels use velocities and efforts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import listed, quoted
+from rigid_body_ros.messages.kinds import header_at, MessageType, opened, Stamped, text_at
+
+_NAME = 'sensor_msgs/msg/JointState'
+_NONE = np.empty(0)
+
+
+class JointState(NamedTuple):
+    """A decoded JointState; a list is empty, or has an entry for each name."""
+
+    stamp_ns: int
+    frame_id: str
+    names: tuple[str, ...]
+    position: Floats
+    velocity: Floats
+    effort: Floats
+
+
+def decoded_joints(data: bytes) -> JointState:
+    """
+    Return the contents of a JointState in CDR.
+
+    Raises
+    ------
+    ValueError
+        The bytes are not a JointState, or a list has neither no entry nor one for each name.
+
+    """
+    try:
+        body, order = opened(data)
+        stamp_ns, frame_id, offset = header_at(body, 0, order)
+        count, offset = _count_at(body, offset, order)
+        names = []
+        for _ in range(count):
+            name, offset = text_at(body, offset, order)
+            names.append(name)
+        lists = []
+        for _ in range(3):
+            size, offset = _count_at(body, offset, order)
+            offset += -offset % 8 if size else 0
+            lists.append(np.frombuffer(body, order + 'f8', size, offset).astype(float)
+                         if size else _NONE)
+            offset += 8 * size
+    except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
+        raise ValueError(f'expected a {_NAME} in CDR, found {len(data)} bytes that cannot be '
+                         f'decoded ({error})') from error
+    for what, numbers in zip(('position', 'velocity', 'effort'), lists):
+        if len(numbers) not in (0, count):
+            raise ValueError(f'{what}: expected none or {count}, as there are names, found '
+                             f'{len(numbers)}')
+    return JointState(stamp_ns, frame_id, tuple(names), *lists)
+
+
+def encoded_joints(stamp_ns: int, frame_id: str, names: Sequence[str],
+                   position: ArrayLike = _NONE, velocity: ArrayLike = _NONE,
+                   effort: ArrayLike = _NONE) -> bytes:
+    """Return a JointState as CDR bytes."""
+    data = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9)) + _text(frame_id)
+    data = _padded(data) + _names(names)
+    for numbers in (position, velocity, effort):
+        doubles = np.asarray(numbers, '<f8')
+        data = _padded(data) + struct.pack('<I', doubles.size)
+        data = _padded(data, 8 if doubles.size else 4) + doubles.tobytes()
+    return b'\0\1\0\0' + data
+
+
+@dataclass(frozen=True)
+class JointCommands(MessageType):
+    """
+    JointState messages with the efforts of some of these joints.
+
+    Their doubles are the efforts in the order of `joints`, NaN for those that a message does not
+    list.
+
+    Attributes
+    ----------
+    joints : tuple of str
+
+    """
+
+    joints: tuple[str, ...] = ()
+
+    def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
+               child_frame_id: str = '') -> bytes:
+        """Return a message as CDR bytes, without the joints whose values are NaN."""
+        efforts = np.asarray(values, float)
+        given = ~np.isnan(efforts)
+        names = [name for name, is_given in zip(self.joints, given.tolist()) if is_given]
+        return encoded_joints(stamp_ns, frame_id, names, effort=efforts[given])
+
+    def decode(self, data: bytes) -> Stamped:
+        """
+        Return the contents of a CDR message.
+
+        Raises
+        ------
+        ValueError
+            The bytes are not a JointState, a name is not one of the joints or is there twice, or
+            there is no finite effort for each name.
+
+        """
+        found = decoded_joints(data)
+        names, efforts = found.names, found.effort.tolist()
+        known = dict.fromkeys(self.joints, np.nan)
+        for row, name in enumerate(names):
+            if name not in known:
+                raise ValueError(f'name: expected some of {listed([*map(repr, known)])}, found '
+                                 f'{quoted(name)}')
+            if name in names[:row]:
+                raise ValueError(f'name: expected each once, found {name!r} twice')
+        if len(efforts) != len(names):
+            raise ValueError(f'effort: expected {len(names)}, as there are names, found none')
+        if not np.isfinite(found.effort).all():
+            raise ValueError(f'effort: expected finite numbers, found {efforts}')
+        values = np.array([*(known | dict(zip(names, efforts))).values()])
+        return Stamped(found.stamp_ns, found.frame_id, '', values)
+
+
+def joint_commands(joints: Sequence[str]) -> JointCommands:
+    """Return the type of commands of these joints."""
+    return JointCommands(_NAME, len(joints), joints=tuple(joints))
+
+
+def joint_states(joints: Sequence[str]) -> MessageType:
+    """
+    Return the type of JointState messages with velocity and effort of each of these joints.
+
+    `joint_values` returns their doubles.
+    """
+    lists = _padded(_names(joints)) + struct.pack('<2I', 0, len(joints))
+    return MessageType(_NAME, 2 * len(joints) + 1, before_doubles=lists)
+
+
+def joint_values(velocities: Floats, efforts: Floats) -> Floats:
+    """
+    Return the doubles of `joint_states`.
+
+    Parameters
+    ----------
+    velocities, efforts : array, shape (n, joints)
+        In rad/s and N m; one row for each message.
+
+    Returns
+    -------
+    array, shape (n, 2 joints + 1)
+
+    """
+    rows, joints = velocities.shape
+    # The length of the list of efforts, with what aligns its doubles, is as long as a double.
+    length = np.full((rows, 1), joints, '<u8').view('<f8')
+    return np.hstack([velocities, length, efforts])
+
+
+def _names(names: Sequence[str]) -> bytes:
+    data = struct.pack('<I', len(names))
+    for name in names:
+        data = _padded(data) + _text(name)
+    return data
+
+
+def _text(text: str) -> bytes:
+    encoded = text.encode() + b'\0'
+    return struct.pack('<I', len(encoded)) + encoded
+
+
+def _padded(data: bytes, size: int = 4) -> bytes:
+    return data + bytes(-len(data) % size)
+
+
+def _count_at(body: memoryview, offset: int, order: str) -> tuple[int, int]:
+    """Return the number of entries of a list, and where they begin."""
+    offset += -offset % 4
+    count, = struct.unpack_from(order + 'I', body, offset)
+    return count, offset + 4

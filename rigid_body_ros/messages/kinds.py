@@ -1,0 +1,226 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Types of messages, and their bytes.
+
+All types here have one structure: a header, in some types a second name, then doubles. There are
+three exceptions. A Wrench has no header. A TFMessage is a list of transforms, here always of one.
+A Marker has other fields around its doubles, here with constant values.
+
+The encoding is XCDR1 of the DDS-XTypes specification, section 7.4. Messages are written in little
+endian and read in either byte order. Doubles are aligned to 8 bytes, counted from the end of the
+4-byte encapsulation header.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.messages import definitions
+
+#: The latest time that a ROS stamp can represent, ns; it is in January 2038.
+LAST_NS = 2 ** 31 * 10 ** 9 - 1
+
+
+class Stamped(NamedTuple):
+    """A decoded message: stamp, frame, second name if it has one, doubles in field order."""
+
+    stamp_ns: int
+    frame_id: str
+    child_frame_id: str
+    values: Floats
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """
+    A ROS message type: its definition, and how its messages are encoded and decoded.
+
+    Attributes
+    ----------
+    name : str
+        The ROS name, such as 'geometry_msgs/msg/WrenchStamped'.
+    doubles : int
+        Number of doubles in a message.
+    has_child_frame : bool
+        Whether a second name follows the frame_id: a child frame or, in a Marker, a namespace.
+    is_list : bool
+        Whether a message is a list with one entry.
+    has_header : bool
+    before_doubles, after_doubles : bytes
+        Constant CDR bytes between the names and the doubles, and after the doubles.
+
+    """
+
+    name: str
+    doubles: int
+    has_child_frame: bool = False
+    is_list: bool = False
+    has_header: bool = True
+    before_doubles: bytes = b''
+    after_doubles: bytes = b''
+
+    @property
+    def type_hash(self) -> str:
+        """Return the hash by which ROS 2 identifies the type since Iron (REP-2011)."""
+        return definitions.HASHES[self.name]
+
+    @property
+    def definition(self) -> str:
+        """Return the complete definition in MCAP's schema encoding 'ros2msg'."""
+        return definitions.definition(self.name)
+
+    def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
+               child_frame_id: str = '') -> bytes:
+        """Return a message as CDR bytes; values in field order, shape (doubles,)."""
+        head, names = _around_stamp(self, frame_id, child_frame_id)
+        stamp = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9))
+        doubles = np.asarray(values, '<f8').tobytes()
+        return head + stamp + names + doubles + self.after_doubles
+
+    def layout(self, frame_id: str, child_frame_id: str = '') -> np.dtype[np.void]:
+        """Return the dtype of an array of messages with these frame names; `fill` fills it."""
+        head, names = _around_stamp(self, frame_id, child_frame_id)
+        return np.dtype([('head', f'V{len(head)}'), ('sec', '<i4'), ('nanosec', '<u4'),
+                         ('names', f'V{len(names)}'), ('doubles', '<f8', (self.doubles,)),
+                         ('after', f'V{len(self.after_doubles)}')])
+
+    def fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64], values: Floats,
+             frame_id: str, child_frame_id: str = '') -> None:
+        """Fill messages, shape (n,), with values in field order, shape (n, doubles)."""
+        head, names = _around_stamp(self, frame_id, child_frame_id)
+        rows['head'], rows['names'] = np.void(head), np.void(names)
+        rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, 10 ** 9)
+        rows['doubles'], rows['after'] = values, np.void(self.after_doubles)
+
+    def decode(self, data: bytes) -> Stamped:
+        """
+        Return the contents of a CDR message.
+
+        Raises
+        ------
+        ValueError
+            The bytes are not a message of this type.
+
+        """
+        try:
+            return self._decode(data)
+        except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
+            raise ValueError(f'expected a {self.name} in CDR, found {len(data)} bytes that '
+                             f'cannot be decoded ({error})') from error
+
+    def _decode(self, data: bytes) -> Stamped:
+        body, order = opened(data)
+        offset = 0
+        if self.is_list:
+            entries, = struct.unpack_from(order + 'I', body)
+            if entries != 1:
+                raise ValueError(f'expected a list of 1 entry, found {entries}')
+            offset = 4
+        if not self.has_header:
+            return Stamped(0, '', '', self._doubles(body, offset, order))
+        stamp_ns, frame_id, offset = header_at(body, offset, order)
+        child_frame_id = ''
+        if self.has_child_frame:
+            child_frame_id, offset = text_at(body, offset, order)
+        offset += -offset % 4 + len(self.before_doubles)
+        return Stamped(stamp_ns, frame_id, child_frame_id, self._doubles(body, offset, order))
+
+    def _doubles(self, body: memoryview, offset: int, order: str) -> Floats:
+        return np.frombuffer(body, order + 'f8', self.doubles, offset + -offset % 8).astype(float)
+
+
+def _marker(shape: int, *color: float) -> MessageType:
+    """Return a Marker type with a shape and color (r, g, b, a); its doubles are pose and scale."""
+    no_text, no_list = struct.pack('<I4x', 1), bytes(4)
+    texture = bytes(8) + no_text + no_text + no_list
+    after = [struct.pack('<4f8xB3x', *color, 0), no_list, no_list, no_text, texture, no_list,
+             no_text, no_text, no_text, no_list, b'\0']
+    return MessageType('visualization_msgs/msg/Marker', 10, has_child_frame=True,
+                       before_doubles=struct.pack('<3i', 0, shape, 0),
+                       after_doubles=b''.join(after))
+
+
+#: geometry_msgs/msg/WrenchStamped; doubles: force x y z, torque x y z.
+WRENCH = MessageType('geometry_msgs/msg/WrenchStamped', 6)
+#: geometry_msgs/msg/Wrench; doubles: force x y z, torque x y z.
+BARE_WRENCH = MessageType('geometry_msgs/msg/Wrench', 6, has_header=False)
+#: geometry_msgs/msg/QuaternionStamped; doubles: x y z w.
+QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
+#: geometry_msgs/msg/Vector3Stamped; doubles: x y z.
+VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
+#: geometry_msgs/msg/InertiaStamped; doubles: mass, centre of mass x y z, ixx ixy ixz iyy iyz izz.
+INERTIA = MessageType('geometry_msgs/msg/InertiaStamped', 10)
+#: sensor_msgs/msg/Imu; 37 doubles: orientation, angular velocity, acceleration, each followed by
+#: its 9 covariances.
+IMU = MessageType('sensor_msgs/msg/Imu', 37)
+#: nav_msgs/msg/Odometry; 85 doubles: position, orientation, 36 covariances, linear and angular
+#: velocity, 36 covariances.
+ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
+#: tf2_msgs/msg/TFMessage with one transform; doubles: translation x y z, rotation x y z w.
+TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
+#: Types that are only read; doubles: position, orientation x y z w, 36 covariances (second type).
+POSE = MessageType('geometry_msgs/msg/PoseStamped', 7)
+POSE_WITH_COVARIANCE = MessageType('geometry_msgs/msg/PoseWithCovarianceStamped', 43)
+TRANSFORM_STAMPED = MessageType('geometry_msgs/msg/TransformStamped', 7, has_child_frame=True)
+#: The arrows also differ in lightness, for colour-blind readers.
+BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
+ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
+TYPES = {kind.name: kind for kind in (
+    WRENCH, QUATERNION, VECTOR3, INERTIA, IMU, ODOMETRY, TRANSFORM, BOX)}
+
+
+@lru_cache
+def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tuple[bytes, bytes]:
+    # Return the bytes of a message before its stamp, and between its stamp and its doubles.
+    head = b'\1\0\0\0' if kind.is_list else b''
+    begin, body = len(head) + 8, b''
+    for name in (frame_id, child_frame_id)[:1 + kind.has_child_frame]:
+        text = name.encode() + b'\0'
+        body += bytes(-(begin + len(body)) % 4) + struct.pack('<I', len(text)) + text
+    body += bytes(-(begin + len(body)) % 4) + kind.before_doubles
+    return b'\0\1\0\0' + head, body + bytes(-(begin + len(body)) % 8)
+
+
+def opened(data: bytes) -> tuple[memoryview, str]:
+    """Return the bytes of a message after its encapsulation, and their order for `struct`."""
+    if data[0] != 0 or data[1] not in (0, 1):
+        raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
+    return memoryview(data)[4:], '<' if data[1] else '>'
+
+
+def header_at(body: memoryview, offset: int, order: str) -> tuple[int, str, int]:
+    """Return the stamp, ns, and the frame_id of a header, and where it ends."""
+    seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)
+    if seconds < 0 or nanoseconds >= 10 ** 9:
+        raise ValueError(f'invalid stamp: {seconds} s and {nanoseconds} ns')
+    frame_id, offset = text_at(body, offset + 8, order)
+    return seconds * 10 ** 9 + nanoseconds, frame_id, offset
+
+
+def text_at(body: memoryview, offset: int, order: str) -> tuple[str, int]:
+    """Return a string, and where it ends."""
+    offset += -offset % 4
+    size, = struct.unpack_from(order + 'I', body, offset)
+    start, end = offset + 4, offset + 4 + size
+    if not 1 <= size <= len(body) - start:
+        raise ValueError(f'invalid string length: {size} bytes')
+    return str(body[start:end - 1], 'utf-8'), end
