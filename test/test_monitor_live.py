@@ -216,6 +216,9 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
         session.play(order)
         twin = expected(session, found)
         session.wait(lambda: len(session.errors['attitude_error']) >= len(twin))
+        rejected = {name: session.values(name)['rejected: late'] for name in (
+            'torques', 'measured /mocap', 'measured /gyro')}
+        assert not any(rejected.values()), rejected
         for name in ('attitude', 'rate'):
             published = [messages.VECTOR3.decode(data)
                          for data in session.errors[f'{name}_error']]

@@ -221,17 +221,16 @@ class AttitudeMonitor(Node):
 
     def _complete_ns(self, now: float) -> int:
         """Return up to when the messages of all topics but silent ones have arrived, ns."""
-        newest_ns = self._monitor.newest_ns
-        until_ns, waiting = newest_ns - duration_ns(self._scene.history, 'history'), [newest_ns]
+        newest_ns, history_ns = self._monitor.newest_ns, duration_ns(self._scene.history, 'history')
+        sending = []
         for number in self._drains:
-            if self._newest_ns.get(number, 0) >= until_ns:
+            if self._newest_ns.get(number, 0) >= newest_ns - history_ns:
                 self._behind_at.pop(number, None)
-                continue
             # After a pause of the process, its messages may wait behind those of other topics.
             behind_at = self._behind_at.setdefault(number, now)
             if now < max(behind_at, self._heard_at.get(number, behind_at)) + _PATIENCE:
-                waiting.append(self._newest_ns.get(number, 0))
-        return min(waiting)
+                sending.append(self._newest_ns.get(number, 0))
+        return min(sending, default=newest_ns) - history_ns
 
     def _publish(self, judgement: Judgement) -> None:
         error, body = judgement.error, self._scene.body_frame
