@@ -63,8 +63,9 @@ NAME = 'attitude_monitor'
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: s; period of the search for windows that are over, and that of diagnostics.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
-#: s; how long to wait for a topic that is behind others by more than `history`.
-_PATIENCE = 2.0
+#: s; how long to wait for a topic that is behind others by more than `history`. A reliable
+#: connection may take three seconds to send a lost message again.
+_PATIENCE = 5.0
 #: s; how far a stamp may be ahead of simulated time.
 _OVERTAKING = 60.0
 #: Number of the first measured topic as a source of diagnostics; torques have lower ones.
