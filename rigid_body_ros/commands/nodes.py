@@ -44,5 +44,6 @@ def _run(command: str, module: str, arguments: Sequence[str] | None) -> int:
 
 attitude_node = partial(_run, 'attitude_node', 'rigid_body_ros.node')
 attitude_lifecycle_node = partial(_run, 'attitude_lifecycle_node', 'rigid_body_ros.node.lifecycle')
+attitude_monitor = partial(_run, 'attitude_monitor', 'rigid_body_ros.node.attitude_monitor')
 attitude_controller = partial(_run, 'attitude_controller',
                               'rigid_body_ros.node.attitude_controller')

@@ -210,4 +210,6 @@ def statistics(vectors: Floats | None, final: bool = False) -> dict[str, Any]:
 def _horizon_dict(horizon: Horizon) -> dict[str, Any]:
     values = statistics(horizon.angles[:, None])
     return {'seconds': horizon.seconds, 'windows': len(horizon.angles),
-            **{f'attitude_{name}_rad': values[name] for name in ('rms', 'median', 'p95')}}
+            **{f'attitude_{name}_rad': values[name] for name in ('rms', 'median', 'p95')},
+            **({'monitor': [one.as_dict() for one in horizon.judgements]}
+               if horizon.judgements else {})}

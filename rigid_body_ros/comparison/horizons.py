@@ -27,6 +27,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.terminal import no_progress, Track
+from rigid_body_ros.sensing.alarms import Judgement
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
@@ -51,11 +52,14 @@ class Horizon:
         From a restart to its error, and to the next restart.
     angles : array, shape (n,), rad
         Attitude error of each window.
+    judgements : tuple of Judgement
+        What a live check with windows of this length says, if the scene states the noise.
 
     """
 
     seconds: float
     angles: Floats
+    judgements: tuple[Judgement, ...] = ()
 
 
 def usual_horizons(sensors: Sequence[Measured]) -> list[float]:

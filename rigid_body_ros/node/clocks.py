@@ -21,6 +21,8 @@ from typing import NamedTuple
 
 from rclpy.clock import Clock
 from rclpy.node import Node
+from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.live.events import FUTURE, LATE, RejectedError
 
 #: s; if the clock does not advance for longer, that is reported as a warning.
 _MAX_PAUSE = 1.0
@@ -31,6 +33,21 @@ _FASTEST = 10
 _LONGEST_PAUSE_NS = 3 * 10 ** 9
 #: A wall clock that is adjusted does not jump, even if no torque may be late.
 _SMALLEST_JUMP_NS = 10 ** 8
+#: A stamp further ahead of or behind the clock is assumed to come from another clock.
+OTHER_CLOCK_NS = 3600 * 10 ** 9
+_ADVICE = ('; if the messages come from a bag, play it with --clock and set use_sim_time, or set '
+           'time_source:=arrival')
+
+
+def check_stamp(stamp_ns: int, now_ns: int, max_future: float) -> None:
+    """Raise RejectedError for a stamp more than `max_future`, s, ahead, or of another clock."""
+    ahead_ns = stamp_ns - now_ns
+    advice = _ADVICE if abs(ahead_ns) > OTHER_CLOCK_NS else ''
+    if ahead_ns > duration_ns(max_future, 'max_future'):
+        raise RejectedError(FUTURE, f'stamped {ahead_ns * 1e-9:.9g} s ahead of the clock, '
+                            f'expected at most max_future ({max_future:g} s){advice}')
+    if advice:
+        raise RejectedError(LATE, f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')
 
 
 class ArrivalStamps:

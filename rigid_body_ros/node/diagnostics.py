@@ -123,7 +123,7 @@ class Diagnostics:
         """Count a rejected torque of a source and log the reason."""
         cause, counts = rejected.cause, self._torques[source]
         counts[cause] += 1
-        what = 'inertia' if source == BODY else f'torque{self._place(source)}'
+        what = self._sources[source].what + self._place(source)
         self._log(f'{cause} {source}', f'{what} rejected '
                   f'({counts[cause]} so far): {cause}: {rejected}')
 
@@ -148,7 +148,7 @@ class Diagnostics:
 
     def _acknowledge(self, text: str, stamp_ns: int | None, is_error: bool) -> None:
         stamp = {} if stamp_ns is None else {'stamp': stamp_ns}
-        self._results.publish(self._status('initial_state', is_error, False, text, stamp))
+        self._results.publish(self.status('initial_state', is_error, False, text, stamp))
 
     def count_lost(self, source: int, number: int) -> None:
         """Count torques that the middleware reports as lost in transit."""
@@ -247,9 +247,10 @@ class Diagnostics:
         return problems
 
     def publish(self, problems: Mapping[int, list[str]], waiting: Mapping[int, int],
-                ages: Mapping[int, float | None], epoch: str, stamp: Time) -> None:
+                ages: Mapping[int, float | None], epoch: str, stamp: Time,
+                others: Iterable[DiagnosticStatus] = ()) -> None:
         """
-        Publish all counts; those that have increased since the last call set the levels.
+        Publish all counts, and other statuses; counts that have increased set the levels.
 
         Problems, numbers of waiting torques, and ages of the newest torques, s, are by source.
         """
@@ -258,10 +259,10 @@ class Diagnostics:
         counts, new = self._motion, self._motion.increments()
         errors = [f'{name}: {new[name]}' for name in _ERRORS if new[name]]
         warnings = [f'{name}: {new[name]}' for name in _WARNINGS if new[name]]
-        statuses.append(self._status(
+        statuses.append(self.status(
             'motion', bool(errors), bool(warnings), '; '.join(errors + warnings) or epoch,
             {name: counts[name] for name in _OF_MOTION}))
-        array = DiagnosticArray(status=statuses)
+        array = DiagnosticArray(status=[*statuses, *others])
         array.header.stamp = stamp
         self._publisher.publish(array)
 
@@ -271,15 +272,16 @@ class Diagnostics:
         rejected = [f'{rejections(cause)}: {new[cause]}' for cause in CAUSES if new[cause]]
         warnings = problems + [f'{name}: {new[name]}' for name in _TORQUE_WARNINGS if new[name]]
         is_error = any(new[cause] for cause in CAUSES if cause not in OF_RESETS)
-        return self._status(
+        return self.status(
             self._sources[source].status, is_error, bool(rejected or warnings),
             '; '.join(rejected + warnings) or 'OK',
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
              **{rejections(cause): counts[cause] for cause in CAUSES}, **present,
              **{name: counts[name] for name in _OF_TORQUES}})
 
-    def _status(self, name: str, is_error: bool, is_warning: bool, message: str,
-                values: Mapping[str, object]) -> DiagnosticStatus:
+    def status(self, name: str, is_error: bool, is_warning: bool, message: str,
+               values: Mapping[str, object]) -> DiagnosticStatus:
+        """Return a status of the node."""
         # With the namespace: aggregators know a status by its name, and nodes of a fleet differ
         # in their namespaces alone. Without the leading slash it would not be the name of a node.
         node = self._node.get_fully_qualified_name()

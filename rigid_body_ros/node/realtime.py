@@ -40,14 +40,16 @@ from rigid_body_ros.live.events import (
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor, JumpDetector
+from rigid_body_ros.node.clocks import (
+    ArrivalStamps,
+    check_stamp,
+    ClockMonitor,
+    JumpDetector,
+    OTHER_CLOCK_NS,
+)
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.scene.parameters import ARRIVAL, REBASE, RESET
 
-#: A stamp further ahead of or behind the clock is assumed to come from another clock.
-_OTHER_CLOCK_NS = 3600 * 10 ** 9
-_ADVICE = ('; if the torques come from a bag, play it with --clock and set use_sim_time, or set '
-           'time_source:=arrival')
 #: s; how long a torque waits for a /clock message that was sent before it.
 _CLOCK_DELAY = 0.5
 
@@ -242,7 +244,7 @@ class Realtime(Mode):
             self._check_stamp(stamp_ns, now_ns)
             self.run.check_age(stamp_ns)
         except RejectedError as rejected:
-            is_other_clock = stamp_ns - now_ns >= _OTHER_CLOCK_NS
+            is_other_clock = stamp_ns - now_ns >= OTHER_CLOCK_NS
             if is_other_clock or time.monotonic() - queued.since >= _CLOCK_DELAY:
                 raise
             raise EarlyError(rejected.cause, str(rejected)) from rejected
@@ -365,12 +367,4 @@ class Realtime(Mode):
         return text
 
     def _check_stamp(self, stamp_ns: int, now_ns: int) -> None:
-        ahead_ns = stamp_ns - now_ns
-        advice = _ADVICE if abs(ahead_ns) > _OTHER_CLOCK_NS else ''
-        if ahead_ns > self._max_future_ns:
-            raise RejectedError(FUTURE, f'stamped {ahead_ns * 1e-9:.9g} s ahead of the clock, '
-                                f'expected at most max_future '
-                                f'({self._scene.max_future:g} s){advice}')
-        if advice:
-            raise RejectedError(LATE,
-                                f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')
+        check_stamp(stamp_ns, now_ns, self._scene.max_future)

@@ -42,8 +42,9 @@ class TorqueTopic(NamedTuple):
     log: str
     #: Its name in diagnostics.
     status: str
-    #: The message.
+    #: The message, and what it has.
     kind: type = WrenchStamped
+    what: str = 'torque'
 
 
 def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
@@ -56,7 +57,7 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
                                    'wheel torques'))
     if scene.inertia_topic:
         sources.append(TorqueTopic(BODY, _INERTIA, '~/accepted_inertia', 'inertia',
-                                   InertiaStamped))
+                                   InertiaStamped, 'inertia'))
     return tuple(sources)
 
 

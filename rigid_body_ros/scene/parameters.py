@@ -96,6 +96,16 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'empty: none'),
     Parameter('stale_after', 1.0, 's', 'a source whose torque acts, and that has sent none for '
               'longer, is a warning in diagnostics and in the log; 0: never', (0.0, LONGEST)),
+    Parameter('monitor.measured', [], '', 'attitude_monitor: topics of measured attitudes and '
+              'angular velocities'),
+    Parameter('monitor.window', 5.0, 's', 'attitude_monitor: time from a restart at the '
+              'measurement to the error, and to the next restart', (1e-3, LONGEST)),
+    Parameter('monitor.attitude_noise', 0.0, 'rad', 'attitude_monitor: standard deviation of a '
+              'component of the measured attitudes; required', (0.0, BIG)),
+    Parameter('monitor.rate_noise', 0.0, 'rad/s', 'attitude_monitor: standard deviation of a '
+              'component of the measured angular velocities; required', (0.0, BIG)),
+    Parameter('monitor.false_alarms', 24.0, 'h', 'attitude_monitor: time in which a right model '
+              'gives one alarm', (1e-3, BIG)),
     *sensors.PARAMETERS,
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),

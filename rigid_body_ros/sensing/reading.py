@@ -130,6 +130,40 @@ def read_measured(path: str | Path, topic: str | None = None, *,
                    frames=_other_frames(where, recorded, kind, (space_frame, body_frame)))
 
 
+def sample(kind: MessageType, values: Floats) -> tuple[Floats | None, Floats | None]:
+    """
+    Return what one message measured: attitude and angular velocity; None where it has none.
+
+    Parameters
+    ----------
+    kind : MessageType
+        One of `KINDS`.
+    values : array
+        Its doubles.
+
+    Returns
+    -------
+    attitude : array, shape (4,), or None
+        Unit quaternion x y z w.
+    angular_velocity : array, shape (3,), or None
+        rad/s.
+
+    """
+    layout, rows = _LAYOUTS[kind], values[None]
+    attitude = _given(rows, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
+    rate = _given(rows, layout.rate, layout.rate_covariance, kind, _is_slow)
+    return (so3.normalize(values[layout.attitude]) if attitude is not None and attitude[0] else
+            None, values[layout.rate] if rate is not None and rate[0] else None)
+
+
+def _is_rotation(attitude: Floats) -> NDArray[np.bool_]:
+    return np.any(attitude != 0.0, axis=1)
+
+
+def _is_slow(rates: Floats) -> NDArray[np.bool_]:
+    return np.all(np.abs(rates) <= FASTEST, axis=1)
+
+
 def _only_topic(path: str | Path) -> str:
     found = recording.topics(path, _CERTAIN)
     if len(found) != 1:
@@ -167,10 +201,8 @@ def _other_frames(where: str, recorded: Messages, kind: MessageType,
 def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
     """Return the usable samples of messages, sorted."""
     layout, values = _LAYOUTS[kind], recorded.values
-    attitude = _given(values, layout.attitude, layout.attitude_covariance, kind,
-                      lambda found: np.any(found != 0.0, axis=1))
-    rate = _given(values, layout.rate, layout.rate_covariance, kind,
-                  lambda found: np.all(np.abs(found) <= FASTEST, axis=1))
+    attitude = _given(values, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
+    rate = _given(values, layout.rate, layout.rate_covariance, kind, _is_slow)
     usable: list[NDArray[np.bool_]] = [
         each for each in (attitude, rate) if each is not None and each.any()]
     rows = np.logical_and.reduce([*usable, np.full(len(recorded), bool(usable))])

@@ -1,0 +1,151 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How often a live check gives a false alarm, and how soon it finds an error.
+
+Run `python benchmarks/monitor.py [--hours N] [--false-alarms H] [--colour C]` for the rate of
+false alarms of a right model, and with `--delays` for the table of `docs/monitor.md`. A body
+tumbles under pulses at 20 Hz. A mocap at 50 Hz and a gyro at 100 Hz measure it, with white noise
+or with AR(1) noise; every hour has a seed of its own.
+"""
+
+import argparse
+from functools import partial
+from multiprocessing import Pool
+import os
+
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
+import numpy as np  # noqa: E402
+from rigid_body_ros import Problem, RigidBody, so3, State, TorqueLog  # noqa: E402
+from rigid_body_ros.sensing.alarms import ERROR  # noqa: E402
+from rigid_body_ros.sensing.monitor import Monitor, Settings  # noqa: E402
+from scipy.signal import lfilter  # noqa: E402
+from scipy.spatial.transform import Rotation  # noqa: E402
+
+SECOND = 10 ** 9
+TORQUE_HZ, MOCAP_HZ, GYRO_HZ = 20, 50, 100
+ATTITUDE_NOISE, RATE_NOISE = 2e-3, 5e-3
+#: kg m^2; the body of `config/tumbler.yaml`.
+INERTIA = np.array([[0.045, 0.002, -0.001], [0.002, 0.120, 0.003], [-0.001, 0.003, 0.140]])
+#: s; a piece that is simulated at a time, and how late a message may be, which is longer.
+PIECE, HISTORY = 60, 61.0
+#: N m; what keeps the body from spinning up, for a rate of 1 rad/s, and the pulses.
+BRAKE, PULSE = 5e-4, 4e-3
+#: What is wrong, and how: see `simulated`.
+ERRORS = {
+    '5 % of the largest moment': {'inertia': np.diag([0.0, 0.0, 0.05])},
+    '5 % of all moments': {'inertia': 0.05 * np.eye(3)},
+    'torque of 1 mN m about x': {'bias': (1e-3, 0.0, 0.0)},
+    'torque of 0.05 mN m about x': {'bias': (5e-5, 0.0, 0.0)},
+    'gyro turned by 3 degrees': {'mount': (0.0, 0.0, np.radians(3.0))},
+    'friction of 1 mN m s/rad': {'friction': 1e-3},
+}
+
+
+def noise(random, count, colour, size, memory):
+    """Return AR(1) noise, shape (count, 3), that goes on from the piece before."""
+    white = random.normal(size=(count, 3)) * size * np.sqrt(1.0 - colour ** 2)
+    found, memory[:] = lfilter([1.0], [1.0, -colour], white, axis=0, zi=memory)
+    return found
+
+
+def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.0), friction=0.0,
+           mount=(0.0, 0.0, 0.0)):
+    """
+    Generate what loggers have of a piece: torques, and stamps and values of mocap and gyro.
+
+    The noise is `level` times the nominal one. The true inertia is larger by `inertia`, relative;
+    a torque of `bias` acts besides the logged one, and friction; the gyro is turned by `mount`.
+    """
+    random, memories = np.random.default_rng(seed), np.zeros((2, 1, 3))
+    turned = Rotation.from_rotvec(mount)
+    body = RigidBody(INERTIA * (1.0 + np.asarray(inertia) * np.ones((3, 3))) if np.ndim(
+        inertia) == 0 else INERTIA * (1.0 + inertia), friction * np.eye(3) if friction else None)
+    state = State(0, (0.0, 0.0, 0.0, 1.0), random.normal(size=3) * 0.4)
+    for begin_ns in range(0, seconds * SECOND, PIECE * SECOND):
+        end_ns = begin_ns + PIECE * SECOND
+        times_ns = np.arange(begin_ns, end_ns, SECOND // TORQUE_HZ)
+        torques = random.normal(size=(len(times_ns), 3)) * PULSE - BRAKE * state.angular_velocity
+        problem = Problem(body, state, TorqueLog(times_ns, torques)).biased(
+            np.array(bias), end_ns + SECOND)
+        at_ns = np.arange(begin_ns, end_ns, SECOND // GYRO_HZ)
+        motion = problem.propagate(at=np.append(at_ns, end_ns))
+        state = State(end_ns, so3.normalize(motion.attitude[-1]), motion.angular_velocity[-1])
+        mocap = slice(0, -1, GYRO_HZ // MOCAP_HZ)
+        attitude = so3.multiply(motion.attitude[mocap], so3.exp(noise(
+            random, len(at_ns[mocap.start::mocap.step]), colour, level * ATTITUDE_NOISE,
+            memories[0])))
+        rates = turned.inv().apply(motion.angular_velocity[:-1]) + noise(
+            random, len(at_ns), colour, level * RATE_NOISE, memories[1])
+        yield (times_ns, torques), (at_ns[mocap.start::mocap.step], attitude), (at_ns, rates)
+
+
+def judgements(found, hours, level=1.0):
+    """Generate the judgements of a live check of pieces."""
+    monitor = Monitor(Problem(RigidBody(INERTIA), State(0)), Settings(
+        5.0, HISTORY, level * ATTITUDE_NOISE, level * RATE_NOISE, hours))
+    for torques, mocap, gyro in found:
+        for time_ns, torque in zip(torques[0].tolist(), torques[1]):
+            monitor.apply(time_ns, torque)
+        for time_ns, attitude in zip(mocap[0].tolist(), mocap[1]):
+            monitor.measure('/mocap', time_ns, attitude, None)
+        for time_ns, rate in zip(gyro[0].tolist(), gyro[1]):
+            monitor.measure('/gyro', time_ns, None, rate)
+        yield from monitor.judgements()
+
+
+def false_alarms(hours, colour, seed):
+    """Return the numbers of alarms and windows of an hour of a right model."""
+    found = list(judgements(pieces(seed, 3600 + 2 * PIECE, colour), hours))
+    # A test of several windows stands until the next one of as many: count it once.
+    alarms = {(one.windows, one.since_ns) for one in found if one.level == ERROR}
+    return len(alarms), len(found)
+
+
+def delay(name, level, seed):
+    """Return after how many seconds an error is found; infinity if not within ten minutes."""
+    found = judgements(pieces(seed, 660, 0.0, level, **ERRORS[name]), 24.0, level)
+    return next((1e-9 * one.error.end_ns for one in found if one.level == ERROR), np.inf)
+
+
+def main():
+    """Print the rate of false alarms, or the delays."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--hours', type=int, default=100)
+    parser.add_argument('--false-alarms', type=float, default=1.0, metavar='HOURS')
+    parser.add_argument('--colour', type=float, default=0.0, help='of the AR(1) noise')
+    parser.add_argument('--delays', action='store_true')
+    options = parser.parse_args()
+    with Pool(os.cpu_count()) as pool:
+        if options.delays:
+            print('| what is wrong | nominal noise | ten times the noise |\n|---|---|---|')
+            for name in ERRORS:
+                cells = [np.median(pool.map(partial(delay, name, level), range(5)))
+                         for level in (1.0, 10.0)]
+                print(f'| {name} | ' + ' | '.join(
+                    f'{cell:.0f} s' if cell < np.inf else 'not within 10 min'
+                    for cell in cells) + ' |', flush=True)
+            return
+        count = windows = 0
+        for hour, (alarms, judged) in enumerate(pool.imap(partial(
+                false_alarms, options.false_alarms, options.colour), range(options.hours)), 1):
+            count, windows = count + alarms, windows + judged
+            print(f'{hour} h, {windows} windows: {count} alarms, '
+                  f'{hour / options.false_alarms:g} stated', flush=True)
+
+
+if __name__ == '__main__':
+    main()

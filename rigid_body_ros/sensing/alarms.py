@@ -1,0 +1,211 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Alarms of a live check: tests of the errors of windows, with a stated rate of false alarms.
+
+A window is tested by itself, and the residual torques of 4, 16 and 64 windows together, to find
+what is too small for one. Each of the tests has the same share of the rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from rigid_body_ros.common.arrays import as_json, Floats
+from rigid_body_ros.sensing.windows import Noise, WindowError
+
+OK, WARN, ERROR = range(3)
+#: Numbers of windows that are tested together.
+_TOGETHER = 1, 4, 16, 64
+#: A test warns from this many times the probability of an alarm on.
+_WARNING = 10.0
+#: Windows after which the noise of earlier ones counts for 1/e; and samples of noise as correlated
+#: as an AR(1) process of 0.5 that count before the first: alarms are rarer at the beginning.
+_MEMORY, _EARLIER, _CAUTION = 60.0, 1000.0, 0.5
+#: Largest correlation of one sample with the next.
+_MOST = 0.95
+
+
+class Judgement(NamedTuple):
+    """
+    What a window says of the model.
+
+    Attributes
+    ----------
+    error : WindowError
+    level : int
+        OK, WARN (ten times as many false alarms as stated) or ERROR.
+    sigma : float
+        The least probable of the present tests, as a deviation of a normal distribution.
+    windows : int
+        How many windows that test is of.
+    axis : str
+        Which component is off most, and by how many standard deviations.
+    since_ns : int
+        End of the first window of the present level.
+
+    """
+
+    error: WindowError
+    level: int
+    sigma: float
+    windows: int
+    axis: str
+    since_ns: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as JSON types; units are in the names."""
+        error = self.error
+        return {'end_ns': error.end_ns, 'level': ('OK', 'WARN', 'ERROR')[self.level],
+                'sigma': self.sigma, 'windows': self.windows, 'axis': self.axis,
+                'attitude_error_rad': as_json(error.attitude),
+                'rate_error_rad_s': as_json(error.rate),
+                'residual_torque_N_m': as_json(error.torque), 'outliers': error.outliers}
+
+
+@dataclass
+class NoiseLevel:
+    """
+    How noisy a value of a sensor really is, and how long its noise lasts, from all windows so far.
+
+    Parameters
+    ----------
+    stated : float
+        Standard deviation of a component.
+
+    """
+
+    stated: float
+    #: Number of samples, sums of squares of their differences, and of products of successive ones.
+    #: Differences about a line, because an error of the model is smooth.
+    _sums: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        change = 1.0 - _CAUTION
+        self._sums = _EARLIER * self.stated ** 2 * np.array([
+            1.0 / self.stated ** 2, 2.0 * change, -change ** 2])
+
+    #: Whether the topic measures this.
+    is_measured: bool = field(default=False, init=False)
+
+    def add(self, errors: Floats | None) -> None:
+        """Add the errors of a window, shape (n, 3); None adds none."""
+        if errors is None or len(errors) < 4:
+            return
+        self.is_measured = True
+        steps = np.diff(errors, axis=0)
+        columns = np.stack([np.ones(len(steps)), np.arange(len(steps))], axis=1)
+        steps = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
+        # Neither outliers nor a jump are noise.
+        limit = 6.0 * float(np.median(np.abs(steps))) / 0.6745
+        steps = np.clip(steps, -limit, limit)
+        self._sums *= np.exp(-1.0 / _MEMORY)
+        self._sums += steps.size, np.sum(steps ** 2), np.sum(steps[1:] * steps[:-1])
+
+    @property
+    def _correlation(self) -> float:
+        _, squares, products = self._sums
+        return float(np.clip(1.0 + 2.0 * products / squares, 0.0, _MOST)) if squares else 0.0
+
+    @property
+    def factor(self) -> float:
+        """Return by how much correlation multiplies the variance of a mean, as for AR(1)."""
+        return (1.0 + self._correlation) / (1.0 - self._correlation)
+
+    @property
+    def found(self) -> float:
+        """Return the standard deviation of a component."""
+        count, squares, _ = self._sums
+        return float(np.sqrt(squares / count / 2.0 / (1.0 - self._correlation)))
+
+
+@dataclass
+class _Together:
+    """The residual torques of several windows, weighted by their precision."""
+
+    windows: int
+    count: int = 0
+    weight: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    product: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def add(self, torque: Floats, covariance: Floats) -> float | None:
+        """Add that of a window; if it is the last, return chi-square, and begin again."""
+        weight = np.linalg.inv(covariance)
+        self.count += 1
+        self.weight, self.product = self.weight + weight, self.product + weight @ torque
+        if self.count < self.windows:
+            return None
+        found = float(self.product @ np.linalg.solve(self.weight, self.product))
+        self.count, self.weight, self.product = 0, np.zeros((3, 3)), np.zeros(3)
+        return found
+
+
+class Alarms:
+    """
+    Judge windows, one after the other.
+
+    Parameters
+    ----------
+    window_s : float, s
+    hours : float, h
+        Time in which a right model gives one alarm.
+
+    """
+
+    def __init__(self, window_s: float, hours: float) -> None:
+        #: Probability of an alarm of a test of one window.
+        self._usual = window_s / (3600.0 * hours * len(_TOGETHER))
+        self._sums = [_Together(count) for count in _TOGETHER[1:]]
+        #: By number of windows: the probability of the last test, divided by that of an alarm.
+        self._ratios = dict.fromkeys(_TOGETHER, np.inf)
+        self._level, self._since_ns = OK, 0
+
+    def judged(self, error: WindowError) -> Judgement:
+        """Return what the windows so far say, given the next."""
+        from scipy.stats import chi2, norm
+        first = 3 if np.isnan(error.attitude[0]) else 0
+        change = np.concatenate([error.attitude, error.rate])[first:]
+        covariance = error.covariance[first:, first:]
+        square = change @ np.linalg.solve(covariance, change)
+        self._ratios[1] = chi2.sf(square, len(change)) / self._usual
+        for sums in self._sums:
+            found = sums.add(error.torque, error.torque_covariance)
+            if found is not None:
+                self._ratios[sums.windows] = chi2.sf(found, 3) / (sums.windows * self._usual)
+        windows = min(self._ratios, key=self._ratios.__getitem__)
+        ratio = self._ratios[windows]
+        level = ERROR if ratio < 1.0 else WARN if ratio < _WARNING else OK
+        if level != self._level or not self._since_ns:
+            self._level, self._since_ns = level, error.end_ns
+        probability = min(ratio * windows * self._usual, 1.0)
+        return Judgement(error, level, float(norm.isf(0.5 * probability)), windows,
+                         _axis(change, covariance), self._since_ns)
+
+
+def _axis(change: Floats, covariance: Floats) -> str:
+    """Return which component of an error is off most."""
+    deviations = np.abs(change) / np.sqrt(np.diag(covariance))
+    names = [f'{what} about {axis}' for what in ('attitude', 'rate') for axis in 'xyz']
+    row = int(np.argmax(deviations))
+    return f'{names[len(names) - len(change) + row]} ({deviations[row]:.1f} sigma)'
+
+
+def noises_of(levels: Sequence[tuple[NoiseLevel, NoiseLevel]]) -> list[Noise]:
+    """Return the stated noises of sensors, attitude and rate, with the factors found so far."""
+    return [Noise(turned.stated, rate.stated, turned.factor, rate.factor)
+            for turned, rate in levels]

@@ -1,0 +1,313 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What a model predicts over a window of a measured motion, and what is measured at its end.
+
+The measurements in the first fifth of the window give the state at its begin, which is propagated
+under the logged torques. Those in the last fifth correct it. That correction, at the end of the
+window, is the error. Its covariance is that of both estimates; the constant torque that explains
+it best is the residual torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.rates import measured_rates
+
+#: The part of a window from whose samples a state is estimated, and the fewest samples.
+_PART, FEWEST = 5, 3
+#: A sample is an outlier from this many standard deviations on, if it is so many times as far off
+#: as most are.
+_OUTLIER, _UNUSUAL = 6.0, 4.0
+#: Most corrections of an estimated start, and the chi-square of one that is not worth another.
+_CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
+#: Samples that the first guess of the rates is from.
+_GUESSED = 5
+#: rad, rad/s; the change of a start for a derivative.
+_CHANGE = 1e-6
+
+
+class Noise(NamedTuple):
+    """The noise of a sensor: standard deviations of a component, and how much longer it lasts."""
+
+    #: rad, of the attitude as a rotation vector; rad/s.
+    attitude: float
+    rate: float
+    #: By how much correlation multiplies the variance of a mean, for both.
+    attitude_factor: float = 1.0
+    rate_factor: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class WindowError:
+    """
+    The error of a prediction over a window: measured minus computed.
+
+    Attributes
+    ----------
+    begin_ns, end_ns : int
+    attitude : array, shape (3,), rad, body axes
+        Rotation vector from the computed attitude to the measured one, at the end; NaN if no
+        attitude is measured.
+    rate : array, shape (3,), rad/s, body axes
+    covariance : array, shape (6, 6)
+        Of both, attitude first.
+    torque : array, shape (3,), N m, body axes
+        The constant torque over the window that explains the error best.
+    torque_covariance : array, shape (3, 3), N^2 m^2
+    outliers : int
+        Number of samples left out.
+    residuals : tuple of (array or None, array or None)
+        Of each sensor: measured minus computed attitudes and angular velocities over the window.
+
+    """
+
+    begin_ns: int
+    end_ns: int
+    attitude: Floats
+    rate: Floats
+    covariance: Floats
+    torque: Floats
+    torque_covariance: Floats
+    outliers: int
+    residuals: tuple[tuple[Floats | None, Floats | None], ...]
+
+
+class _Motions(NamedTuple):
+    """A motion, and its derivatives by its start: attitude and angular velocity, body axes."""
+
+    attitude: Floats
+    rates: Floats
+    #: Shape (m, 6, p) for p parameters: rotation vector and rates.
+    derivatives: Floats
+
+    def change_to(self, attitude: Floats, rates: Floats) -> Floats:
+        """Return the differences of other states, or of one, shape (m, 6)."""
+        turned = so3.log(so3.multiply(so3.conjugate(self.attitude), attitude))
+        return np.concatenate([turned, rates - self.rates], axis=1)
+
+
+class _Estimate(NamedTuple):
+    """A correction of a start, its covariance, and the number of samples left out."""
+
+    change: Floats
+    covariance: Floats
+    outliers: int
+    #: The times of the samples, ns, shape (m,), and the change by an error at each, (p, m, 6).
+    times_ns: NDArray[np.int64]
+    gain: Floats
+
+    def by(self, errors: Floats) -> Floats:
+        """Return the change by errors at the times, shape (m, 6, k)."""
+        return np.einsum('pmi,mik->pk', self.gain, errors)
+
+
+def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence[Noise],
+                 begin_ns: int, end_ns: int) -> WindowError | None:
+    """
+    Return the error of the prediction over a window.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its torques; its start does not matter, but for the momentum of the rotors.
+    sensors : sequence of Measured
+        In the time and the axes of the problem.
+    noises : sequence of Noise
+        Of each sensor.
+    begin_ns, end_ns : int
+        The window.
+
+    Returns
+    -------
+    WindowError or None
+        None if too few samples are at the begin or at the end.
+
+    """
+    turn_ns = end_ns - (end_ns - begin_ns) // _PART
+    inside = [_between(sensor, begin_ns, end_ns) for sensor in sensors]
+    first = [_between(sensor, begin_ns, begin_ns + end_ns - turn_ns) for sensor in inside]
+    last = [_between(sensor, turn_ns, end_ns) for sensor in inside]
+    is_turned = all(_count(part, 'attitude') >= FEWEST for part in (first, last))
+    has_rates = all(_count(part, 'angular_velocity') >= FEWEST for part in (first, last))
+    if not is_turned and (not has_rates or _needs_attitude(problem)):
+        return None
+    guess = State(begin_ns, *_guess(first, begin_ns, is_turned), _momentum(problem, begin_ns))
+    start, estimate, _ = _Samples(first, noises, is_turned).estimated(problem, guess, begin_ns)
+    times_ns = np.unique(np.concatenate(
+        [[turn_ns, end_ns], *(sensor.stamps_ns for sensor in inside)]))
+    model = problem.between(start, end_ns)
+    motions = _motions(model, times_ns, is_turned)
+    row = int(np.searchsorted(times_ns, turn_ns))
+    later = State(turn_ns, motions.attitude[row], motions.rates[row], _momentum(problem, turn_ns))
+    _, found, ahead = _Samples(last, noises, is_turned).estimated(problem, later, end_ns)
+    to_end, sent = ahead.derivatives[-1], motions.derivatives[-1]
+    change = motions.change_to(ahead.attitude[-1], ahead.rates[-1])[-1] + to_end @ found.change
+    covariance = to_end @ found.covariance @ to_end.T + sent @ estimate.covariance @ sent.T
+    by_torque = _by_torque(model, motions, times_ns, estimate, found)
+    torque, torque_covariance = _explained(change, covariance, to_end @ by_torque, is_turned)
+    residuals = tuple(_residuals(sensor, motions, np.searchsorted(times_ns, sensor.stamps_ns))
+                      for sensor in inside)
+    attitude = change[:3] if is_turned else np.full(3, np.nan)
+    return WindowError(begin_ns, end_ns, attitude, change[3:], covariance, torque,
+                       torque_covariance, estimate.outliers + found.outliers, residuals)
+
+
+def _momentum(problem: Problem, time_ns: int) -> Floats:
+    return problem.rotor_momentum(np.array([time_ns]))[0]
+
+
+def _between(sensor: Measured, begin_ns: int, end_ns: int) -> Measured:
+    return sensor.rows(slice(*np.searchsorted(sensor.stamps_ns, [begin_ns, end_ns]).tolist()))
+
+
+def _count(sensors: Sequence[Measured], name: str) -> int:
+    """Return the largest number of samples of a sensor that measures 'attitude' or the rates."""
+    return max((len(sensor) for sensor in sensors if getattr(sensor, name) is not None), default=0)
+
+
+def _needs_attitude(problem: Problem) -> bool:
+    """Return whether a torque depends on the attitude."""
+    return bool(problem.fields) or any(log.in_space.any() for log in problem.logs)
+
+
+def _guess(sensors: Sequence[Measured], begin_ns: int, is_turned: bool) -> tuple[Floats, Floats]:
+    """Return about the attitude and the angular velocity at the begin of samples."""
+    name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
+    rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
+    if not is_turned:
+        return np.array([0.0, 0.0, 0.0, 1.0]), rates
+    turned = _longest(sensors, 'attitude')
+    assert turned.attitude is not None
+    seconds = 1e-9 * (begin_ns - turned.stamps_ns[0])
+    return so3.multiply(turned.attitude[0], so3.exp(rates * seconds)), rates
+
+
+def _longest(sensors: Sequence[Measured], name: str) -> Measured:
+    return max((sensor for sensor in sensors if getattr(sensor, name) is not None), key=len)
+
+
+def _corrected(start: State, change: Floats) -> State:
+    turn, rate = change[:-3], change[-3:]
+    attitude = so3.multiply(start.attitude, so3.exp(turn)) if len(turn) else start.attitude
+    return State(start.time_ns, so3.normalize(attitude), start.angular_velocity + rate,
+                 start.rotor_momentum)
+
+
+def _motions(problem: Problem, times_ns: NDArray[np.int64], is_turned: bool) -> _Motions:
+    """Return a motion, and its derivatives by the attitude, if it is estimated, and the rates."""
+    changes = _CHANGE * np.eye(6)[0 if is_turned else 3:]
+    starts = [problem.start, *(_corrected(problem.start, change) for change in changes)]
+    found = [problem.replaced(start=start).propagate(at=times_ns) for start in starts]
+    base, *others = found
+    motions = _Motions(base.attitude, base.angular_velocity, np.empty(0))
+    derivatives = [motions.change_to(other.attitude, other.angular_velocity)
+                   for other in others]
+    return motions._replace(derivatives=np.stack(derivatives, axis=-1) / _CHANGE)
+
+
+def _residuals(sensor: Measured, motions: _Motions, rows: NDArray[np.intp]
+               ) -> tuple[Floats | None, Floats | None]:
+    """Return measured minus computed attitudes and angular velocities."""
+    turned = None if sensor.attitude is None else so3.log(
+        so3.multiply(so3.conjugate(motions.attitude[rows]), sensor.attitude))
+    rates = None if sensor.angular_velocity is None else \
+        sensor.angular_velocity - motions.rates[rows]
+    return turned, rates
+
+
+class _Samples(NamedTuple):
+    """Samples that a state is estimated from, and their noises."""
+
+    sensors: Sequence[Measured]
+    noises: Sequence[Noise]
+    #: Whether the attitude is estimated, too.
+    is_turned: bool
+
+    def estimated(self, problem: Problem, start: State,
+                  until_ns: int) -> tuple[State, _Estimate, _Motions]:
+        """Return the start that fits best, its last correction, and the motion before that."""
+        times_ns = np.unique(np.concatenate(
+            [*(sensor.stamps_ns for sensor in self.sensors), [until_ns]]))
+        for _ in range(_CORRECTIONS):
+            motions = _motions(problem.between(start, int(times_ns[-1])), times_ns, self.is_turned)
+            estimate = self._solved(times_ns, motions)
+            start, change = _corrected(start, estimate.change), estimate.change
+            if change @ np.linalg.solve(estimate.covariance, change) < _NEGLIGIBLE:
+                break
+        return start, estimate, motions
+
+    def _solved(self, times_ns: NDArray[np.int64], motions: _Motions) -> _Estimate:
+        count, outliers = motions.derivatives.shape[2], 0
+        gain = np.zeros((count, len(times_ns), 6))
+        normal, wide, right = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
+        for sensor, noise in zip(self.sensors, self.noises):
+            rows = np.searchsorted(times_ns, sensor.stamps_ns)
+            found = _residuals(sensor, motions, rows)
+            for errors, part, sigma, factor in zip(
+                    found, (slice(0, 3), slice(3, 6)), noise[:2], noise[2:]):
+                if errors is None or not len(errors) or (part.start == 0 and not self.is_turned):
+                    continue
+                kept = _usual(errors, sigma)
+                outliers += int(np.sum(~kept))
+                columns = motions.derivatives[rows[kept], part].reshape(-1, count) / sigma
+                weight = columns.T @ columns
+                normal += weight
+                wide += factor * weight
+                right += columns.T @ (errors[kept].ravel() / sigma)
+                gain[:, rows[kept], part] += columns.T.reshape(count, -1, 3) / sigma
+        inverse = np.linalg.inv(normal)
+        return _Estimate(inverse @ right, inverse @ wide @ inverse, outliers, times_ns,
+                         np.tensordot(inverse, gain, 1))
+
+
+def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
+    """Return which errors are no outliers."""
+    sizes = np.abs(errors).max(axis=1)
+    return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
+
+
+def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
+               first: _Estimate, last: _Estimate) -> Floats:
+    """Return the derivative of the second of two estimates by a constant torque, shape (p, 3)."""
+    # As large as what changes the rate by _CHANGE.
+    end_ns = int(times_ns[-1])
+    seconds = 1e-9 * (end_ns - problem.start.time_ns)
+    size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds
+    others = [problem.biased(torque, end_ns).propagate(at=times_ns) for torque in size * np.eye(3)]
+    moved = np.stack([motions.change_to(other.attitude, other.angular_velocity)
+                      for other in others], axis=-1) / size
+    # The torque moves the first estimate, too, and with it what is predicted.
+    moved -= motions.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
+    return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
+
+
+def _explained(change: Floats, covariance: Floats, by_torque: Floats, is_turned: bool
+               ) -> tuple[Floats, Floats]:
+    """Return the torque that explains a change of the end best, and its covariance."""
+    first = 0 if is_turned else 3
+    weight = np.linalg.solve(covariance[first:, first:], by_torque[first:])
+    spread = np.linalg.inv(by_torque[first:].T @ weight)
+    return spread @ (weight.T @ change[first:]), spread
