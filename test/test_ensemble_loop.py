@@ -218,7 +218,7 @@ def example(tmp_path_factory):
     """Return the folder of the example in the documentation, with fewer runs, and what it says."""
     folder = tmp_path_factory.mktemp('example')
     text = (ROOT / 'docs' / 'ensemble.md').read_text()
-    command, = re.findall(r'^attitude_ensemble --scene examples/damp_rates[^`]*', text, re.MULTILINE)
+    command, = re.findall(r'^attitude_ensemble --scene examples/damp[^`]*', text, re.MULTILINE)
     arguments = shlex.split(command.replace('\\\n', ' '))[1:]
     arguments[arguments.index('--runs') + 1] = '7'
     arguments[arguments.index('-o') + 1] = str(folder / 'runs')

@@ -107,7 +107,7 @@ class _Motion:
         self._source = len(problem.logs)
         # What is asked for is never older than the newest torque by more than a step.
         self._propagator = Propagator(problem.body, problem.start, fields=problem.fields,
-                                      history=step_ns / 1e9, **asdict(problem.options))
+                                      wheels=problem.named_wheels, history=step_ns / 1e9, **asdict(problem.options))
         self._recorded = heapq.merge(*self._inputs(problem), key=itemgetter(0))
         self._next = next(self._recorded, None)
 
