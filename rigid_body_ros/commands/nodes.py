@@ -42,7 +42,7 @@ def _run(command: str, module: str, arguments: Sequence[str] | None) -> int:
     return 0
 
 
-attitude_node = partial(_run, 'attitude_node', 'rigid_body_ros.node')
+attitude_node = partial(_run, 'attitude_node', 'rigid_body_ros.node.process')
 attitude_lifecycle_node = partial(_run, 'attitude_lifecycle_node', 'rigid_body_ros.node.lifecycle')
 attitude_monitor = partial(_run, 'attitude_monitor', 'rigid_body_ros.node.attitude_monitor')
 attitude_controller = partial(_run, 'attitude_controller',

@@ -106,8 +106,10 @@ class _Motion:
     def __init__(self, problem: Problem, step_ns: int) -> None:
         self._source = len(problem.logs)
         # What is asked for is never older than the newest torque by more than a step.
-        self._propagator = Propagator(problem.body, problem.start, fields=problem.fields,
-                                      wheels=problem.named_wheels, history=step_ns / 1e9, **asdict(problem.options))
+        wheels = problem.named_wheels.wheels if problem.named_wheels else None
+        self._propagator = Propagator(problem.body, problem.start, wheels=wheels,
+                                      fields=problem.fields, history=step_ns / 1e9,
+                                      **asdict(problem.options))
         self._recorded = heapq.merge(*self._inputs(problem), key=itemgetter(0))
         self._next = next(self._recorded, None)
 

@@ -222,7 +222,8 @@ class AttitudeMonitor(Node):
 
     def _complete_ns(self, now: float) -> int:
         """Return up to when the messages of all topics but silent ones have arrived, ns."""
-        newest_ns, history_ns = self._monitor.newest_ns, duration_ns(self._scene.history, 'history')
+        newest_ns = self._monitor.newest_ns
+        history_ns = duration_ns(self._scene.history, 'history')
         sending = []
         for number in self._drains:
             if self._newest_ns.get(number, 0) >= newest_ns - history_ns:

@@ -34,7 +34,7 @@ _PERIOD = 0.02
 _LINES, _WIDTH = 20, 200
 
 
-class Controller:
+class ControllerProcess:
     """
     A command in a session of its own, which ends with the context.
 
@@ -61,7 +61,7 @@ class Controller:
             self._output.close()
             raise InputError(f'{words[0]}: cannot be started: {reason(error)}') from error
 
-    def __enter__(self) -> Controller:
+    def __enter__(self) -> ControllerProcess:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,

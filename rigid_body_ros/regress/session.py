@@ -23,7 +23,7 @@ import signal
 import time
 
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.regress.controller import Controller
+from rigid_body_ros.regress.controller import ControllerProcess
 from rigid_body_ros.regress.loop import Loop
 from rigid_body_ros.regress.node_process import NodeProcess, Start, Status
 from rigid_body_ros.runtime import interrupts
@@ -104,7 +104,7 @@ class Session:
 
         """
         with NodeProcess(self.start, span.by_log) as node, \
-                Controller(self.command) as controller:
+                ControllerProcess(self.command) as controller:
             try:
                 self._run(node, controller, span, may_end)
             except InputError:
@@ -114,7 +114,8 @@ class Session:
             controller.end()  # it would go on
             node.write(path, span.last_ns)
 
-    def _run(self, node: NodeProcess, controller: Controller, span: Span, may_end: bool) -> None:
+    def _run(self, node: NodeProcess, controller: ControllerProcess, span: Span,
+             may_end: bool) -> None:
         until, ending = time.monotonic() + self.timeout, None
         while not span.is_over(node.status.elapsed_ns):
             node.watch(_PERIOD)

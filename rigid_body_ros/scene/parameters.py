@@ -105,7 +105,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('monitor.rate_noise', 0.0, 'rad/s', 'attitude_monitor: standard deviation of a '
               'component of the measured angular velocities; required', (0.0, BIG)),
     Parameter('monitor.false_alarms', 24.0, 'h', 'attitude_monitor: time in which a right model '
-              'gives one alarm', (1e-3, BIG)),
+              'gives one alarm', (TINY, BIG)),
     *sensors.PARAMETERS,
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),

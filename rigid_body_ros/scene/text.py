@@ -20,8 +20,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from rigid_body_ros.scene.fields import FIELDS
-from rigid_body_ros.scene.parameters import parameters_with
+from rigid_body_ros.scene.parameters import Names, parameters_with
 from rigid_body_ros.scene.scene import Scene
+from rigid_body_ros.scene.wheels import WHEEL_NAMES
 import yaml
 
 
@@ -32,7 +33,8 @@ def text_of(scene: Scene, changed: Mapping[str, Any]) -> str:
     A robot_description is left out if the inertia is among the changed values, because it has one
     of its own.
     """
-    parameters = parameters_with(changed.get(FIELDS, scene.values[FIELDS]))
+    parameters = parameters_with(Names(changed.get(FIELDS, scene.values[FIELDS]),
+                                       scene.values[WHEEL_NAMES]))
     values = {name: value for name, value in scene.values.items()
               if value != parameters[name].default or name.startswith('inertia')}
     if any(name.startswith('inertia') for name in changed):

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
-from rigid_body_ros.sensing.windows import Noise, WindowError
+from rigid_body_ros.sensing.windows import SensorNoise, WindowError
 
 OK, WARN, ERROR = range(3)
 #: Numbers of windows that are tested together.
@@ -205,7 +205,7 @@ def _axis(change: Floats, covariance: Floats) -> str:
     return f'{names[len(names) - len(change) + row]} ({deviations[row]:.1f} sigma)'
 
 
-def noises_of(levels: Sequence[tuple[NoiseLevel, NoiseLevel]]) -> list[Noise]:
+def noises_of(levels: Sequence[tuple[NoiseLevel, NoiseLevel]]) -> list[SensorNoise]:
     """Return the stated noises of sensors, attitude and rate, with the factors found so far."""
-    return [Noise(turned.stated, rate.stated, turned.factor, rate.factor)
+    return [SensorNoise(turned.stated, rate.stated, turned.factor, rate.factor)
             for turned, rate in levels]

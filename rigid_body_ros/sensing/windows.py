@@ -49,7 +49,7 @@ _GUESSED = 5
 _CHANGE = 1e-6
 
 
-class Noise(NamedTuple):
+class SensorNoise(NamedTuple):
     """The noise of a sensor: standard deviations of a component, and how much longer it lasts."""
 
     #: rad, of the attitude as a rotation vector; rad/s.
@@ -124,7 +124,7 @@ class _Estimate(NamedTuple):
         return np.einsum('pmi,mik->pk', self.gain, errors)
 
 
-def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence[Noise],
+def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence[SensorNoise],
                  begin_ns: int, end_ns: int) -> WindowError | None:
     """
     Return the error of the prediction over a window.
@@ -135,7 +135,7 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
         Its torques; its start does not matter, but for the momentum of the rotors.
     sensors : sequence of Measured
         In the time and the axes of the problem.
-    noises : sequence of Noise
+    noises : sequence of SensorNoise
         Of each sensor.
     begin_ns, end_ns : int
         The window.
@@ -242,7 +242,7 @@ class _Samples(NamedTuple):
     """Samples that a state is estimated from, and their noises."""
 
     sensors: Sequence[Measured]
-    noises: Sequence[Noise]
+    noises: Sequence[SensorNoise]
     #: Whether the attitude is estimated, too.
     is_turned: bool
 
