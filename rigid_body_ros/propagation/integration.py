@@ -29,7 +29,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.requested import checked_times
-from rigid_body_ros.propagation.timeline import Timeline
+from rigid_body_ros.propagation.timeline import NO_OTHERS, OtherTorques, Timeline
 from rigid_body_ros.propagation.trajectory import joined, Trajectory
 
 if TYPE_CHECKING:
@@ -56,18 +56,21 @@ class Integration:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
         self._body = problem.body_at(start.time_ns)
+        self._others = NO_OTHERS
+        if problem.fields or problem.actuators:
+            self._others = OtherTorques(problem._fields, problem.lagging())
         self._timeline = self._timeline_from(start._rotors if start._has_rotors else None)
         self._progress, self._is_begun = self._begin(), False
 
     def _timeline_from(self, momentum: Floats | None) -> Timeline:
         problem = self.problem
-        logs, wheels = problem.logs, problem.wheels
+        logs, wheels = problem.acting_logs, problem.wheels
         if problem.changes:  # the torques of the other parts would be summed for nothing
             span = self._end_ns, problem.changes.next_ns(self._end_ns)
             logs = tuple(log.between(*span) for log in logs)
             wheels = wheels and wheels.between(*span)
         return Timeline(logs, wheels, problem.options.timeout_ns,
-                        self._body.is_damped, self._end_ns, momentum, problem._fields)
+                        self._body.is_damped, self._end_ns, momentum, self._others)
 
     def _begin(self) -> NDArray[Any]:
         start, stop = self.problem.start, len(self._timeline.times_ns)
@@ -87,13 +90,17 @@ class Integration:
         found = self._timeline.held(row)
         if found is None:
             return None
-        torque, in_space, *others = found
+        torque, in_space, others = found
+        lagging = self._others.lagging
         acts = torque.any() or any(other.any() for other in others)
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
-                     for log in problem.sources) and (acts or self._timeline.has_terms)
+                     for log in problem.acting_sources) and (acts or self._timeline.has_terms)
+        if lagging and not others.pop().any():
+            lagging = None
+        key = [lagging.key(start_ns)] if lagging else []
         return None if begins else problem.options.rule(
-            self._body, problem._fields, torque, in_space, *others)
+            self._body, problem._fields, torque, in_space, *others, *key)
 
     def extend(self, problem: Problem) -> None:
         """

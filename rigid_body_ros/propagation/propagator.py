@@ -27,13 +27,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
+from rigid_body_ros.mechanics.actuator import Actuators
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed, checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
+from rigid_body_ros.propagation.acting import ActingSamples
+from rigid_body_ros.propagation.lags import Lagging
 from rigid_body_ros.propagation.options import Options
-from rigid_body_ros.propagation.origin import without_origin
+from rigid_body_ros.propagation.origin import with_rest, without_origin
 from rigid_body_ros.propagation.segment import (
     NewBody,
     Sample,
@@ -71,8 +74,8 @@ class Propagator:
     """
 
     def __init__(self, body: RigidBody, start: State, *, fields: Sequence[Field] = (),
-                 solver: str = Options.solver, tolerance: float = Options.tolerance,
-                 max_step: float | None = Options.max_step,
+                 actuator: Actuators = None, solver: str = Options.solver,
+                 tolerance: float = Options.tolerance, max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout,
                  history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
@@ -81,6 +84,7 @@ class Propagator:
         self._options.check_terms(body.is_damped, start._has_rotors, bool(fields))
         self._fields = packed(beginning_at(fields, start.time_ns))
         self._start = start
+        self._acting = ActingSamples(actuator, self._options.timeout_ns, start.time_ns)
         self._changes = [_Change(start.time_ns, {}, NewBody(-NEVER_NS, body, RATE))]
         self._begin()
         self._newest_ns: int | None = None
@@ -99,6 +103,10 @@ class Propagator:
         """Return by source the sample in force at a time, also if it has timed out."""
         return self._changes[max(self._index_of(time_ns), 0)].samples
 
+    def delay_ns(self, source: int) -> int:
+        """Return how long after its stamp a torque of a source acts, ns."""
+        return self._acting.delay_ns(source)
+
     def body_at(self, time_ns: int) -> NewBody:
         """Return the body in force at a time; the stamp of the first one is -NEVER_NS."""
         return self._changes[max(self._index_of(time_ns), 0)].body
@@ -115,15 +123,21 @@ class Propagator:
 
         Those before `earliest_ns` are forgotten.
         """
-        first, end = self._index_of(after_ns) + 1, self._index_of(until_ns) + 1
-        return [change.time_ns for change in self._changes[first:end]]
+        first = self._index_of(after_ns) + 1
+        end = self._index_of(until_ns + self._acting.longest_delay_ns) + 1
+        if not self._acting.longest_delay_ns:
+            return [change.time_ns for change in self._changes[first:end]]
+        found = {stamp_ns for change in self._changes[first:end] for stamp_ns in (
+            change.body.stamp_ns, *(sample.stamp_ns for sample in change.samples.values()))}
+        return sorted(stamp_ns for stamp_ns in found if after_ns < stamp_ns <= until_ns)
 
     def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
         """Return source and sample of the torques in force at a time, and of all later ones."""
         index = max(self._index_of(time_ns), 0)
         return [*self._changes[index].samples.items(), *(
             (source, sample) for change in self._changes[index + 1:]
-            for source, sample in change.samples.items() if sample.stamp_ns == change.time_ns)]
+            for source, sample in change.samples.items()
+            if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
 
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body',
               source: int = 0) -> bool:
@@ -263,7 +277,22 @@ class Propagator:
             raise ValueError(f'time_ns: expected {self.earliest_ns} ns or later, '
                              f'found {time_ns} ns')
         self._compute_segments(index, until)
-        return self._segment_at(self._changes[index], time_ns, until).state_at(time_ns, until)
+        state = self._segment_at(self._changes[index], time_ns, until).state_at(time_ns, until)
+        return with_rest(state, self._start.time_ns) if self._acting.lag else state
+
+    def torque(self, state: State) -> Floats:
+        """
+        Return the torque of all sources that acts at a state which `at` returned.
+
+        Returns
+        -------
+        array, shape (3,), N m, body axes
+            As the actuators apply it; without those on the rotors and of fields.
+
+        """
+        change = self._changes[max(self._index_of(state.time_ns), 0)]
+        segment = self._segment_at(change, state.time_ns, math.inf)
+        return self._acting.torque(change.samples, segment.lagging, state)
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
@@ -283,18 +312,19 @@ class Propagator:
         return found
 
     def _apply(self, time_ns: int, source: int, torque: Floats, in_space: bool) -> bool:
-        index = self._inserted(time_ns)
+        index = self._inserted(time_ns, self._acting.delay_ns(source))
         if index is None:
             return False
         self._put(index, Sample(time_ns, torque, in_space), source)
         return True
 
-    def _inserted(self, time_ns: int) -> int | None:
-        """Return the index of the change at a stamp, or None if the stamp is too old."""
+    def _inserted(self, time_ns: int, delay_ns: int = 0) -> int | None:
+        """Return the index of the change by a stamp, or None if the stamp is too old."""
         if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
             return None
         self._discard_before(time_ns - self.history_ns)
         self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
+        time_ns += delay_ns
         index = max(self._index_of(time_ns), 0)
         if time_ns > self._changes[index].time_ns:
             before = self._changes[index]
@@ -321,14 +351,14 @@ class Propagator:
     def _begin(self) -> None:
         """Compute the first segment."""
         start, first = self._start, self._changes[0]
-        total = self._sum(first, start.time_ns)
+        total, lagging = self._sum(first, start.time_ns, {})
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = any(start.time_ns in (sample.stamp_ns, sample.stamp_ns + self._options.timeout_ns)
-                     for sample in first.samples.values())
+                     for sample in self._acting.acting(first.samples).values())
         acts = not total.is_zero() or self._fields is not None or (
             first.body.body.is_damped or start._has_rotors)
         first.segment = self._segment(without_origin(start) if begins and acts else start, total,
-                                      first.body.body)
+                                      first.body.body, lagging)
 
     def _index_of(self, time_ns: int) -> int:
         """Return the index of the change in force at a time, or -1."""
@@ -336,8 +366,14 @@ class Propagator:
             return len(self._changes) - 1
         return bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
 
-    def _sum(self, change: _Change, time_ns: int) -> Sum:
-        return summed(change.samples, time_ns, self._options.timeout_ns)
+    def _sum(self, change: _Change, time_ns: int, before: Mapping[int, Lagging]
+             ) -> tuple[Sum, Mapping[int, Lagging]]:
+        acting = self._acting
+        total = summed(acting.acting(change.samples), time_ns, self._options.timeout_ns)
+        if not acting.lag:
+            return total, before
+        lagging = acting.lagging(change.samples, time_ns, before)
+        return total._replace(lags=acting.lags(lagging, time_ns)), lagging
 
     def _discard_before(self, horizon_ns: int) -> None:
         """Discard changes that no late torque can affect; raise ValueError as `at` does."""
@@ -371,7 +407,7 @@ class Propagator:
         """Return the segment that contains a time between a change and the next."""
         active = change.segment
         assert active is not None
-        for k, due_ns in enumerate(change.timeouts_ns(self._options.timeout_ns)):
+        for k, due_ns in enumerate(self._acting.due_ns(change.samples, change.time_ns)):
             if time_ns < due_ns:
                 break
             if k == len(change.after_timeouts):
@@ -381,17 +417,18 @@ class Propagator:
 
     def _next_segment(self, active: Segment, change: _Change, time_ns: int,
                       until: float) -> Segment:
-        total = self._sum(change, time_ns)
+        total, lagging = self._sum(change, time_ns, active.lagging)
         body = change.body
         if body.stamp_ns == time_ns:
             start = changed(active.end_at(time_ns, until), active.body, body.body, body.keep)
-            return self._segment(start, total, body.body)
+            return self._segment(start, total, body.body, lagging)
         if active.coasts and total.is_zero():
             return active
-        return self._segment(active.end_at(time_ns, until), total, body.body)
+        return self._segment(active.end_at(time_ns, until), total, body.body, lagging)
 
-    def _segment(self, start: State, total: Sum, body: RigidBody) -> Segment:
-        return Segment(body, self._options, self.history_ns, start, total, self._fields)
+    def _segment(self, start: State, total: Sum, body: RigidBody,
+                 lagging: Mapping[int, Lagging]) -> Segment:
+        return Segment(body, self._options, self.history_ns, start, total, self._fields, lagging)
 
 
 @dataclass
@@ -402,15 +439,8 @@ class _Change:
     samples: dict[int, Sample]
     body: NewBody
     segment: Segment | None = None
-    #: The segments that begin when samples time out, in order.
+    #: The segments that begin when samples time out, or when a lag is over, in order.
     after_timeouts: list[Segment] = field(default_factory=list)
-
-    def timeouts_ns(self, timeout_ns: int) -> list[int]:
-        """Return the times from this change on at which samples time out."""
-        if not timeout_ns:
-            return []
-        due = {sample.stamp_ns + timeout_ns for sample in self.samples.values()}
-        return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
 
 
 def _time_ns(change: _Change) -> int:
