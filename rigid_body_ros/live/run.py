@@ -21,6 +21,8 @@ from dataclasses import replace
 import time
 from typing import NamedTuple, Protocol
 
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import (
     APPLIED,
@@ -175,6 +177,10 @@ class Run:
             start_ns = self._present().start.time_ns
             sensed = self.state(max(time_ns - self._delay_ns, start_ns), until)
         return None if state is None or sensed is None else Snapshot(state, sensed)
+
+    def applied_torque(self, state: State) -> Floats:
+        """Return the torque that acts at a state, N m, body axes; zero without an epoch."""
+        return self.epoch.applied_torque(state) if self.epoch else np.zeros(3)
 
     def last_state(self, time_ns: int) -> State | None:
         """Return the state at a time, or None if it takes too long or cannot be computed."""

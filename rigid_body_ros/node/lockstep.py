@@ -279,7 +279,7 @@ class Lockstep(Mode):
         time_ns = snapshot.state.time_ns
         if self._clock is not None:
             self._clock.publish(Clock(clock=_time(time_ns)))
-        self._outputs.publish(snapshot)
+        self._outputs.publish(snapshot, self.run.applied_torque)
         self._republishing.published(is_repeated)
         if self._republishing.has_controller or self.run.epoch is not None:
             for duplicates in self._duplicates.values():

@@ -21,7 +21,7 @@ from contextlib import suppress
 from copy import copy
 import time
 
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -29,6 +29,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.live.events import UNSENT
 from rigid_body_ros.live.inputs import Torque
@@ -86,6 +87,9 @@ class Publishers:
         if scene.publish_tf:
             self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, _: (
                 messages.transform(state, space, body))))
+        #: That of the torque that acts, if actuators change it.
+        self._applied = self._publisher(WrenchStamped, 'applied_torque') \
+            if scene.actuators else None
         #: By number of the source.
         self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)
                           for source in sources}
@@ -94,19 +98,27 @@ class Publishers:
     @property
     def publishers(self) -> list[Publisher]:
         """All publishers of states and of the log."""
-        return [*(publisher for publisher, _ in self._states), *self._accepted.values(),
-                self._committed]
+        return [*self._state_publishers, *self._accepted.values(), self._committed]
+
+    @property
+    def _state_publishers(self) -> list[Publisher]:
+        return [*(publisher for publisher, _ in self._states),
+                *([self._applied] if self._applied else [])]
 
     @property
     def subscription_count(self) -> int:
         """Return the number of connected subscriptions to states."""
-        return sum(publisher.get_subscription_count() for publisher, _ in self._states)
+        return sum(publisher.get_subscription_count() for publisher in self._state_publishers)
 
-    def publish(self, snapshot: Snapshot) -> None:
-        """Publish a snapshot on every topic that has a subscription."""
+    def publish(self, snapshot: Snapshot, torque_at: Callable[[State], Floats]) -> None:
+        """Publish a snapshot, and the torque that acts, on every topic that has a subscription."""
         for publisher, encode in self._states:
             if publisher.get_subscription_count():
                 self._send(publisher, encode(*snapshot))
+        if self._applied and self._applied.get_subscription_count():
+            state = snapshot.state
+            self._send(self._applied, messages.wrench(state.time_ns, self._frames['body'],
+                                                      torque_at(state)))
 
     def begin_log(self, start: State) -> None:
         """Mark in the logs of torques that an epoch begins with a state."""

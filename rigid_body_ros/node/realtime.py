@@ -283,7 +283,7 @@ class Realtime(Mode):
         now = time.monotonic()
         self._overdue_at = now + 1.0 / self._rate + 2.0 * (now - began)
         if snapshot is not None:
-            self._outputs.publish(snapshot)
+            self._outputs.publish(snapshot, self.run.applied_torque)
 
     def _miss_deadline(self, error: TimeoutError) -> None:
         self._diagnostics.event(MISSED, 'cannot keep up: the body spins too fast, or late torques '
