@@ -113,6 +113,9 @@ OPTIONAL = [
     Topic('rotor_momentum', VECTOR3, STATE,
           'If `wheels` is true: N m s, body axes, momentum of the rotors relative to the body; in '
           'the body frame.'),
+    Topic('applied_torque', WRENCH, STATE,
+          'If `actuator.topics` is not empty: N m, the sum of the torques that act, after delay, '
+          'limit and lag; in the body frame.'),
     Topic('~/accepted_torque_1', WRENCH, LOG,
           'As `~/accepted_torque`, for the second topic of `torque_topics`; `_2` for the third, '
           'and so on.'),
@@ -222,6 +225,10 @@ the previous ticks.
 
 With `use_sim_time` the node waits for `/clock`. For a bag that is played without `--clock`, use
 `time_source:=arrival`.
+
+The torques of `actuator.topics` are commands: they act after `actuator.delay`, within
+`actuator.limit`, and with a lag; see [conventions](conventions.md#actuators). `~/accepted_torque`
+has them as they were sent, with their stamps, and a replay applies the same actuator.
 
 ### What if a controller falls silent?
 

@@ -20,6 +20,7 @@ from typing import Any, TYPE_CHECKING
 if TYPE_CHECKING:
     from rigid_body_ros.comparison import compare, Measured, read_measured
     from rigid_body_ros.identification import Experiment, identify
+    from rigid_body_ros.mechanics.actuator import Actuator
     from rigid_body_ros.mechanics.bodies import RigidBodies
     from rigid_body_ros.mechanics.body import RigidBody
     from rigid_body_ros.mechanics.changes import BodyLog
@@ -43,7 +44,7 @@ else:
     # Importing the engine takes a while, and commands must handle signals before.
     #: The module of each public name; a module stands for itself.
     _HOMES = {'RigidBodies': 'mechanics.bodies', 'RigidBody': 'mechanics.body',
-              'BodyLog': 'mechanics.changes',
+              'Actuator': 'mechanics.actuator', 'BodyLog': 'mechanics.changes',
               'State': 'mechanics.state', 'States': 'mechanics.states',
               'GravityGradient': 'mechanics.fields', 'UniformField': 'mechanics.fields',
               'TorqueLog': 'mechanics.torque', 'EffortLog': 'mechanics.wheels',
@@ -71,7 +72,7 @@ else:
     def __dir__() -> list[str]:
         return sorted({*globals(), *_HOMES})
 
-__all__ = ['BodyLog', 'EffortLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem',
-           'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog',
+__all__ = ['Actuator', 'BodyLog', 'EffortLog', 'Experiment', 'GravityGradient', 'Measured',
+           'Problem', 'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog',
            'Trajectories', 'Trajectory', 'UniformField', 'Wheel', 'build_info', 'compare',
            'identify', 'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']

@@ -60,19 +60,21 @@ SIGNATURES = [
                       'time_ns=None'),
     (TorqueLog.from_momentum, 'times_ns, momenta'),
     (Problem, 'body, start, log=None, *, wheels=None, efforts=None, fields=(), changes=None, '
-              f'{OPTIONS}'),
+              f'actuator=None, {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, inertia=None, '
            "interpolation=None, time_source='header'"),
     (propagate, 'body, start, log=None, *, at, wheels=None, efforts=None, fields=(), '
-                f'changes=None, {OPTIONS}'),
+                f'changes=None, actuator=None, {OPTIONS}'),
     (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, fields=(), torque_gains=None, '
                      f'{OPTIONS}'),
     (States, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
              'rotor_momentum=(0.0, 0.0, 0.0)'),
-    (Propagator, f'body, start, *, wheels=None, fields=(), {OPTIONS}, history=1.0'),
+    (Propagator, 'body, start, *, wheels=None, fields=(), actuator=None, '
+                 f'{OPTIONS}, history=1.0'),
     (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
     (Propagator.apply_wheels, 'self, time_ns, torque'),
+    (Propagator.torque, 'self, state'),
     (Propagator.apply_body, "self, time_ns, body, keep='rate'"),
     (Propagator.apply_efforts, 'self, time_ns, efforts'),
     (BodyLog, "times_ns, bodies, keep='rate'"),
@@ -103,7 +105,7 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
-        'BodyLog', 'EffortLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem',
+        'Actuator', 'BodyLog', 'EffortLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem',
         'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories',
         'Trajectory', 'UniformField', 'Wheel', 'build_info', 'compare', 'identify', 'propagate',
         'propagate_many', 'read', 'read_measured', 'warm_up']

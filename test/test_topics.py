@@ -66,7 +66,7 @@ def test_the_page_lists_every_cause_of_rejection():
 @pytest.mark.parametrize(('mode', 'arguments'), [
     ('realtime', ()), ('lockstep', ()),
     ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true',
-                  '-p', 'inertia_topic:=true'))])
+                  '-p', 'inertia_topic:=true', '-p', 'actuator.topics:=[torque]'))])
 def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
     published, subscribed = by_full_name(nodes.PUBLISHED), by_full_name(nodes.SUBSCRIBED)
     if arguments:

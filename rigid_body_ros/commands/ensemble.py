@@ -156,6 +156,9 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
 def _controller(options: argparse.Namespace, scene: Scene, problem: Problem) -> Controller | None:
     if not options.controller:
         return None
+    if scene.actuators:
+        raise InputError('--controller: expected a scene without actuators, found '
+                         f'actuator.topics: {listed(scene.values["actuator.topics"])}')
     from rigid_body_ros.ensemble.controller import Controller
     for log in problem.logs:
         if log.interpolation != 'hold':

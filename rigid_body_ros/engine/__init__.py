@@ -27,15 +27,30 @@ from rigid_body_ros.kernels import (
 )
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.fields import MOST as MOST_FIELDS
-from rigid_body_ros.kernels.layout import FASTEST, FieldTerms, Rows, Samples, Sums, Terms
+from rigid_body_ros.kernels.lags import EXPIRY
+from rigid_body_ros.kernels.lags import MOST as MOST_LAGS
+from rigid_body_ros.kernels.layout import (
+    FASTEST,
+    FieldTerms,
+    Lags,
+    LagTerms,
+    Rows,
+    Samples,
+    Sums,
+    Terms,
+)
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
 __all__ = [
     'CLASSICAL',
+    'EXPIRY',
     'FASTEST',
     'FIELDS',
     'MOST_FIELDS',
+    'MOST_LAGS',
     'FieldTerms',
+    'LagTerms',
+    'Lags',
     'Rows',
     'Samples',
     'Sums',

@@ -19,6 +19,7 @@ from rigid_body_ros.kernels import (
     elementary_arrays,
     euler_angles,
     interpolation,
+    lags,
     loop,
     many_loop,
     messages,
@@ -33,6 +34,7 @@ from rigid_body_ros.kernels import (
     extent as extents,
 )
 
+add_lag = bind(lags.add_lag)
 decode = bind(messages.decode)
 extent = bind(extents.extent)
 fill_angles = bind(euler_angles.fill_angles)

@@ -349,7 +349,8 @@ class Ensemble:
         return Reach(self.problem, self.end_ns, self.torques.noise)
 
     def _computed(self, applied: Applied) -> _Found:
-        if self.controller or self.problem.changes or self.problem.named_wheels:
+        if self.controller or self.problem.changes or self.problem.named_wheels \
+                or self.problem.actuators:
             return self._one_by_one(applied)
         try:
             return self._together(applied)
@@ -388,8 +389,10 @@ class Ensemble:
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
         """Return the motion of a run, shape (m, 7), and its problem, with the loop's log last."""
         logs, wheels = self.torques.recorded(applied, row)
+        actuators = self.problem.actuators  # and none of a bias
         problem = self.problem.replaced(
             body=applied.bodies[row], start=applied.starts[row], log=logs, wheels=wheels,
+            actuator=[*actuators, None][:len(logs)] if actuators else None,
             fields=applied.fields.of_each[row])
         if self.controller:
             motion, log = closed_loop(problem, self.controller, self._at,

@@ -23,6 +23,7 @@ from typing import Any
 
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.identification.actuator import lagged
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.names import NOT_IN_SCENES, split_topic, WEIGHT
 from rigid_body_ros.identification.result import Identification
@@ -35,9 +36,17 @@ from rigid_body_ros.sensing.recorded import read_observed, Reading
 
 
 def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:
-    """Read the torques and the measurements of a recording, as `read_observed` does."""
+    """
+    Read the torques and the measurements of a recording, as `read_observed` does.
+
+    The torques are those that act, if the scene has actuators.
+    """
     problem, measurements = read_observed(path, scene, reading)
-    return Experiment(problem.start, problem.logs, measurements.until_end(), problem.wheels,
+    logs, timeout_ns = list(problem.acting_logs), problem.options.timeout_ns
+    for k, actuator in enumerate(problem.actuators):
+        if actuator and actuator.time_constant:
+            logs[k] = lagged(logs[k], actuator.time_constant, timeout_ns)
+    return Experiment(problem.start, logs, measurements.until_end(), problem.wheels,
                       problem.fields)
 
 

@@ -165,7 +165,7 @@ def exponential(x: float) -> float:
     """
     if not abs(x) <= 709.0:
         return 0.0 if x < 0.0 else x * math.inf
-    total = add(_ONE, _expm1(abs(x)))
+    total = add(_ONE, expm1(abs(x)))
     return divide(_ONE, total)[0] if x < 0.0 else total[0]
 
 
@@ -181,7 +181,7 @@ def tanh_sech(x: float) -> tuple[float, float]:
         return x, 1.0
     if abs(x) > 709.0:
         return math.copysign(1.0, x), 0.0
-    growth = _expm1(abs(x))
+    growth = expm1(abs(x))
     inverse = divide(_ONE, add(_ONE, growth))
     above = add(growth, multiply(growth, inverse))  # e^x - e^-x without cancellation
     below = add(add(_ONE, growth), inverse)
@@ -353,9 +353,10 @@ def _careful_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 
 @internal
-def _expm1(x: float) -> DoubleDouble:
-    # Return exp(x) - 1 for x from 0 to 709: split off a power of 2, sum the series of exp - 1 for
-    # a 64th of the rest, and square 1 + growth six times.
+def expm1(x: float) -> DoubleDouble:
+    """Return exp(x) - 1 for x from 0 to 709, with 65 bits, as a double-double."""
+    # Split off a power of 2, sum the series of exp - 1 for a 64th of the rest, and square
+    # 1 + growth six times.
     power = float(round(x / LN_2[0]))
     rest = subtract(subtract((x, 0.0), two_product(power, LN_2[0])),
                     two_product(power, LN_2[1]))

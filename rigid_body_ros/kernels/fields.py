@@ -58,10 +58,18 @@ FIELDS = record([
 
 @inlined
 def exist(fields: Any) -> bool:
-    """Return whether a scene has fields."""
+    """Return whether a scene has fields, or other terms that may be None."""
     if fields is None:  # noqa: SIM103 (the compiler resolves it by type)
         return False
     return True
+
+
+@inlined
+def act(fields: NDArray[Any] | None) -> bool:
+    """Return whether there are fields; a scene with lags has a record even without."""
+    if fields is None:
+        return False
+    return fields[0].count > 0 or fields[0].mean_motion != 0.0
 
 
 @inlined

@@ -169,7 +169,7 @@ def _enter(group: Group, lane: int, segment: Shared, form: int, method: Method) 
     place, torque = layout.load_place(group.progress[row:row + 1]), _torque(group, lane, segment)
     if (_is_done(group, row, segment) or place.row != segment.row
             or layout.form_of(group.constants[row]) != form
-            or layout.is_zero_vector(torque)):  # `loop.run` may use the closed form
+            or vector.is_zero(torque)):  # `loop.run` may use the closed form
         return False
     runs.load(group, lane)
     for k in range(3):

@@ -31,6 +31,7 @@ from rigid_body_ros.kernels import (
     euler_equations,
     fields,
     four,
+    lags,
     layout,
     linear_terms,
     short_step,
@@ -84,6 +85,8 @@ class Loads(NamedTuple):
     space_degree: int
     #: The torques that depend on the attitude, see `fields.FIELDS`; None without.
     fields: NDArray[Any] | None
+    #: The torques that lag; None without.
+    lags: lags.RowLags | None
 
 
 @inlined
@@ -112,7 +115,12 @@ def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool, bo
 def _space_bound(loads: Loads | None, body: Body) -> float:
     if loads is None:
         return 0.0
-    return euler_equations.acceleration_bound(loads.space_torque, True, body.coefficients)
+    bound = euler_equations.acceleration_bound(loads.space_torque, True, body.coefficients)
+    if loads.lags is None:
+        return bound
+    excess, none = vector.of(lags.torque_bound(loads.lags), 0.0, 0.0), four.broadcast(0.0)
+    return bound + euler_equations.acceleration_bound(
+        (excess, none, none, none), True, body.coefficients)
 
 
 @inlined
@@ -167,13 +175,13 @@ def low_order_parts(torques: Floats, row: int) -> vector.Polynomial:
 def is_zero(torque: vector.Polynomial) -> bool:
     """Return whether a torque is zero throughout."""
     a, b, c, d = torque
-    return (layout.is_zero_vector(a) and layout.is_zero_vector(b) and layout.is_zero_vector(c)
-            and layout.is_zero_vector(d))
+    return (vector.is_zero(a) and vector.is_zero(b) and vector.is_zero(c)
+            and vector.is_zero(d))
 
 
 @optional
 def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None,
-             found: NDArray[Any] | None, row: int, span: float,
+             others: layout.Others, row: int, span: float,
              constants: linear_terms.Constants) -> Loads:
     """Return what acts besides the drive; see `layout.Rows`."""
     first, low = coefficient(momentum, _row_of(momentum, row), 0), coefficient(
@@ -183,12 +191,18 @@ def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None,
     (a, b, c, d), degree = _polynomial_or(zero, motors, row)
     torque, space_degree = _polynomial_or(zero, space, row)
     varies = not is_zero((a, b, c, d))
-    acts = varies or not (layout.is_zero_vector(first) and linear_terms.is_zero(
+    acts = varies or not (vector.is_zero(first) and linear_terms.is_zero(
         constants.damping.matrix))
     return Loads((first, vector.scale(span, a), vector.scale(span / 2, b),
                   vector.scale(span / 3, c), vector.scale(span / 4, d)),
                  low, constants, (degree + 1 if varies else 0) if acts else -1,
-                 torque, -1 if is_zero(torque) else space_degree, found)
+                 torque, -1 if is_zero(torque) else space_degree, others.fields,
+                 _row_lags(others.lags, row))
+
+
+@optional
+def _row_lags(found: layout.Lags, row: int) -> lags.RowLags:
+    return lags.RowLags(found.excess, found.time_constants, row)
 
 
 @inlined
@@ -213,7 +227,8 @@ def acts(loads: Loads | None) -> bool:
     """Return whether anything acts besides the drive."""
     if loads is None:
         return False
-    return loads.linear_degree >= 0 or loads.space_degree >= 0 or fields.exist(loads.fields)
+    return (loads.linear_degree >= 0 or loads.space_degree >= 0 or fields.act(loads.fields)
+            or lags.acts(loads.lags))
 
 
 @inlined
@@ -234,11 +249,11 @@ def vary(momentum: Floats | None, space: Floats | None) -> bool:
 
 @inlined
 def coasts(torques: Floats, momentum: Floats | None, motors: Floats | None,
-           space: Floats | None, found: NDArray[Any] | None, row: int,
+           space: Floats | None, others: layout.Others, row: int,
            constants: linear_terms.Constants | None) -> bool:
     """Return whether nothing acts from a row to the next."""
     return (is_zero(torque_of(torques, row))
-            and not acts(loads_of(momentum, motors, space, found, row, 1.0, constants)))
+            and not acts(loads_of(momentum, motors, space, others, row, 1.0, constants)))
 
 
 @optional
@@ -249,12 +264,12 @@ def during_step(momentum: Floats, motors: Floats | None, space: Floats | None, r
     low = coefficient(momentum, _row_of(momentum, row), 1)
     on_rotors, torque = _held(motors, row), _held(space, row)
     is_linear = True
-    if motors is not None and not layout.is_zero_vector(on_rotors):
+    if motors is not None and not vector.is_zero(on_rotors):
         # The rounding error of the matrix changes from step to step, so it does not add up.
         linear = linear_terms.rounded_at(constants, first)
     else:
         linear = linear_terms.at(constants, first, low)
-        is_linear = not (layout.is_zero_vector(first)
+        is_linear = not (vector.is_zero(first)
                          and linear_terms.is_zero(constants.damping.matrix))
     # Squares of Frobenius norms: that of a vector product with tau is 2 |tau|^2.
     square_torque = 0.5 * _square(on_rotors) + _square(torque)

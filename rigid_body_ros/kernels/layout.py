@@ -36,7 +36,7 @@ from rigid_body_ros.kernels import (
     state_layout,
     vector,
 )
-from rigid_body_ros.kernels.fields import FIELDS
+from rigid_body_ros.kernels.fields import exist, FIELDS
 from rigid_body_ros.kernels.jit import inlined, internal, optional, record, WRITTEN
 
 #: Cost of a full step, or a state in closed form, in units of work; anything else costs 1.
@@ -101,8 +101,9 @@ class Terms(NamedTuple):
     motors: Annotated[Floats, 'n d+1 3'] | None
     #: The same of a torque in space axes beside one in body axes; None if none is.
     space: Annotated[Floats, 'n d+1 3'] | None
-    #: None without; see `FieldTerms`.
+    #: None without; see `FieldTerms` and `LagTerms`.
     fields: None = None
+    lags: None = None
 
 
 class FieldTerms(NamedTuple):
@@ -113,6 +114,37 @@ class FieldTerms(NamedTuple):
     space: Annotated[Floats, 'n d+1 3']
     #: The torques that depend on the attitude.
     fields: Annotated[NDArray[Any], '1', FIELDS]
+    lags: None = None
+
+
+class Lags(NamedTuple):
+    """Torques that follow their commands with a lag, see `lags`."""
+
+    #: N m: what remains of the torques at the time of each row beyond their commands, which are in
+    #: the rows, by time constant; in body axes and in space axes. It decays.
+    excess: Annotated[Floats, 'n l 2 3']
+    #: s.
+    time_constants: Annotated[Floats, 'l']
+
+
+class LagTerms(NamedTuple):
+    """The same with torques that lag; the fields may be none."""
+
+    momentum: Annotated[Floats, 'n|1 2 3']
+    motors: Annotated[Floats, 'n d+1 3']
+    space: Annotated[Floats, 'n d+1 3']
+    fields: Annotated[NDArray[Any], '1', FIELDS]
+    lags: Lags
+
+
+AnyTerms = Terms | FieldTerms | LagTerms
+
+
+class Others(NamedTuple):
+    """What acts besides torques that are held or polynomials; None for each that does not."""
+
+    fields: NDArray[Any] | None
+    lags: Lags | None
 
 
 class Rows(NamedTuple):
@@ -128,8 +160,9 @@ class Rows(NamedTuple):
     #: s: in this time the variable of the polynomials grows from 0 to 1. Empty if they are
     #: constant.
     spans: Annotated[Floats, 'n|0']
-    #: None if there are neither rotors nor damping, nor fields, nor torques in two frames.
-    terms: Terms | FieldTerms | None = None
+    #: None if there are neither rotors nor damping, nor fields, nor torques in two frames or with
+    #: a lag.
+    terms: AnyTerms | None = None
 
 
 class Sums(NamedTuple):
@@ -230,31 +263,39 @@ def load_body(constants: Floats) -> Body:
 
 
 @optional
-def fields_of(terms: Terms | FieldTerms) -> NDArray[Any] | None:
-    """Return the torques that depend on the attitude, None without."""
-    return terms.fields
+def others_of(terms: AnyTerms) -> Others:
+    """Return what acts besides torques that are held or polynomials; None without terms."""
+    return Others(terms.fields, terms.lags)
+
+
+@inlined
+def have_others(others: Others | None) -> bool:
+    """Return whether anything acts besides torques that are held or polynomials."""
+    if others is None:
+        return False
+    return exist(others.fields) or exist(others.lags)
 
 
 @optional
-def momentum_of(terms: Terms | FieldTerms) -> Floats:
+def momentum_of(terms: AnyTerms) -> Floats:
     """Return the momentum of the rotors; None if there are no terms."""
     return terms.momentum
 
 
 @optional
-def motors_of(terms: Terms | FieldTerms) -> Floats | None:
+def motors_of(terms: AnyTerms) -> Floats | None:
     """Return the torque on the rotors, None without."""
     return terms.motors
 
 
 @optional
-def space_of(terms: Terms | FieldTerms) -> Floats | None:
+def space_of(terms: AnyTerms) -> Floats | None:
     """Return the torque in space axes beside one in body axes, None without."""
     return terms.space
 
 
 @optional
-def load_linear(_terms: Terms | FieldTerms, constants: Floats) -> linear_terms.Constants:
+def load_linear(_terms: AnyTerms, constants: Floats) -> linear_terms.Constants:
     """Return the matrices of a body in a scene that has rotors or damping."""
     return body_layout.linear_constants(constants)
 
@@ -265,16 +306,10 @@ def form_of(constants: Floats) -> int:
     moments = four.load(constants, body_layout.MOMENTS)
     a, b, c, d, e, f, _, _, _ = body_layout.coefficients(constants)[0]
     if (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
-            and is_zero_vector(d) and is_zero_vector(e) and is_zero_vector(f)):
+            and vector.is_zero(d) and vector.is_zero(e) and vector.is_zero(f)):
         return euler_equations.DIAGONAL
     is_thin = moments[2] > euler_equations.THIN_RATIO * moments[0]
     return euler_equations.THIN if is_thin else euler_equations.FULL
-
-
-@inlined
-def is_zero_vector(a: vector.Vector) -> bool:
-    """Return whether all components are zero."""
-    return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
 
 
 @internal

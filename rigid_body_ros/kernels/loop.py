@@ -41,7 +41,6 @@ from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import (
     body_layout,
     euler_equations,
-    fields,
     free_motion,
     intervals,
     layout,
@@ -117,15 +116,15 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
     times_ns, order, motion, closed = outputs
     row_times_ns, torques, in_space, spans, terms = rows
     momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
-    space, found = layout.space_of(terms), layout.fields_of(terms)
+    space, others = layout.space_of(terms), layout.others_of(terms)
     table = scratch(WORKSPACE)
     coast, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
     while row < stop and done < len(times_ns) and budget > 0:
         now = intervals.interval(row_times_ns, torques, spans, row)
-        loads = intervals.loads_of(momentum, motors, space, found, row, now.span, linear)
+        loads = intervals.loads_of(momentum, motors, space, others, row, now.span, linear)
         coasts = now.is_zero and not intervals.acts(loads)
         continues = coasts and now.end_ns < NEVER_NS and intervals.coasts(
-            torques, momentum, motors, space, found, row + 1, linear)
+            torques, momentum, motors, space, others, row + 1, linear)
         output = done if len(order) == 0 else order[done]
         asked = times_ns[output] <= now.end_ns
         if continues and not asked:  # the next row does not change the motion
@@ -147,7 +146,8 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             budget -= layout.STEP_COST
         elif time_ns == grid_ns:
             latest = grid
-        elif (not fields.exist(found) and grid_ns == begin_ns and degree == 0 and not turning
+        elif (not layout.have_others(others) and grid_ns == begin_ns and degree == 0
+              and not turning
               and _is_short(grid, time_ns - grid_ns, acceleration, held, body, method)):
             if time_ns == now.end_ns and row >= 0 and not coasts:
                 first = row
@@ -207,7 +207,7 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
     times_ns, order, motion, _ = outputs
     row_times_ns, torques, in_space, _, terms = rows
     momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
-    space, found = layout.space_of(terms), layout.fields_of(terms)
+    space, others = layout.space_of(terms), layout.others_of(terms)
     held = intervals.during_step(momentum, motors, space, row, 1.0, linear)
     while row < last and done < len(times_ns):
         output = done if len(order) == 0 else order[done]
@@ -223,9 +223,9 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
         if intervals.vary(momentum, space):
             held = intervals.during_step(momentum, motors, space, row, seconds, linear)
         if (times_ns[output] < next_ns or span_ns >= method.max_step_ns
-                or (in_space[row] and not layout.is_zero_vector(torque))
-                or (layout.is_zero_vector(torque)
-                    and intervals.coasts(torques, momentum, motors, space, found, row, linear))
+                or (in_space[row] and not vector.is_zero(torque))
+                or (vector.is_zero(torque)
+                    and intervals.coasts(torques, momentum, motors, space, others, row, linear))
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
                                               held)):
             break

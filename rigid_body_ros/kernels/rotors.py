@@ -21,11 +21,19 @@ from typing import Annotated
 import numpy as np
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import four, intervals, layout
+from rigid_body_ros.kernels import four, intervals
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import inlined, njit, WRITTEN
 from rigid_body_ros.kernels.lanes import fma
-from rigid_body_ros.kernels.vector import add, add_scaled, Polynomial, scale, two_sum, Vector
+from rigid_body_ros.kernels.vector import (
+    add,
+    add_scaled,
+    is_zero,
+    Polynomial,
+    scale,
+    two_sum,
+    Vector,
+)
 
 #: Momentum of the rotors, N m s, and its low-order part.
 Rotor = tuple[Vector, Vector]
@@ -37,7 +45,7 @@ def after(before: Rotor, torque: Polynomial, passed_ns: int, span_ns: int) -> Ro
     (a, b, c, d), fraction = torque, passed_ns / span_ns
     mean = add_scaled(a, fraction, add_scaled(scale(1 / 2, b), fraction, add_scaled(
         scale(1 / 3, c), fraction, scale(1 / 4, d))))
-    if layout.is_zero_vector(mean):
+    if is_zero(mean):
         return before
     (h, low), (high_seconds, low_seconds) = before, _seconds(passed_ns)
     factor = four.broadcast(high_seconds)

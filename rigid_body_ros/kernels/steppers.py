@@ -26,7 +26,7 @@ import math
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
-from rigid_body_ros.kernels import elementary, fields, four
+from rigid_body_ros.kernels import elementary, fields, four, lags
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.linear_terms import Matrix, Momentum, product
@@ -75,6 +75,10 @@ class StageLoads(NamedTuple):
     fields: NDArray[Any] | None
     field_angle: DoubleDouble
     seconds: float
+    #: The torques that lag, None without; and the time from that of the row to the beginning of
+    #: the step, s.
+    lags: lags.RowLags | None
+    since: float
 
 
 @internal
@@ -162,10 +166,12 @@ def _torque_acceleration(q: Quaternion, fraction: float, equations: Coefficients
         value = combine(equations[0][6:], to_body(_unit(q), value))
         if loads is None:
             return value
+        value = _add_lags(value, q, fraction, equations, loads, loads.lags)
         return _add_fields(value, q, fraction, equations, loads, loads.fields)
     if loads is not None:
         torque = to_body(_unit(q), _at(loads.space_torque, fraction))
         value = add(value, combine(equations[0][6:], torque))
+        value = _add_lags(value, q, fraction, equations, loads, loads.lags)
         value = _add_fields(value, q, fraction, equations, loads, loads.fields)
     return value
 
@@ -177,6 +183,15 @@ def _add_fields(value: Vector, q: Quaternion, fraction: float, equations: Coeffi
         return value
     angle = fields.turned_on(loads.field_angle, found[0].mean_motion, fraction * loads.seconds)
     return add(value, fields.acceleration(found, angle, _unit(q), equations))
+
+
+@inlined
+def _add_lags(value: Vector, q: Quaternion, fraction: float, equations: Coefficients,
+              loads: StageLoads, found: lags.RowLags | None) -> Vector:
+    if found is None:
+        return value
+    torque = lags.torque(found, loads.since + fraction * loads.seconds, _unit(q))
+    return add(value, combine(equations[0][6:], torque))
 
 
 @internal

@@ -41,6 +41,8 @@ from rigid_body_ros.kernels import (
     field_series,
     fields,
     intervals,
+    lag_series,
+    lags,
     layout,
     linear_terms,
     steppers,
@@ -50,6 +52,7 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.field_series import WORKSPACE
 from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, internal, optional, scratch
+from rigid_body_ros.kernels.lag_series import WORKSPACE as LAG_WORKSPACE
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 
 _RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULER
@@ -75,12 +78,15 @@ class LocalLoads(NamedTuple):
     #: N m s, in the fraction of the interval.
     momentum: linear_terms.Momentum
     linear: linear_terms.Linear
-    #: `linear_terms.square_rate` of the matrix, and the square of that of an orbit, 1/s^2.
+    #: The sum of `linear_terms.square_rate` of the matrix, the square of that of an orbit, and
+    #: `lags.square_rate`, 1/s^2.
     square_rate: float
     #: Bound on the change of the rate, by the rotors and by fields, 1/s^2.
     growth: float
     #: See `field_series.prepared`.
     field_work: Floats | None
+    #: Workspace of the lags; None without.
+    lag_work: Floats | None
 
 
 @internal
@@ -111,7 +117,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     """
     # Here, because what an inlined function has on the stack ends with it.
     work = scratch(WORKSPACE)
-    latest, now = grid, _local(loads, drive, grid_ns, body, work)
+    lag_work = scratch(LAG_WORKSPACE)
+    latest, now = grid, _local(loads, drive, grid_ns, body, work, lag_work)
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
@@ -129,7 +136,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
         if intervals.rotors_change(loads):
-            now = _local(loads, drive, grid_ns, body, work)
+            now = _local(loads, drive, grid_ns, body, work, lag_work)
     return Reached(grid, grid_ns, latest, True, budget)
 
 
@@ -168,16 +175,18 @@ def full_step_ns(seconds: float, method: Method) -> int:
 
 
 @optional
-def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body, work: Floats) -> LocalLoads:
+def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body, work: Floats,
+           lag_work: Floats) -> LocalLoads:
     # Return the linear terms from a grid point on.
-    orbit = fields.rate_bound(loads.fields)
+    orbit, lag_rate = fields.rate_bound(loads.fields), lags.square_rate(loads.lags)
+    lagged = lag_series.workspace(loads.lags, lag_work)
     by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
     prepared = field_series.prepared(loads.fields, work, body.coefficients)
     if loads.linear_degree <= 0:
         linear = linear_terms.at(loads.constants, loads.momentum[0], loads.low_momentum)
         return LocalLoads(loads.momentum, linear,
-                          linear_terms.square_rate(linear.matrix) + orbit * orbit, by_fields,
-                          prepared)
+                          linear_terms.square_rate(linear.matrix) + orbit * orbit + lag_rate,
+                          by_fields, prepared, lagged)
     change, momentum = _rotors_from(loads.momentum,
                                     (grid_ns - drive.origin_ns) / 1e9 / drive.span)
     first, low = vector.two_sum(loads.momentum[0], change)
@@ -187,8 +196,8 @@ def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body, work: Floats) -
         growth += i * math.sqrt(linear_terms.square_rate(
             linear_terms.rotor_matrix(loads.constants, momentum[i])))
     return LocalLoads(momentum, linear,
-                      linear_terms.square_rate(linear.matrix) + orbit * orbit,
-                      growth / drive.span + by_fields, prepared)
+                      linear_terms.square_rate(linear.matrix) + orbit * orbit + lag_rate,
+                      growth / drive.span + by_fields, prepared, lagged)
 
 
 @inlined
@@ -219,7 +228,8 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
     return steppers.StageLoads(
         (a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d),
          vector.scale(square * square, e)), loads.constants.damping.matrix, space, loads.fields,
-        fields.angle_at(loads.fields, grid_ns), seconds)
+        fields.angle_at(loads.fields, grid_ns), seconds, loads.lags,
+        max(grid_ns - drive.origin_ns, 0) / 1e9)  # a coast begins before its last row
 
 
 @optional
@@ -236,7 +246,8 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
                               field_series.of_step(loads.fields, stage.field_angle,
-                                                   now.field_work))
+                                                   now.field_work),
+                              lag_series.of_step(loads.lags, stage.since, now.lag_work))
 
 
 @inlined

@@ -84,7 +84,8 @@ def _loaded(momentum: Floats) -> Rotor:
 
 @njit
 def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_ns: int,
-             start_ns: int, momentum: Annotated[Floats, '2 3'], sums: Sums,
+             start_ns: int, marks_ns: Annotated[Ints, 'm'],
+             momentum: Annotated[Floats, '2 3'], sums: Sums,
              times_ns: Annotated[Ints, 'n', WRITTEN],
              spaces: Annotated[NDArray[np.bool_], 'n', WRITTEN]) -> int:
     """
@@ -100,6 +101,8 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
         As for `TorqueLog.segments`.
     start_ns : int
         Start of the motion.
+    marks_ns : int64 (m,), ns
+        Other times at which a row begins, ascending.
     momentum : float64 (2, 3), N m s
         As for `sum_rows`.
     sums, times_ns, spaces : Sums, int64 (n,), bool (n,)
@@ -115,9 +118,11 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
     coefficients, stamps_ns, in_space, offsets = samples
     count, degree = len(offsets) - 1, coefficients.shape[1] // 2
     rotors = _loaded(momentum)
-    at, time_ns = 0, start_ns
+    at, mark, time_ns = 0, 0, start_ns
     while time_ns < NEVER_NS:
-        next_ns = NEVER_NS
+        while mark < len(marks_ns) and marks_ns[mark] <= time_ns:
+            mark += 1
+        next_ns = marks_ns[mark] if mark < len(marks_ns) else NEVER_NS
         for k in range(count):
             while in_force[k] + 1 < offsets[k + 1] and stamps_ns[in_force[k] + 1] <= time_ns:
                 in_force[k] += 1

@@ -42,6 +42,7 @@ from rigid_body_ros.kernels import (
     euler_equations,
     field_series,
     four,
+    lag_series,
     lanes,
     linear_terms,
 )
@@ -110,6 +111,8 @@ class SeriesLoads(NamedTuple):
     space_degree: int
     #: None without fields.
     fields: field_series.StepFields | None
+    #: None without torques that lag.
+    lags: lag_series.StepLags | None
 
 
 @njit
@@ -174,6 +177,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
+    lag_series.begin(_lags_of(loads), state)
     acceleration = drive.bound + field_series.begin(_fields_of(loads), state, coefficients, form)
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     error_bound = tolerance * angle
@@ -191,6 +195,11 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 @optional
 def _fields_of(loads: SeriesLoads) -> field_series.StepFields | None:
     return loads.fields
+
+
+@optional
+def _lags_of(loads: SeriesLoads) -> lag_series.StepLags | None:
+    return loads.lags
 
 
 @inlined
@@ -215,7 +224,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
     small, powers = lanes.no_count(error_bound), degree
     if loads is not None:
         powers = max(degree, loads.space_degree, loads.linear_degree,
-                     field_series.lowest_order(loads.fields))
+                     field_series.lowest_order(loads.fields), lag_series.lowest_order(loads.lags))
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     vectors = field_series.vectors_of(_fields_of(loads))
     for k in range(MAX_ORDER):
@@ -239,6 +248,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
             u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients,
                                               form)
+            u = lag_series.add_acceleration(u, loads.lags, table, k, seconds, coefficients, form)
             past = (latest[0], past[0], past[1], past[2])
         reciprocal = float(RECIPROCALS[k])
         u = scale(reciprocal, u)
@@ -315,7 +325,7 @@ def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vecto
     # Return the linear terms of order k.
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
-    if exist(loads.fields) and loads.linear_degree < 0:  # as of most scenes with fields
+    if (exist(loads.fields) or exist(loads.lags)) and loads.linear_degree < 0:  # as of most
         return rest
     if loads.linear_degree > 0:
         rest = product(loads.changes[0], past[0])

@@ -52,6 +52,12 @@ def of(x: float, y: float, z: float) -> Vector:
 
 
 @inlined
+def is_zero(a: Vector) -> bool:
+    """Return whether all components are zero."""
+    return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
+
+
+@inlined
 def scale(factor: float, a: Four) -> Four:
     """Return factor a."""
     return four.multiply(four.broadcast(factor), a)

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
@@ -49,7 +50,7 @@ class Epoch:
         # The IMU has earlier states.
         self._propagator = Propagator(scene.body, start, wheels=scene.named_wheels,
                                       fields=scene.fields_from(start.time_ns),
-                                      **asdict(scene.options),
+                                      actuator=scene.actuators, **asdict(scene.options),
                                       history=scene.history + scene.imu.delay)
         self._committed_ns = start.time_ns
         #: Source and stamp of the torques of the earlier epoch.
@@ -65,6 +66,10 @@ class Epoch:
     def at(self, time_ns: int, within: float) -> State:
         """Return the state at a time; arguments and errors are those of `Propagator.at`."""
         return self._propagator.at(time_ns, within)
+
+    def applied_torque(self, state: State) -> Floats:
+        """Return the torque that acts at a state of this epoch; see `Propagator.torque`."""
+        return self._propagator.torque(state)
 
     def apply(self, torque: Torque) -> bool:
         """
@@ -96,14 +101,14 @@ class Epoch:
         """Return whether a source has a torque of this stamp that may still be replaced."""
         if source == BODY:
             return self._propagator.body_at(stamp_ns).stamp_ns == stamp_ns
-        held = self._propagator.held(stamp_ns).get(source)
+        held = self._held(stamp_ns, source)
         return held is not None and held.stamp_ns == stamp_ns
 
     def newest_of(self, source: int) -> Torque | None:
         """Return the torque of a source with the newest stamp, or None before its first."""
         if self.newest_ns is None:
             return None
-        held = self._propagator.held(self.newest_ns).get(source)
+        held = self._held(self.newest_ns, source)
         return None if held is None else _torque(source, held)
 
     def acting_at(self, time_ns: int) -> list[Torque]:
@@ -111,7 +116,13 @@ class Epoch:
         return [_torque(source, held)
                 for source, held in self._propagator.held(time_ns).items()
                 if held.torque.any()
-                and not 0 < self._timeout_ns <= time_ns - held.stamp_ns]
+                and not 0 < self._timeout_ns <= time_ns - held.stamp_ns
+                - self._propagator.delay_ns(source)]
+
+    def _held(self, stamp_ns: int, source: int) -> Sample | None:
+        """Return the sample of a source that is in force once a torque of this stamp acts."""
+        acts_ns = stamp_ns + self._propagator.delay_ns(source)
+        return self._propagator.held(acts_ns).get(source)
 
     def torques_since(self, time_ns: int) -> list[Torque]:
         """Return, sorted by stamp, the torques that are in force at a time, and all later ones."""

@@ -21,6 +21,8 @@ from dataclasses import replace
 import time
 from typing import NamedTuple, Protocol
 
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import (
     APPLIED,
@@ -41,6 +43,8 @@ from rigid_body_ros.scene import Scene
 LOG_DEPTH = 10_000
 #: s; how long computing the last states of an epoch may take.
 _END_BUDGET = 0.2
+_NO_TORQUE = np.zeros(3)
+_NO_TORQUE.flags.writeable = False
 
 
 class Snapshot(NamedTuple):
@@ -48,6 +52,8 @@ class Snapshot(NamedTuple):
 
     state: State
     sensed: State
+    #: What acts, N m, body axes; only of scenes with actuators, and of an epoch.
+    torque: Floats = _NO_TORQUE
 
 
 class RunLog(Protocol):
@@ -90,7 +96,7 @@ class Run:
 
     def __init__(self, scene: Scene, log: RunLog, events: Events) -> None:
         self._scene, self._sink, self._events = scene, log, events
-        self._delay_ns = scene.imu.delay_ns
+        self._delay_ns, self._has_actuators = scene.imu.delay_ns, bool(scene.actuators)
         self.epoch: Epoch | None = None
         self.committed: State | None = None
         #: Final states that are not logged yet.
@@ -174,7 +180,10 @@ class Run:
         if state is not None and self._delay_ns:
             start_ns = self._present().start.time_ns
             sensed = self.state(max(time_ns - self._delay_ns, start_ns), until)
-        return None if state is None or sensed is None else Snapshot(state, sensed)
+        if state is None or sensed is None:
+            return None
+        torque = self._present().applied_torque(state) if self._has_actuators else _NO_TORQUE
+        return Snapshot(state, sensed, torque)
 
     def last_state(self, time_ns: int) -> State | None:
         """Return the state at a time, or None if it takes too long or cannot be computed."""

@@ -21,7 +21,7 @@ from contextlib import suppress
 from copy import copy
 import time
 
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -29,6 +29,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.live.events import UNSENT
 from rigid_body_ros.live.inputs import Torque
@@ -66,25 +67,29 @@ class Publishers:
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
         imu, variances = scene.imu, scene.odometry_variances
-        #: The publisher of each topic, and how it encodes the two states of a snapshot.
-        self._states: list[tuple[Publisher, Callable[[State, State], bytes]]] = [
-            (self._publisher(QuaternionStamped, 'attitude'), lambda state, _: (
+        #: The publisher of each topic, and how it encodes a snapshot.
+        self._states: list[tuple[Publisher, Callable[[State, State, Floats], bytes]]] = [
+            (self._publisher(QuaternionStamped, 'attitude'), lambda state, *_: (
                 messages.QUATERNION.encode(state.time_ns, space, state.attitude))),
-            (self._publisher(Vector3Stamped, 'euler_angles'), lambda state, _: (
+            (self._publisher(Vector3Stamped, 'euler_angles'), lambda state, *_: (
                 messages.VECTOR3.encode(state.time_ns, space,
                                         euler.from_quaternion(state.attitude, sequence)))),
-            (self._publisher(Vector3Stamped, 'angular_velocity'), lambda state, _: (
+            (self._publisher(Vector3Stamped, 'angular_velocity'), lambda state, *_: (
                 messages.VECTOR3.encode(state.time_ns, body, state.angular_velocity))),
-            (self._publisher(Imu, 'imu/data'), lambda state, sensed: (
+            (self._publisher(Imu, 'imu/data'), lambda state, sensed, _: (
                 messages.imu(state.time_ns, body, sensed, imu))),
-            (self._publisher(Odometry, 'odometry'), lambda state, _: (
+            (self._publisher(Odometry, 'odometry'), lambda state, *_: (
                 messages.odometry(state, space, body, *variances)))]
         if scene.wheels:
             self._states.append((
-                self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state, _: (
+                self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state, *_: (
                     messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum))))
+        if scene.actuators:
+            self._states.append((
+                self._publisher(WrenchStamped, 'applied_torque'), lambda state, _, torque: (
+                    messages.wrench(state.time_ns, body, torque))))
         if scene.publish_tf:
-            self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, _: (
+            self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, *_: (
                 messages.transform(state, space, body))))
         #: By number of the source.
         self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)

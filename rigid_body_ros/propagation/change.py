@@ -23,6 +23,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.mechanics.wheels import Axial, EffortLog
+from rigid_body_ros.propagation.acting import ActingSamples
 from rigid_body_ros.propagation.segment import NewBody, Sample, Segment
 
 
@@ -78,21 +79,28 @@ class Change:
     body: NewBody
     commands: Commands
     active: Active | None = None
-    #: What begins when samples time out, in order.
+    #: What begins when torques time out, or when a lag is over, in order.
     after_timeouts: list[Active] = field(default_factory=list)
 
-    def timeouts_ns(self, timeout_ns: int) -> list[int]:
-        """Return the times from this change on at which samples time out."""
-        if not timeout_ns:
+    @property
+    def stamps_ns(self) -> set[int]:
+        """Return the stamps of all that is in force."""
+        return {self.body.stamp_ns, *self.commands.stamps_ns, *(
+            sample.stamp_ns for sample in self.samples.values())}
+
+    def due_ns(self, acting: ActingSamples) -> list[int]:
+        """Return the times from this change on at which torques time out, or a lag is over."""
+        if not (acting.timeout_ns or acting.lag):
             return []
-        due = {sample.stamp_ns + timeout_ns for sample in self.samples.values()}
-        due.add(self.commands.stamp_ns + timeout_ns)
+        due = acting.due_ns(self.samples)
+        due.add(self.commands.stamp_ns + acting.timeout_ns)
         return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
 
-    def stamps_at(self, time_ns: int, timeout_ns: int) -> bool:
-        """Return whether a torque in force has this stamp, or times out at this time."""
-        return any(time_ns in (stamp_ns, stamp_ns + timeout_ns) for stamp_ns in (
-            self.commands.stamp_ns, *(sample.stamp_ns for sample in self.samples.values())))
+    def begins_at(self, time_ns: int, acting: ActingSamples) -> bool:
+        """Return whether a torque in force begins to act, or times out, at this time."""
+        samples = acting.acting(self.samples).values()
+        return any(time_ns in (since_ns, since_ns + acting.timeout_ns) for since_ns in (
+            self.commands.stamp_ns, *(sample.stamp_ns for sample in samples)))
 
     def discard(self) -> None:
         """Forget what has been computed."""

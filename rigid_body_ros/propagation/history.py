@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import bisect
+from collections.abc import Mapping
 import math
 import time
 from typing import Any
@@ -28,7 +29,9 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed, RATE
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial, Wheels
+from rigid_body_ros.propagation.acting import ActingSamples
 from rigid_body_ros.propagation.change import Active, Change, Commands, no_commands, time_of
+from rigid_body_ros.propagation.lags import Lagging
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.segment import (
@@ -52,6 +55,8 @@ class History:
         The first one.
     start : State
     options : Options
+    acting : ActingSamples
+        What becomes of samples.
     wheels : Wheels or None
         Those with names.
     fields : array of FIELDS, shape (1,), or None
@@ -67,9 +72,10 @@ class History:
 
     """
 
-    def __init__(self, body: RigidBody, start: State, options: Options, wheels: Wheels | None,
-                 fields: NDArray[Any] | None, history_ns: int) -> None:
-        self._options, self._wheels, self._fields = options, wheels, fields
+    def __init__(self, body: RigidBody, start: State, options: Options, acting: ActingSamples,
+                 wheels: Wheels | None, fields: NDArray[Any] | None, history_ns: int) -> None:
+        self._options, self._acting = options, acting
+        self._wheels, self._fields = wheels, fields
         self._history_ns = history_ns
         #: What the wheels do at the start.
         self._axial: Axial | None = None
@@ -81,12 +87,17 @@ class History:
         self.newest_ns: int | None = None
         self._begin()
 
-    def inserted(self, time_ns: int) -> int | None:
-        """Return the index of the change at a stamp, a new one too, or None if it is too old."""
+    def inserted(self, time_ns: int, delay_ns: int = 0) -> int | None:
+        """
+        Return the index of the change that a stamp makes after a delay, or None if it is too old.
+
+        If there is no change yet, it is inserted.
+        """
         if self.newest_ns is not None and self.newest_ns - time_ns >= self._history_ns:
             return None
         self._discard_before(time_ns - self._history_ns)
         self.newest_ns = time_ns if self.newest_ns is None else max(self.newest_ns, time_ns)
+        time_ns += delay_ns
         index = max(self.index_of(time_ns), 0)
         if time_ns > self.changes[index].time_ns:
             before = self.changes[index]
@@ -131,13 +142,13 @@ class History:
         """Compute the first segment."""
         start, first = self._start, self.changes[0]
         axial = self._axial_at_start(first.commands)
-        total = self._sum(first, start.time_ns, axial)
+        total, lagging = self._sum(first, start.time_ns, axial, {})
         # A torque at the start begins a segment there, even if it repeats the one before.
-        begins = first.stamps_at(start.time_ns, self._options.timeout_ns)
+        begins = first.begins_at(start.time_ns, self._acting)
         acts = not total.is_zero() or self._fields is not None or (
             first.body.body.is_damped or start._has_rotors)
         first.active = Active(self._segment(without_origin(start) if begins and acts else start,
-                                            total, first.body), axial)
+                                            total, first.body, lagging), axial)
 
     def _axial_at_start(self, commands: Commands) -> Axial | None:
         if self._wheels is None or self._axial is None:
@@ -151,9 +162,20 @@ class History:
             return len(self.changes) - 1
         return bisect.bisect_right(self.changes, time_ns, key=time_of) - 1
 
-    def _sum(self, change: Change, time_ns: int, axial: Axial | None) -> Sum:
+    def between(self, after_ns: int, until_ns: int) -> list[Change]:
+        """Return the changes in (after_ns, until_ns]."""
+        return self.changes[self.index_of(after_ns) + 1:self.index_of(until_ns) + 1]
+
+    def _sum(self, change: Change, time_ns: int, axial: Axial | None,
+             before: Mapping[int, Lagging]) -> tuple[Sum, Mapping[int, Lagging]]:
+        """Return the sum of all torques, and the sources that lag, given those before."""
+        acting = self._acting
         motors = self._wheels.torque(axial.efforts)[None] if self._wheels and axial else None
-        return summed(change.samples, time_ns, self._options.timeout_ns, motors)
+        total = summed(acting.acting(change.samples), time_ns, self._options.timeout_ns, motors)
+        if not acting.lag:
+            return total, before
+        lagging = acting.lagging(change.samples, time_ns, before)
+        return total._replace(lags=acting.lags(lagging, time_ns)), lagging
 
     def _discard_before(self, horizon_ns: int) -> None:
         """Discard changes that no late torque can affect; raise ValueError as `at` does."""
@@ -185,7 +207,7 @@ class History:
         """Return what is active at a time between a change and the next."""
         active = change.active
         assert active is not None
-        for k, due_ns in enumerate(change.timeouts_ns(self._options.timeout_ns)):
+        for k, due_ns in enumerate(change.due_ns(self._acting)):
             if time_ns < due_ns:
                 break
             if k == len(change.after_timeouts):
@@ -201,12 +223,12 @@ class History:
         if self._wheels and axial:
             end = start or segment.end_at(time_ns, until)
             axial = self._next_axial(axial, change.commands, time_ns, end)
-        total = self._sum(change, time_ns, axial)
+        total, lagging = self._sum(change, time_ns, axial, segment.lagging)
         if start is None:
             if segment.coasts and total.is_zero():
                 return Active(segment, axial)
             start = end or segment.end_at(time_ns, until)
-        return Active(self._segment(start, total, body), axial)
+        return Active(self._segment(start, total, body, lagging), axial)
 
     def _next_axial(self, axial: Axial, commands: Commands, time_ns: int, state: State) -> Axial:
         """Return what the wheels do from a time on, at which the body has a state."""
@@ -224,5 +246,7 @@ class History:
         carrier = self._wheels.carrier(body) if self._wheels else body
         return NewBody(stamp_ns, body, keep, carrier)
 
-    def _segment(self, start: State, total: Sum, body: NewBody) -> Segment:
-        return Segment(body.carrier, self._options, self._history_ns, start, total, self._fields)
+    def _segment(self, start: State, total: Sum, body: NewBody,
+                 lagging: Mapping[int, Lagging]) -> Segment:
+        return Segment(body.carrier, self._options, self._history_ns, start, total, self._fields,
+                       lagging)

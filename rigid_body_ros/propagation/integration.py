@@ -31,7 +31,7 @@ from rigid_body_ros.mechanics.wheels import Axial
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.requested import checked_times
-from rigid_body_ros.propagation.timeline import Timeline
+from rigid_body_ros.propagation.timeline import NO_OTHERS, OtherTorques, Timeline
 from rigid_body_ros.propagation.trajectory import joined, Trajectory
 from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 
@@ -66,6 +66,9 @@ class Integration:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
         self._body = problem.body_at(start.time_ns)
+        self._others = NO_OTHERS
+        if problem.fields or problem.actuators:
+            self._others = OtherTorques(problem._fields, problem.lagging())
         #: What the wheels with names do, and how many of their commands are known to act or not.
         self._wheels: WheelTimeline | None = None
         self._resolved = self.refused_commands = 0
@@ -114,7 +117,8 @@ class Integration:
     def _rebuilt(self) -> Timeline:
         """Return the same with the commands of wheels that are now known to act."""
         (start_ns, momentum), problem = self._basis, self.problem
-        logs, wheels = problem.logs, self._wheels.log if self._wheels else problem.wheels
+        logs = problem.acting_logs
+        wheels = self._wheels.log if self._wheels else problem.wheels
         if problem.changes or self._mark_ns < NEVER_NS:
             # The torques of the other parts would be summed for nothing.
             end_ns = problem.changes.next_ns(start_ns) if problem.changes else NEVER_NS
@@ -123,7 +127,7 @@ class Integration:
             wheels = wheels and wheels.between(*span)
         self._sources = (*logs, wheels) if wheels else logs
         timeline = Timeline(logs, wheels, problem.options.timeout_ns, self._body.is_damped,
-                            start_ns, momentum, problem._fields)
+                            start_ns, momentum, self._others)
         if self._earlier:
             timeline.begin_earlier(*self._earlier)
         return timeline
@@ -147,13 +151,17 @@ class Integration:
         found = self._timeline.held(row)
         if found is None:
             return None
-        torque, in_space, *others = found
+        torque, in_space, others = found
+        lagging = self._others.lagging
         acts = torque.any() or any(other.any() for other in others)
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
                      for log in self._sources) and (acts or self._timeline.has_terms)
+        if lagging and not others.pop().any():
+            lagging = None
+        key = [lagging.key(start_ns)] if lagging else []
         return None if begins else problem.options.rule(
-            self._carrier, problem._fields, torque, in_space, *others)
+            self._carrier, problem._fields, torque, in_space, *others, *key)
 
     def extend(self, problem: Problem) -> None:
         """

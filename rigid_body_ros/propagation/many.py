@@ -32,7 +32,6 @@ from rigid_body_ros.engine import (
     many_loop,
     motion_layout,
     Rows,
-    Terms,
 )
 from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
@@ -51,7 +50,7 @@ from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.problem import Problem
 from rigid_body_ros.propagation.requested import checked_times
-from rigid_body_ros.propagation.timeline import Timeline
+from rigid_body_ros.propagation.timeline import OtherTorques, Timeline
 
 #: s; a call of the kernel that takes less is followed by one for twice as many runs. In between
 #: Python handles signals.
@@ -291,7 +290,7 @@ class _Runs:
         begins_ns = self._progress['grid_ns'][which]
         momentum = self._momentum[which[0]] if problem.has_rotors else None
         timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
-                            int(begins_ns[0]), momentum, self._fields)
+                            int(begins_ns[0]), momentum, OtherTorques(self._fields))
         self._progress['row'][which] = timeline.times_ns.searchsorted(begins_ns, 'right') - 1
         for begin, end, rows in timeline.chunks(int(self._progress['row'][which].min()),
                                                 len(timeline.times_ns)):
@@ -312,15 +311,16 @@ class _Runs:
             self._run_alike(which, rows._replace(terms=own_fields), gains)
             return
         if terms and terms.motors is not None:
-            self._run_alike(which, rows._replace(
-                terms=terms._replace(momentum=terms.momentum[None])), gains)
+            of_all: Any = many_loop.ManyTerms(terms.momentum[None], terms.motors, terms.space)
+            self._run_alike(which, rows._replace(terms=of_all), gains)
             return
         is_linear = self._is_linear[which] | (terms is not None)
         if len(which) == 1 and not is_linear[0] and gains is None and rows.torques.shape[2] == 1:
             self._queue(int(which[0]), rows)
             return
         self._run_alike(which[~is_linear], rows, gains)
-        own = Terms(self._momentum[:, None], None, terms.space if terms else None)
+        own: Any = many_loop.ManyTerms(self._momentum[:, None], None,
+                                       terms.space if terms else None)
         self._run_alike(which[is_linear], rows._replace(terms=own), gains)
 
     def _queue(self, run: int, rows: Rows) -> None:

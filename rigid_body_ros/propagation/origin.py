@@ -40,6 +40,8 @@ class Origin(NamedTuple):
     grid: Floats
     #: Momentum of the rotors at the beginning, N m s, and its low-order part, shape (2, 3).
     rotors: Floats
+    #: Start of the motion, at which torques that lag are zero; None if none does.
+    rest_ns: int | None = None
 
 
 def origin_of(start: State, rule: Hashable) -> Origin:
@@ -53,6 +55,21 @@ def origin_of(start: State, rule: Hashable) -> Origin:
     if isinstance(found, Origin) and found.rule == rule:
         return found
     return Origin(rule, start.time_ns, start._packed, start.time_ns, start._packed, start._rotors)
+
+
+def rest_ns_of(start: State) -> int:
+    """Return when the torques that lag are zero in a motion from a start, ns."""
+    found = start._origin
+    rest_ns = found.rest_ns if isinstance(found, Origin) else None
+    return start.time_ns if rest_ns is None else rest_ns
+
+
+def with_rest(state: State, rest_ns: int) -> State:
+    """Return a state that remembers when the torques that lag were zero, ns."""
+    origin = state._origin
+    assert isinstance(origin, Origin)
+    return State._as_computed(state.time_ns, state._packed, origin._replace(rest_ns=rest_ns),
+                              state._rotors)
 
 
 def without_origin(state: State) -> State:

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.actuator import Actuator, Actuators, actuators_of
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
@@ -31,8 +32,9 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, torque_logs, TorqueLog
 from rigid_body_ros.mechanics.wheels import EffortLog, Wheel, Wheels
 from rigid_body_ros.propagation.integration import Integration
+from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.propagation.options import Options, validated
-from rigid_body_ros.propagation.origin import without_origin
+from rigid_body_ros.propagation.origin import rest_ns_of, without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.propagation.wheels import check_named
 
@@ -61,6 +63,10 @@ class Problem:
     changes : BodyLog, optional
         The bodies that take the place of the first one, each from its stamp on. A stamp before
         the start, or at it, says which body starts.
+    actuator : Actuator, or sequence of Actuator or None, optional
+        What becomes of the torques of every log, or of each: delay, limit and lag. Such a log is
+        held, and its samples are commands; a timeout ends a command by its stamp, so it takes
+        effect with the delay.
     solver : str
         'auto' uses the simplest model that the scene allows: closed form for a long coast, a
         Taylor series for anything else. 'taylor' always uses the series. 'exact' is the closed
@@ -90,6 +96,10 @@ class Problem:
         An orbit without a time has that of the start.
     changes : BodyLog, optional
         None if there are none.
+    actuators : tuple of Actuator or None
+        Of each log; empty if there are none.
+    acting_logs : tuple of TorqueLog
+        The logs as actuators apply them, before their lags.
     options : Options
 
     Raises
@@ -98,16 +108,26 @@ class Problem:
         An option is out of its range, the torque of wheels is in space axes, there are two gravity
         gradients, the wheels with names cannot be those of the body or of the start, efforts are
         not those of the wheels, a gravity gradient acts on wheels with names, which is not
-        supported yet, or the solver does not handle torques, rotors, damping or fields.
+        supported yet, the commands of an actuator are interpolated, or the solver does not handle
+        torques, rotors, damping or fields.
 
     """
+
+    # Most problems have none of these, and to set them takes a hundredth of a short run.
+    named_wheels: Wheels | None = None
+    efforts: EffortLog | None = None
+    actuators: tuple[Actuator | None, ...] = ()
+    #: As given: of all logs, or of each.
+    _actuator: Actuators = None
+    #: The time at which torques that lag are zero, if it is not that of the start.
+    _rest_ns: int | None = None
 
     def __init__(self, body: RigidBody, start: State,
                  log: TorqueLog | Sequence[TorqueLog] | None = None, *,
                  wheels: TorqueLog | Sequence[Wheel] | None = None,
                  efforts: EffortLog | None = None, fields: Sequence[Field] = (),
-                 changes: BodyLog | None = None, solver: str = Options.solver,
-                 tolerance: float = Options.tolerance,
+                 changes: BodyLog | None = None, actuator: Actuators = None,
+                 solver: str = Options.solver, tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout) -> None:
         #: The fields for the kernels; None without.
@@ -117,15 +137,20 @@ class Problem:
             self.fields = beginning_at(fields, start.time_ns)
             self._fields = packed(self.fields)
         self.changes = changes if changes else None
-        self.named_wheels: Wheels | None = None
-        self.efforts = efforts if efforts else None
+        if efforts:
+            self.efforts = efforts
+        if actuator is not None:
+            self._actuator = actuator
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
 
     def _set(self, body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None,
              wheels: TorqueLog | Sequence[Wheel] | None, options: Options) -> None:
         self.body, self.start, self.options = body, start, options
-        self.logs = tuple([each for each in torque_logs(log) if len(each)])
+        given = torque_logs(log)
+        self.logs = self.acting_logs = tuple([each for each in given if len(each)])
+        if self._actuator and given:
+            self._set_actuators(given)
         self.wheels: TorqueLog | None = None
         if isinstance(wheels, TorqueLog):
             self.wheels = wheels if len(wheels) else None
@@ -145,6 +170,26 @@ class Problem:
             for each in self.sources:
                 _check_torque_free(each, options)
 
+    def _set_actuators(self, given: Sequence[TorqueLog]) -> None:
+        found = actuators_of(self._actuator, len(given))
+        self._actuator = kept = tuple([each for each, log in zip(found, given) if len(log)])
+        if any(kept):
+            self.actuators = kept
+            self.acting_logs = tuple([each.acting(log) if each else log
+                                      for each, log in zip(kept, self.logs)])
+
+    def lagging(self) -> LaggingSources | None:
+        """Return the sources that lag, None without."""
+        if not self.actuators:
+            return None
+        return LaggingSources(self.acting_logs, self.actuators, self.options.timeout_ns,
+                              self._lags_from_ns) or None
+
+    @property
+    def _lags_from_ns(self) -> int:
+        """Return the time at which torques that lag are zero, ns."""
+        return rest_ns_of(self.start) if self._rest_ns is None else self._rest_ns
+
     @property
     def has_rotors(self) -> bool:
         """Return whether there are rotors that turn, or motors that turn them."""
@@ -163,6 +208,11 @@ class Problem:
         return (*self.logs, self.wheels) if self.wheels else self.logs
 
     @property
+    def acting_sources(self) -> tuple[TorqueLog, ...]:
+        """Return the sources as they act, before the lags."""
+        return (*self.acting_logs, self.wheels) if self.wheels else self.acting_logs
+
+    @property
     def stamps_ns(self) -> NDArray[np.int64]:
         """Return the stamps of all torques, efforts and changes, each once, ascending."""
         stamps_ns = stamps_of(self.sources)
@@ -175,7 +225,8 @@ class Problem:
                  log: TorqueLog | Sequence[TorqueLog] | None = None,
                  wheels: TorqueLog | Sequence[Wheel] | None = None,
                  efforts: EffortLog | None = None, fields: Sequence[Field] | None = None,
-                 changes: BodyLog | None = None, options: Options | None = None) -> Problem:
+                 changes: BodyLog | None = None, actuator: Actuators = None,
+                 options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
         other = Problem.__new__(Problem)
         other.fields, other._fields = self.fields, self._fields
@@ -184,6 +235,10 @@ class Problem:
         other.efforts = (self.efforts if efforts is None else efforts) or None
         if isinstance(wheels, TorqueLog):  # in place of those with names
             other.named_wheels = other.efforts = None
+        other._actuator = actuator or self._actuator
+        other._rest_ns = self._rest_ns
+        if self.actuators and start:
+            other._rest_ns = min(self._lags_from_ns, start.time_ns)
         if fields is not None:
             other.fields = beginning_at(fields, self.start.time_ns)
             other._fields = packed(other.fields)
@@ -211,8 +266,11 @@ class Problem:
 
         """
         begin_ns = start.time_ns - memory_ns
+        reach_ns = [one.delay_ns + one.expiry_ns if one else 0 for one in self.actuators] \
+            or [0] * len(self.logs)
         return self.replaced(start=start,
-                             log=[log.between(begin_ns, end_ns) for log in self.logs],
+                             log=[log.between(begin_ns - before_ns, end_ns)
+                                  for log, before_ns in zip(self.logs, reach_ns)],
                              wheels=self.wheels and self.wheels.between(begin_ns, end_ns),
                              efforts=self.efforts and self.efforts.between(begin_ns, end_ns))
 
@@ -268,10 +326,12 @@ class Problem:
 
         """
         total = np.zeros((len(times_ns), 3))
-        for log in self.logs:
+        for log in self.acting_logs:
             torque, in_space = log.at(times_ns, self.options.timeout_ns)
             total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque),
                               torque)
+        if lagging := self.lagging():
+            total += lagging.excess_torque(times_ns, attitude)
         return total + self.field_torque(times_ns, attitude) if self.fields else total
 
     def field_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
@@ -289,7 +349,8 @@ class Problem:
     def biased(self, torque: Floats, end_ns: int) -> Problem:
         """Return the problem with a constant torque, N m, body axes, added up to a time, ns."""
         bias = TorqueLog.constant(torque, self.start.time_ns, end_ns, self.options.timeout_ns)
-        return self.replaced(log=[*self.logs, bias])
+        actuator = [*self.actuators, None] if self.actuators else None
+        return self.replaced(log=[*self.logs, bias], actuator=actuator)
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momentum of the rotors at times, N m s, body axes, shape (m, 3)."""
@@ -327,7 +388,7 @@ def _check_torque_free(log: TorqueLog, options: Options) -> None:
 def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None,
               *, at: ArrayLike, wheels: TorqueLog | Sequence[Wheel] | None = None,
               efforts: EffortLog | None = None, fields: Sequence[Field] = (),
-              changes: BodyLog | None = None,
+              changes: BodyLog | None = None, actuator: Actuators = None,
               solver: str = Options.solver, tolerance: float = Options.tolerance,
               max_step: float | None = Options.max_step,
               torque_timeout: float = Options.torque_timeout) -> Trajectory:
@@ -336,7 +397,9 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
 
     Parameters
     ----------
-    body, start, log, wheels, efforts, fields, changes, solver, tolerance, max_step, torque_timeout
+    body, start, log, wheels, efforts, fields, changes, actuator
+        As for `Problem`.
+    solver, tolerance, max_step, torque_timeout
         As for `Problem`.
     at : array of int, shape (m,), ns
         Times to return, in any order, none before the start.
@@ -356,4 +419,4 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
     return Integration(Problem(
         body, start, log, wheels=wheels, solver=solver, tolerance=tolerance, max_step=max_step,
         torque_timeout=torque_timeout, fields=fields, changes=changes,
-        efforts=efforts)).advance(at)
+        efforts=efforts, actuator=actuator)).advance(at)

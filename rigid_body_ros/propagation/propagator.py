@@ -25,14 +25,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
+from rigid_body_ros.mechanics.actuator import Actuators
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
+from rigid_body_ros.propagation.acting import ActingSamples
 from rigid_body_ros.propagation.history import History
 from rigid_body_ros.propagation.options import Options
+from rigid_body_ros.propagation.origin import with_rest
 from rigid_body_ros.propagation.segment import NewBody, Sample, WHEELS
 from rigid_body_ros.propagation.wheels import check_named, momenta_at
 
@@ -67,8 +70,8 @@ class Propagator:
 
     def __init__(self, body: RigidBody, start: State, *,
                  wheels: Sequence[Wheel] | None = None, fields: Sequence[Field] = (),
-                 solver: str = Options.solver, tolerance: float = Options.tolerance,
-                 max_step: float | None = Options.max_step,
+                 actuator: Actuators = None, solver: str = Options.solver,
+                 tolerance: float = Options.tolerance, max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout,
                  history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
@@ -79,7 +82,8 @@ class Propagator:
         self._start_ns = start.time_ns
         if self._wheels:
             check_named(self._wheels, None, fields)
-        self._history = History(body, start, self._options, self._wheels,
+        self._acting = ActingSamples(actuator, self._options.timeout_ns, start.time_ns)
+        self._history = History(body, start, self._options, self._acting, self._wheels,
                                 packed(beginning_at(fields, start.time_ns)), self.history_ns)
 
     @property
@@ -95,6 +99,10 @@ class Propagator:
     def held(self, time_ns: int) -> Mapping[int, Sample]:
         """Return by source the sample in force at a time, also if it has timed out."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
+
+    def delay_ns(self, source: int) -> int:
+        """Return how long after its stamp a torque of a source acts, ns."""
+        return self._acting.delay_ns(source)
 
     def body_at(self, time_ns: int) -> NewBody:
         """Return the body in force at a time; the stamp of the first one is -NEVER_NS."""
@@ -112,15 +120,20 @@ class Propagator:
 
         Those before `earliest_ns` are forgotten.
         """
-        first, end = self._history.index_of(after_ns) + 1, self._history.index_of(until_ns) + 1
-        return [change.time_ns for change in self._history.changes[first:end]]
+        delay_ns = self._acting.longest_delay_ns
+        changes = self._history.between(after_ns, until_ns + delay_ns)
+        if not delay_ns:
+            return [change.time_ns for change in changes]
+        found = {stamp_ns for change in changes for stamp_ns in change.stamps_ns}
+        return sorted(stamp_ns for stamp_ns in found if after_ns < stamp_ns <= until_ns)
 
     def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
         """Return source and sample of the torques in force at a time, and of all later ones."""
         index = max(self._history.index_of(time_ns), 0)
         return [*self._history.changes[index].samples.items(), *(
             (source, sample) for change in self._history.changes[index + 1:]
-            for source, sample in change.samples.items() if sample.stamp_ns == change.time_ns)]
+            for source, sample in change.samples.items()
+            if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
 
     def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:
         """
@@ -283,10 +296,9 @@ class Propagator:
 
         Their wheels are too fast, see `Wheel`. Those before `earliest_ns` are forgotten.
         """
-        first, end = self._history.index_of(after_ns) + 1, self._history.index_of(until_ns) + 1
-        self._history.compute(max(end - 1, 0))
+        self._history.compute(max(self._history.index_of(until_ns), 0))
         return sum(int(change.active.axial.refused.sum())
-                   for change in self._history.changes[first:end]
+                   for change in self._history.between(after_ns, until_ns)
                    if change.active and change.active.axial
                    and change.commands.stamp_ns == change.time_ns)
 
@@ -324,9 +336,26 @@ class Propagator:
                              f'found {time_ns} ns')
         segment, axial = self._history.active(index, time_ns, until)
         state = segment.state_at(time_ns, until)
+        if self._acting.lag:
+            state = with_rest(state, self._start_ns)
         if self._wheels and axial:
             return self._wheels.shown(state, axial, momenta_at(axial, time_ns))
         return state
+
+    def torque(self, state: State) -> Floats:
+        """
+        Return the torque of all sources that acts at a state which `at` returned.
+
+        Returns
+        -------
+        array, shape (3,), N m, body axes
+            As the actuators apply it; without those on the rotors and of fields.
+
+        """
+        time_ns = state.time_ns
+        index = max(self._history.index_of(time_ns), 0)
+        segment, _ = self._history.active(index, time_ns, math.inf)
+        return self._acting.torque(self._history.changes[index].samples, segment.lagging, state)
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
@@ -346,7 +375,7 @@ class Propagator:
         return found
 
     def _apply(self, time_ns: int, source: int, torque: Floats, in_space: bool) -> bool:
-        index = self._history.inserted(time_ns)
+        index = self._history.inserted(time_ns, self._acting.delay_ns(source))
         if index is None:
             return False
         self._history.put(index, Sample(time_ns, torque, in_space), source)

@@ -25,9 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import FieldTerms, kernels, layout, motion_layout, Terms
+from rigid_body_ros.engine import FieldTerms, kernels, Lags, LagTerms, layout, motion_layout, Terms
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation.lags import lag_terms, Lagging
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.summation import added
@@ -38,6 +39,7 @@ WHEELS, BODY = sys.maxsize - 1, sys.maxsize
 #: Outputs of the loop that are not read: only its latest state is used.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 _NONE = np.zeros((1, 3))
+_NO_LAGS: Mapping[int, Lagging] = {}
 
 
 class Sample(NamedTuple):
@@ -65,10 +67,13 @@ class Sum(NamedTuple):
     in_space: bool
     space: Floats = _NONE
     motors: Floats = _NONE
+    #: What remains of torques that lag, beyond their commands; None if none does.
+    lags: Lags | None = None
 
     def is_zero(self) -> bool:
         """Return whether no torque acts."""
-        return not (self.torque.any() or self.space.any() or self.motors.any())
+        return not (self.torque.any() or self.space.any() or self.motors.any()
+                    or (self.lags is not None and self.lags.excess.any()))
 
 
 def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
@@ -104,18 +109,26 @@ class Segment:
     """The motion under held torques, with the grid points reached so far."""
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
-                 total: Sum, fields: NDArray[Any] | None = None) -> None:
-        torque, in_space, *others = total
+                 total: Sum, fields: NDArray[Any] | None = None,
+                 lagging: Mapping[int, Lagging] = _NO_LAGS) -> None:
+        torque, in_space, *others, lags = total
+        #: The sources that lag.
+        self.lagging = lagging
         self.coasts = total.is_zero() and fields is None and not (
             body.is_damped or start._has_rotors)
         self.body, self._options, self._history_ns = body, options, history_ns
-        self._rule = options.rule(body, fields, torque, in_space, *others)
+        key = [np.concatenate([each.key for each in lagging.values()])] \
+            if lags is not None and lags.excess.any() else []
+        self._rule = options.rule(body, fields, torque, in_space, *others, *key)
         origin = origin_of(start, self._rule)
         self._rotors = origin.rotors
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        terms: Terms | FieldTerms | None = None
-        if fields is not None:
+        terms: Terms | FieldTerms | LagTerms | None = None
+        if lags is not None:
+            terms = lag_terms(origin.rotors[None], total.motors[None], total.space[None], fields,
+                              lags)
+        elif fields is not None:
             terms = FieldTerms(origin.rotors[None], total.motors[None], total.space[None], fields)
         elif body.is_damped or origin.rotors.any() or any(other.any() for other in others):
             terms = Terms(origin.rotors[None], total.motors[None], total.space[None])

@@ -32,10 +32,12 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 
 #: To add it changes no bit of a torque.
 _NOTHING = np.full((1, 3), -0.0)
+_NO_MARKS = np.empty(0, np.int64)
 
 
 def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum: Floats,
-           timeout_ns: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
+           timeout_ns: int, marks_ns: NDArray[np.int64] | None = None
+           ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
     """
     Return the sum of torque logs and the momentum of the rotors.
 
@@ -51,6 +53,8 @@ def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum
         Momentum of the rotors at the start, and its low-order part.
     timeout_ns : int
         As for `TorqueLog.segments`.
+    marks_ns : array of int64, shape (n,), ns, optional
+        Other times at which a row begins, ascending.
 
     Returns
     -------
@@ -59,9 +63,10 @@ def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum
 
     """
     motors = [wheels] if len(wheels) else []
-    if timeout_ns == 0 and _change_together([*logs, *motors], start_ns):
+    if timeout_ns == 0 and marks_ns is None and _change_together([*logs, *motors], start_ns):
         return _summed_together(logs, motors, start_ns, momentum)
-    return _merged([*logs, wheels], start_ns, momentum, timeout_ns)
+    return _merged([*logs, wheels], start_ns, momentum, timeout_ns,
+                   _NO_MARKS if marks_ns is None else marks_ns)
 
 
 def added(torques: Sequence[Floats]) -> Floats:
@@ -108,8 +113,8 @@ def _allocated(count: int, degree: int) -> Sums:
     return Sums(*(part.reshape(count, size, 3) for part, size in zip(parts, sizes)))
 
 
-def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int
-            ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
+def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int,
+            marks_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
     """Return the sum of any logs; the last one is the torque on the rotors."""
     pieces = [_pieces(log) for log in sources]
     degree = max(piece.shape[1] // 2 for piece in pieces)
@@ -117,11 +122,11 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeo
                       np.concatenate([log.times_ns for log in sources]),
                       np.concatenate([log.in_space for log in sources]),
                       np.cumsum([0, *map(len, sources)]))
-    limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1)
+    limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1) + len(marks_ns)
     sums = _allocated(limit, degree)
     times_ns, in_space = np.empty(limit, np.int64), np.empty(limit, np.bool_)
-    count = kernels.sum_logs(samples, samples.offsets[:-1] - 1, timeout_ns, start_ns, momentum,
-                             sums, times_ns, in_space)
+    count = kernels.sum_logs(samples, samples.offsets[:-1] - 1, timeout_ns, start_ns, marks_ns,
+                             momentum, sums, times_ns, in_space)
     return times_ns[:count], in_space[:count], Sums(*(part[:count] for part in sums))
 
 

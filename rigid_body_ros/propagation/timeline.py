@@ -18,17 +18,30 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import FieldTerms, kernels, Rows, Terms
+from rigid_body_ros.engine import FieldTerms, kernels, LagTerms, Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import summation
+from rigid_body_ros.propagation.lags import LaggingSources
 
 #: Number of samples whose polynomials are computed at a time.
 _CHUNK = 65536
+
+
+class OtherTorques(NamedTuple):
+    """What acts besides the logs and the rotors; None for each that does not."""
+
+    #: The torques that depend on the attitude: FIELDS, shape (1,).
+    fields: NDArray[Any] | None = None
+    #: The sources whose torques lag; the logs have their commands.
+    lagging: LaggingSources | None = None
+
+
+NO_OTHERS = OtherTorques()
 
 
 class Timeline:
@@ -51,22 +64,22 @@ class Timeline:
     start_ns : int
     momentum : array, shape (2, 3), N m s, or None
         Momentum of the rotors at that time, and its low-order part; None without rotors.
-    fields : array of FIELDS, shape (1,), or None
-        The torques that depend on the attitude.
+    others : OtherTorques
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
         When each row comes into force.
     has_rotors, has_terms : bool
-        Whether there are rotors; and whether there are rotors, damping or fields.
+        Whether there are rotors; and whether there are rotors, damping, fields or lags.
 
     """
 
     def __init__(self, logs: Sequence[TorqueLog], wheels: TorqueLog | None, timeout_ns: int,
                  is_damped: bool, start_ns: int, momentum: Floats | None,
-                 fields: NDArray[Any] | None = None) -> None:
-        self._timeout_ns, self._fields = timeout_ns, fields
+                 others: OtherTorques = NO_OTHERS) -> None:
+        self._timeout_ns, (fields, lagging) = timeout_ns, others
+        self._fields, self._lagging = fields, lagging
         self._has_motors = wheels is not None and bool(wheels.torques.any())
         self.has_rotors = momentum is not None or self._has_motors
         self.has_terms = self.has_rotors or is_damped or fields is not None
@@ -76,7 +89,7 @@ class Timeline:
         if self.has_terms:
             self._terms = Terms((_NO_MOMENTUM if momentum is None else momentum)[None], None, None)
         self._summed: Rows | None = None
-        if len(logs) > 1 or wheels is not None or fields is not None:
+        if len(logs) > 1 or wheels is not None or fields is not None or lagging is not None:
             self._summed = self._sum(logs, wheels or _NO_LOG, start_ns)
             self.times_ns = self._summed.times_ns
             return
@@ -104,16 +117,19 @@ class Timeline:
     def _sum(self, logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int) -> Rows:
         momentum = self._terms.momentum[0] if self._terms else _NO_MOMENTUM
         times_ns, in_space, sums = summation.summed(
-            logs, wheels, start_ns, momentum, self._timeout_ns)
+            logs, wheels, start_ns, momentum, self._timeout_ns,
+            self._lagging.marks_ns if self._lagging else None)
         axes = [log.in_space for log in (*logs, wheels) if len(log)]
         in_two = any(each.any() for each in axes) and not all(each.all() for each in axes)
         spans = _NO_SPANS
         if sums.torques.shape[1] > 1:
             spans = np.append(np.diff(times_ns) / 1e9, 1.0)
         has_motors = self._has_motors
-        terms: Terms | FieldTerms | None = None
+        terms: Terms | FieldTerms | LagTerms | None = None
         momentum = sums.momentum if has_motors else momentum[None]
-        if self._fields is not None:
+        if self._lagging is not None:
+            terms = self._lagging.terms(times_ns, momentum, sums.motors, sums.space, self._fields)
+        elif self._fields is not None:
             terms = FieldTerms(momentum, sums.motors, sums.space, self._fields)
         elif self.has_terms or in_two:
             terms = Terms(momentum, sums.motors if has_motors else None,
@@ -124,12 +140,13 @@ class Timeline:
         """Return the row in force at a time, -1 before the first."""
         return int(self.times_ns.searchsorted(time_ns, 'right')) - 1 if len(self.times_ns) else -1
 
-    def held(self, row: int) -> tuple[Floats, bool, Floats, Floats] | None:
+    def held(self, row: int) -> tuple[Floats, bool, list[Floats]] | None:
         """
         Return the torques that are held in a row, N m, shape (3,); None if they change in it.
 
         The first one is that on the body, in the axes that the second result states: whether in
-        space axes. The others are that in space axes beside one in body axes, and on the rotors.
+        space axes. The others are that in space axes beside one in body axes, on the rotors, and
+        what lags.
         """
         none = np.zeros(3)
         if self._summed is not None:
@@ -137,15 +154,18 @@ class Timeline:
             space, motors = (terms.space, terms.motors) if terms else (None, None)
             if torques.shape[1] > 1:
                 return None
-            return (torques[row, 0], bool(in_space[row]), none if space is None else space[row, 0],
-                    none if motors is None else motors[row, 0])
+            others = [none if space is None else space[row, 0],
+                      none if motors is None else motors[row, 0]]
+            if terms and terms.lags:
+                others.append(terms.lags.excess[row])
+            return torques[row, 0], bool(in_space[row]), others
         if row >= 0 and self._samples is not None:
             row = int(self._samples[row])
         if row < 0:
-            return none, False, none, none
+            return none, False, [none, none]
         if self._log.interpolation != 'hold':
             return None
-        return self._log.torques[row], bool(self._log.in_space[row]), none, none
+        return self._log.torques[row], bool(self._log.in_space[row]), [none, none]
 
     def begin_earlier(self, begin_ns: int, momentum: Floats) -> None:
         """Let the first row, in which torques are held, begin before the start."""
@@ -154,6 +174,9 @@ class Timeline:
         self.times_ns, terms = np.append(begin_ns, self.times_ns[1:]), self._summed.terms
         if terms and self._has_motors:
             terms = terms._replace(momentum=np.concatenate([momentum[None], terms.momentum[1:]]))
+        if self._lagging and terms and terms.lags:
+            lags = terms.lags._replace(excess=self._lagging.excess(self.times_ns))
+            terms = terms._replace(lags=lags)
         self._summed = _frozen(self._summed._replace(times_ns=self.times_ns, terms=terms))
 
     def chunks(self, first: int, stop: int) -> Iterable[tuple[int, int, Rows]]:
@@ -210,6 +233,8 @@ class Timeline:
             others = [] if terms is None else [terms.space, terms.motors]
             if terms and self._has_motors:
                 others.append(terms.momentum)
+            if terms and terms.lags:
+                others.append(terms.lags.excess.reshape(len(torques), -1, 3))
             parts = [torques, *(other for other in others if other is not None)]
             return np.asarray(np.concatenate(parts, axis=1).any(axis=(1, 2)))
         found = np.asarray(self._log.torques.any(axis=1))
@@ -245,7 +270,7 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
 
 
 def held_row(time_ns: int, torque: Floats, in_space: bool,
-             terms: Terms | FieldTerms | None = None) -> Rows:
+             terms: Terms | FieldTerms | LagTerms | None = None) -> Rows:
     """Return the row of a torque that is held from a time on, N m, shape (1, 3)."""
     return _frozen(Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms))
 
@@ -259,7 +284,7 @@ for _constant in (_NO_SPANS, _NO_MOMENTUM):
 def _frozen(rows: Rows) -> Rows:
     """Return the same rows, read-only like those of a log: one type for the kernels."""
     array: Any
-    for array in (*rows[:-1], *(rows.terms or ())):
+    for array in (*rows[:-1], *(rows.terms or ())[:4], *((rows.terms and rows.terms.lags) or ())):
         if array is not None:
             array.flags.writeable = False
     return rows

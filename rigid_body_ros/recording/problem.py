@@ -181,7 +181,9 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
     every = [*parts, *([] if momentum is None else [momentum])]
     changes = _changes(path, body.pop(), scene) if topics.inertia else None
     wheels = _wheel_log(path, body.pop(), scene, interpolation) if topics.wheel_torque else None
-    logs = [_log(path, one, scene, interpolation) for one in body]
+    actuators = topics.actuators(scene)
+    logs = [_log(path, one, scene, 'hold' if held else interpolation)
+            for one, held in zip(body, actuators or (None,) * len(body))]
     if momentum is not None:
         measured = _momentum(path, momentum, scene)
         wheels = _from_momentum(path, momentum, measured, scene)
@@ -196,7 +198,8 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
     if measured is not None:
         start = _started(start, measured)
     try:
-        problem = scene.problem(start).replaced(log=logs, wheels=wheels, changes=changes)
+        problem = scene.problem(start).replaced(
+            log=logs, wheels=wheels, changes=changes, actuator=actuators)
     except ValueError as error:
         raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
     return Logged(problem, measured is not None, sum(len(one) for one in every),

@@ -19,8 +19,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+import re
 
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.messages import INERTIA
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.source import TORQUES
@@ -28,6 +30,8 @@ from rigid_body_ros.scene import Scene
 
 #: The topics of the torque on the rotors, and of the inertia.
 _WHEEL_TORQUE, _INERTIA = 'wheel_torque', 'inertia'
+#: The topic on which a node logs the torques of the first topic, or of the one with a number.
+_ACCEPTED = re.compile('.*/accepted_torque(?:_([0-9]+))?')
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,20 @@ class Topics:
                 raise InputError(f'{option}: expected a scene with {parameter}: true, found '
                                  f'{parameter}: false')
 
+    def actuators(self, scene: Scene) -> tuple[Actuator | None, ...] | None:
+        """
+        Return the actuator of each topic of torques, or None if the scene has none.
+
+        A topic has that of the topic of the scene with its name, or whose torques a node has
+        logged on it; the only topic has that of the only topic of the scene.
+        """
+        found, names = scene.actuators, [absolute(name) for name in scene.torque_topics]
+        if found is None:
+            return None
+        if self.preferred or len(self.torques) == len(names) == 1:
+            return found
+        return tuple([_actuator_of(topic, names, found) for topic in self.torques])
+
     @property
     def wrenches(self) -> list[str | None]:
         """Return the topics of torques, that on the rotors last; None for the only topic."""
@@ -134,6 +152,14 @@ class Topics:
 def absolute(topic: str) -> str:
     """Return the name of a topic in a recording, for a node without a namespace."""
     return topic if topic.startswith('/') else f'/{topic}'
+
+
+def _actuator_of(topic: str, names: Sequence[str],
+                 actuators: Sequence[Actuator | None]) -> Actuator | None:
+    logged = _ACCEPTED.fullmatch(topic)
+    number = int(logged[1] or 0) if logged else \
+        names.index(absolute(topic)) if absolute(topic) in names else len(names)
+    return actuators[number] if number < len(names) else None
 
 
 def _match(name: str, recorded: Sequence[str]) -> str | None:

@@ -50,8 +50,8 @@ class Stream:
     pieces : iterator of Piece
     on_rotors : bool
         Whether these are the torques of the motors on the rotors.
-    is_measured : bool
-        Whether they come from the momentum of the rotors, so they are never interpolated.
+    is_held : bool
+        Whether they are never interpolated: commands, or from the momentum of the rotors.
     counts : Counts, optional
         Of the pieces so far.
     topic : str
@@ -65,10 +65,10 @@ class Stream:
     """
 
     def __init__(self, pieces: Iterator[Piece], on_rotors: bool = False,
-                 is_measured: bool = False, counts: Counts | None = None,
+                 is_held: bool = False, counts: Counts | None = None,
                  topic: str = '') -> None:
         self._pieces, self.topic, self.counts = pieces, topic, counts or Counts()
-        self.on_rotors, self._is_measured = on_rotors, is_measured
+        self.on_rotors, self._is_held = on_rotors, is_held
         self.piece = next(pieces)
 
     @property
@@ -82,14 +82,16 @@ class Stream:
 
     def log(self, interpolation: str) -> TorqueLog:
         """Return the present piece as a log, with the errors of `Piece.log`."""
-        return self.piece.log('hold' if self._is_measured else interpolation)
+        return self.piece.log('hold' if self._is_held else interpolation)
 
 
 def whole(logged: Logged) -> list[Stream]:
     """Return the torques of a problem, each as one piece."""
-    wheels = logged.problem.wheels
+    problem, wheels = logged.problem, logged.problem.wheels
+    held = [log for log, actuator in zip(problem.logs, problem.actuators) if actuator]
+    held += [wheels] if wheels and logged.is_measured else []
     return [Stream(iter([Piece(log.times_ns, log.torques, log.in_space)]), log is wheels,
-                   log is wheels and logged.is_measured) for log in logged.problem.sources]
+                   any(log is one for one in held)) for log in problem.sources]
 
 
 class Streams:

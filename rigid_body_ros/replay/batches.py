@@ -30,6 +30,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.actuator import Actuators
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
@@ -105,6 +106,8 @@ class Batches:
         Whether the start is that of an epoch of a node, which may have no torques.
     changes : BodyLog, optional
         Those of the body, if the torques are one piece.
+    actuators : sequence of Actuator or None, optional
+        Of each stream on the body, if the torques are one piece.
 
     Attributes
     ----------
@@ -117,8 +120,9 @@ class Batches:
     """
 
     def __init__(self, request: Request, topics: str, streams: Sequence[Stream], start: State,
-                 is_epoch: bool, changes: BodyLog | None = None) -> None:
-        self._changes = changes
+                 is_epoch: bool, changes: BodyLog | None = None,
+                 actuators: Actuators = None) -> None:
+        self._changes, self._actuators = changes, actuators
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
         self._delay_ns = request.sensor_delay_ns
@@ -235,7 +239,8 @@ class Batches:
         body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
         wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
         problem = self._request.scene.problem(self.start).replaced(
-            log=body, wheels=next(iter(wheels), None), changes=self._changes)
+            log=body, wheels=next(iter(wheels), None), changes=self._changes,
+            actuator=self._actuators)
         motion = self._motions.get(interpolation)
         if motion:
             motion.extend(problem)

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.actuator import time_constants
 from rigid_body_ros.mechanics.fields import GravityGradient, UniformField
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
@@ -137,7 +138,7 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
         return Check(
             f'relative drift of the space angular momentum {lost / size if size else lost:.1e}',
             seconds, seconds)
-    if not is_damped and all(_is_in_space(log) for log in acting):
+    if not (is_damped or problem.actuators) and all(_is_in_space(log) for log in acting):
         return Check('space angular momentum and the integral of the torque differ by '
                      f'{_momentum_balance(problem, trajectory):.1e} of the largest '
                      'momentum', seconds, seconds)
@@ -216,8 +217,8 @@ def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, flo
 
     The work is the integral of (tau - tau_wheel - D w) . w over time, by Gaussian quadrature with
     three points in intervals of at most 0.05 rad between changes of the torque. The intervals are
-    shorter where rotors or damping change the rates faster than the body turns. The points are
-    rounded to whole nanoseconds, which limits the comparison to about 1e-10 of an interval.
+    shorter where rotors, damping or lags change the rates faster than the body turns. The points
+    are rounded to whole nanoseconds, which limits the comparison to about 1e-10 of an interval.
 
     Returns
     -------
@@ -248,14 +249,15 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
     # Return the changes of the torque and times in between, such that all intervals are short.
     changes = np.unique(np.concatenate(
         [np.empty(0, np.int64),
-         *(log.segments(problem.options.timeout_ns)[0] for log in problem.sources)]))
+         *(log.segments(problem.options.timeout_ns)[0] for log in problem.acting_sources)]))
     start_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     inside = changes[(changes > start_ns) & (changes < end_ns)]
     edges = np.concatenate([[start_ns], inside, [end_ns]])[:_MOST_INTERVALS + 1]
     lengths = np.diff(edges)
     least, _, largest = trajectory.body.principal_moments
     speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory) + sum(
-        float(one.speed(least, largest)) for one in problem.fields)
+        float(one.speed(least, largest)) for one in problem.fields) + max(
+            [1.0 / constant for constant in time_constants(problem.actuators)], default=0.0)
     counts = np.ceil(lengths * 1e-9 * speed / _INTERVAL_ANGLE)
     counts = counts.clip(1, _MOST_INTERVALS).astype(int)
     counts = counts[:np.searchsorted(np.cumsum(counts), _MOST_INTERVALS) + 1]

@@ -219,7 +219,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
                 path, next(iter(topics.wrenches), topics.wheel_momentum), _KINDS,
                 preferred=topics.preferred))
             copied.check_copied(outputs.topics(request))
-        if not (keep or topics.wheel_momentum or topics.inertia or request.sensor_delay_ns):
+        if not (keep or topics.wheel_momentum or topics.inertia or scene.actuators
+                or request.sensor_delay_ns):
             with suppress(NotInOrderError), Streams(
                     path, scene, topics, progress('replaying', size=len), time_source,
                     start) as streams:
@@ -277,7 +278,8 @@ def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequen
     return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
                     topics.wheel_source, each.messages, each.unordered, damage=each.damage),
              Batches(request, ', '.join(each.topics), whole(each), each.problem.start,
-                     each.is_epoch, each.problem.changes))
+                     each.is_epoch, each.problem.changes,
+                     each.problem.actuators or [None] * len(each.problem.logs)))
             for each in epochs]
 
 

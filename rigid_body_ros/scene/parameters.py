@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
-from rigid_body_ros.scene import fields, sensors, wheels
+from rigid_body_ros.scene import actuator, fields, sensors, wheels
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
@@ -62,6 +62,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'topics add up'),
     Parameter('wheels', False, '', 'whether the body has rotors with motors'),
     *wheels.PARAMETERS,
+    *actuator.PARAMETERS,
     *fields.PARAMETERS,
     Parameter('inertia_topic', False, '', 'whether the topic inertia changes the inertia of the '
               'body'),

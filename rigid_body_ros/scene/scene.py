@@ -27,6 +27,7 @@ from rigid_body_ros.common.errors import InputError as InputError  # part of the
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import euler, urdf
+from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.frames import Frames
@@ -37,6 +38,7 @@ from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Value
+from rigid_body_ros.scene.actuator import actuators_of
 from rigid_body_ros.scene.fields import at_start, check_named, fields_of
 from rigid_body_ros.scene.parameters import (
     ARRIVAL,
@@ -124,6 +126,11 @@ class Scene:
         """Return the torques that depend on the attitude; an orbit has the start_time."""
         return fields_of(self.values)
 
+    @property
+    def actuators(self) -> tuple[Actuator | None, ...] | None:
+        """Return the actuator of each torque topic, or None if none has one."""
+        return actuators_of(self.values)
+
     def fields_from(self, start_ns: int) -> tuple[Field, ...]:
         """Return the same fields, with the position on the orbit at the start of a motion."""
         moved = at_start(self.values, start_ns)
@@ -155,7 +162,7 @@ class Scene:
         start = start or self.start
         return Problem(self.body, start, wheels=self.named_wheels,
                        fields=self.fields_from(start.time_ns),
-                       **asdict(self.options))
+                       actuator=self.actuators, **asdict(self.options))
 
     def starting_at(self, time_ns: int) -> State:
         """Return the initial state, at a time unless the scene has a start_time."""
@@ -239,6 +246,7 @@ class Scene:
             raise InputError('start_time: expected the time of orbit.position, ns, because a '
                              'checkpoint does not keep it, found 0')
         _check_topics(self.torque_topics)
+        actuators_of(self.values)
         euler.check_sequence(self.euler_sequence)
         for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):
             _check_text(name, self.values[name])

@@ -34,6 +34,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
@@ -176,7 +177,7 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
 
     """
     total = np.zeros((len(stamps_ns), 3))
-    for log in problem.logs:
+    for log in problem.acting_logs:
         changes, _ = log.segments(problem.options.timeout_ns)
         changes = changes[(changes > stamps_ns[0]) & (changes < stamps_ns[-1])]
         ends = np.union1d(stamps_ns, changes)
@@ -186,7 +187,22 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
             impulse += 0.5e-9 * spans[:, None] * _in_body(problem, log, times, sensor)
         sums = np.concatenate([np.zeros((1, 3)), np.cumsum(impulse, axis=0)])
         total += sums[np.searchsorted(ends, stamps_ns)]
-    return total
+    lagging = problem.lagging()
+    return total + _lag_impulses(problem, lagging, stamps_ns, sensor) if lagging else total
+
+
+def _lag_impulses(problem: Problem, lagging: LaggingSources, stamps_ns: NDArray[np.int64],
+                  sensor: Measured) -> Floats:
+    """Return what the lags of actuators add, as `impulses` does."""
+    changes = np.concatenate([lagging.marks_ns, *(
+        log.segments(problem.options.timeout_ns)[0] for log in problem.acting_logs)])
+    ends = np.union1d(stamps_ns, changes[(changes > stamps_ns[0]) & (changes < stamps_ns[-1])])
+    body, space = lagging.impulses(ends).transpose(1, 0, 2)
+    if space.any():
+        middle = ends[:-1] + np.diff(ends) // 2
+        body = body + so3.rotate(so3.conjugate(_attitude(problem, middle, sensor)), space)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(body, axis=0)])
+    return np.asarray(sums[np.searchsorted(ends, stamps_ns)])
 
 
 def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],

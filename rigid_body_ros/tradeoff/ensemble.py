@@ -122,7 +122,8 @@ def _run_of(problem: Problem, runs: int, end_ns: int) -> Callable[..., object]:
     bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)), problem.body.damping)
     starts = States(start.time_ns, np.tile(start.attitude, (runs, 1)), start.angular_velocity,
                     start.rotor_momentum)
-    logs = [problem.logs] * runs if len(problem.logs) > 1 else next(iter(problem.logs), None)
+    acting = problem.acting_logs  # the lags of actuators are left out
+    logs = [acting] * runs if len(acting) > 1 else next(iter(acting), None)
     return partial(propagate_many, bodies, starts, logs, at=[end_ns], wheels=problem.wheels,
                    fields=problem.fields,
                    torque_timeout=problem.options.torque_timeout)

@@ -97,6 +97,8 @@ def final_differences(case: Case) -> dict[str, float | None]:
 def _can_interpolate(case: Case) -> bool:
     """Whether the torques have one log, of one frame, and none is on rotors."""
     logs = case.problem.logs
+    if case.problem.actuators:  # commands are held
+        return False
     return not case.torque_free and len(logs) == len(case.problem.sources) == 1 \
         and np.unique(logs[0].in_space).size == 1
 

@@ -105,8 +105,10 @@ class Case:
     def in_principal_axes(self, max_step: float) -> Floats:
         """Return attitudes computed by the series in principal axes, without such terms."""
         axes, given = PrincipalAxes(self.problem.body), self.problem
+        # A limit is along the axes of the body; a lag is the same along any.
+        lags = [each and each.lag for each in given.actuators]
         problem = given.replaced(body=axes.body, start=axes.start(given.start),
-                                 log=[*map(axes.log, given.logs)])
+                                 log=[*map(axes.log, given.acting_logs)], actuator=lags or None)
         turned = replace(self, problem=problem)
         return axes.back(turned.run(solver='taylor', tolerance=TIGHTEST,
                                     max_step=max_step).attitude)

@@ -1,0 +1,119 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The Taylor series of torques that decay, see `lags`.
+
+The terms of exp(-t / T) follow from each other, e' = -e / T. An excess in space axes has the body
+components v, with v' = v x w - v / T.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import euler_equations, four, lags
+from rigid_body_ros.kernels.jit import inlined, optional
+from rigid_body_ros.kernels.lags import RowLags
+from rigid_body_ros.kernels.series_table import (
+    MAX_ORDER,
+    PERMUTED,
+    RECIPROCALS,
+    store_permuted,
+    turned,
+)
+from rigid_body_ros.kernels.vector import (
+    add,
+    add_scaled,
+    Coefficients,
+    is_zero,
+    KernelState,
+    scale,
+    to_body,
+    Vector,
+)
+
+#: Size of the vectors of one order: those in space axes, by time constant.
+_ORDER = PERMUTED * lags.MOST
+#: After the vectors of all orders, there is the latest term of each excess in body axes.
+_BODY = _ORDER * (MAX_ORDER + 1)
+WORKSPACE = _BODY + 4 * lags.MOST
+
+
+class StepLags(NamedTuple):
+    """The excesses of a step, and their series."""
+
+    lags: RowLags
+    #: s; from the time of the row to the beginning of the step.
+    since: float
+    #: See WORKSPACE.
+    vectors: Floats
+
+
+@optional
+def workspace(_found: RowLags, work: Floats) -> Floats:
+    """Return the workspace, None without lags."""
+    return work
+
+
+@optional
+def of_step(found: RowLags, since: float, work: Floats) -> StepLags:
+    """Return the excesses of a step, with series that are not yet filled; None without lags."""
+    return StepLags(found, since, work)
+
+
+@inlined
+def begin(step: StepLags | None, state: KernelState) -> None:
+    """Store the first terms of the series of a step that begins with a state."""
+    if step is None:
+        return
+    found, since, vectors = step
+    for i in range(len(found.time_constants)):
+        factor = lags.decay(since, found.time_constants[i])
+        four.store(vectors, _BODY + 4 * i, scale(factor, lags.excess(found, i, 0)))
+        store_permuted(vectors, PERMUTED * i,
+                       to_body(state[1], scale(factor, lags.excess(found, i, 1))))
+
+
+@inlined
+def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, seconds: float,
+                     coefficients: Coefficients, form: int) -> Vector:
+    """
+    Return the sum of a vector and the term of order k of the acceleration, times seconds^2.
+
+    The arguments are those of `field_series.add_acceleration`.
+    """
+    if step is None:
+        return u
+    found, vectors, torque = step.lags, step.vectors, four.broadcast(0.0)
+    for i in range(len(found.time_constants)):
+        factor = -seconds / found.time_constants[i] * float(RECIPROCALS[k])
+        term = four.load(vectors, _BODY + 4 * i)
+        torque = add(torque, term)
+        four.store(vectors, _BODY + 4 * i, scale(factor, term))
+        if is_zero(lags.excess(found, i, 1)):
+            continue
+        term = four.load(vectors, _ORDER * k + PERMUTED * i)
+        torque = add(torque, term)
+        store_permuted(vectors, _ORDER * (k + 1) + PERMUTED * i, add_scaled(
+            turned(vectors, PERMUTED * i, _ORDER, table, k), factor, term))
+    return add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
+        coefficients, form, torque))
+
+
+@inlined
+def lowest_order(step: StepLags | None) -> int:
+    """Return a bound on how many terms in a row may be zero by chance, see `taylor.step`."""
+    return 0 if step is None else 1

@@ -1,0 +1,171 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Torques that follow their commands with a first-order lag.
+
+With a time constant T and a command u, held from a time on, T y' + y = u: the torque is
+
+    y = u + (y0 - u) exp(-t / T),
+
+where y0 is the torque at that time. The command is part of the row. The rest is the *excess*,
+which decays, in body axes or in space axes as the command. After EXPIRY time constants it is zero.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+from rigid_body_ros.common.arrays import Floats, Ints
+from rigid_body_ros.kernels import double_double, elementary, vector
+from rigid_body_ros.kernels.jit import inlined, internal, njit, WRITTEN
+
+#: Time constants after which an excess is zero: exp(-40) is 4e-18.
+EXPIRY = 40.0
+#: Most different time constants in a scene.
+MOST = 4
+
+
+class RowLags(NamedTuple):
+    """The excess of a row."""
+
+    #: See `layout.Lags`.
+    excess: Floats
+    time_constants: Floats
+    row: int
+
+
+@inlined
+def excess(lags: RowLags, i: int, axes: int) -> vector.Vector:
+    """Return the excess with a time constant at the row's time, in body (0) or space axes (1)."""
+    found = lags.excess
+    return vector.of(found[lags.row, i, axes, 0], found[lags.row, i, axes, 1],
+                     found[lags.row, i, axes, 2])
+
+
+@inlined
+def acts(lags: RowLags | None) -> bool:
+    """Return whether there is an excess in a row."""
+    return square_rate(lags) > 0.0
+
+
+@inlined
+def square_rate(lags: RowLags | None) -> float:
+    """Return the square of the largest rate at which an excess decays, 1/s^2; 0 without."""
+    largest = 0.0
+    if lags is None:
+        return largest
+    if lags.row < 0:
+        return largest
+    for i in range(len(lags.time_constants)):
+        if not (vector.is_zero(excess(lags, i, 0))
+                and vector.is_zero(excess(lags, i, 1))):
+            rate = 1.0 / lags.time_constants[i]
+            largest = max(largest, rate * rate)
+    return largest
+
+
+@inlined
+def torque_bound(lags: RowLags | None) -> float:
+    """Return a bound on the sum of the excesses of a row, N m."""
+    bound = 0.0
+    if lags is None:
+        return bound
+    if lags.row < 0:
+        return bound
+    for i in range(len(lags.time_constants)):
+        body, space = excess(lags, i, 0), excess(lags, i, 1)
+        bound += math.sqrt(vector.dot(body, body)) + math.sqrt(vector.dot(space, space))
+    return bound
+
+
+@inlined
+def decay(seconds: float, time_constant: float) -> float:
+    """Return the factor by which an excess decays in a time."""
+    return elementary.exponential(-seconds / time_constant)
+
+
+@internal
+def torque(lags: RowLags, seconds: float, q: vector.Quaternion) -> vector.Vector:
+    """Return the sum of the excesses, N m, body axes, some time after that of the row."""
+    body = space = vector.of(0.0, 0.0, 0.0)
+    for i in range(len(lags.time_constants)):
+        factor = decay(seconds, lags.time_constants[i])
+        body = vector.add_scaled(body, factor, excess(lags, i, 0))
+        space = vector.add_scaled(space, factor, excess(lags, i, 1))
+    return vector.add(body, vector.to_body(q, space))
+
+
+@njit
+def add_lag(row_times_ns: Annotated[Ints, 'n'], changes_ns: Annotated[Ints, 'm'],
+            commands: Annotated[Floats, 'm 2 3'], torques: Annotated[Floats, 'm 2 6', WRITTEN],
+            time_constant: float, expiry_ns: int, which: int,
+            into: Annotated[Floats, 'n l 2 3', WRITTEN]) -> None:
+    """
+    Add the excess of one source at each row.
+
+    Parameters
+    ----------
+    row_times_ns : int64 (n,), ns
+        Ascending.
+    changes_ns : int64 (m,), ns
+        When the command changes, ascending.
+    commands : float64 (m, 2, 3), N m
+        From each change on, in body axes and in space axes; one of them is zero.
+    torques : float64 (m, 2, 6), N m
+        The torque at each change, and its low-order part; that at the first change is given.
+    time_constant : float, s
+        T.
+    expiry_ns : int, ns
+        EXPIRY time constants.
+    which : int
+        Index of the time constant.
+    into : float64 (n, l, 2, 3), N m
+        To which the excess is added.
+
+    """
+    last_ns, share = -1, 0.0
+    for k in range(1, len(changes_ns)):
+        span_ns = changes_ns[k] - changes_ns[k - 1]
+        if span_ns != last_ns:
+            last_ns, share = span_ns, _share(span_ns / 1e9, time_constant)
+        for axes in range(2):
+            for j in range(3):
+                command = commands[k - 1, axes, j]
+                high, low = command, 0.0
+                if span_ns < expiry_ns:
+                    high, low = torques[k - 1, axes, j], torques[k - 1, axes, j + 3]
+                    # The errors of the changes add up to that of one: each is a share of the rest.
+                    high, lost = double_double.two_sum(high, share * ((command - high) - low))
+                    high, low = double_double.quick_two_sum(high, lost + low)
+                torques[k, axes, j], torques[k, axes, j + 3] = high, low
+    k = -1
+    for row in range(len(row_times_ns)):
+        while k + 1 < len(changes_ns) and changes_ns[k + 1] <= row_times_ns[row]:
+            k += 1
+        if k < 0 or row_times_ns[row] - changes_ns[k] >= expiry_ns:
+            continue
+        factor = decay((row_times_ns[row] - changes_ns[k]) / 1e9, time_constant)
+        for axes in range(2):
+            for j in range(3):
+                rest = (torques[k, axes, j] - commands[k, axes, j]) + torques[k, axes, j + 3]
+                into[row, which, axes, j] += factor * rest
+
+
+@internal
+def _share(seconds: float, time_constant: float) -> float:
+    # Return 1 - exp(-t / T), correct to the last digits for a short time, too.
+    growth = elementary.expm1(min(seconds / time_constant, 700.0))
+    return double_double.divide(growth, double_double.add((1.0, 0.0), growth))[0]

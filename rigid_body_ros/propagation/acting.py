@@ -1,0 +1,164 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What becomes of the samples that arrive one by one: delay, limit and lag of each source."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.engine import kernels, Lags
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.actuator import Actuator, Actuators, time_constants
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation.lags import command_of, first_of, Lagging
+from rigid_body_ros.propagation.segment import Sample, summed, WHEELS
+
+
+class ActingSamples:
+    """
+    The samples of all sources as they act.
+
+    Parameters
+    ----------
+    actuator : Actuator, or sequence of Actuator or None, optional
+        Of every source, or of each.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+    start_ns : int
+        The start of the motion, at which the torques that lag are zero.
+
+    """
+
+    def __init__(self, actuator: Actuators, timeout_ns: int, start_ns: int) -> None:
+        each = [actuator] if isinstance(actuator, Actuator) else [*(actuator or ())]
+        self._actuator, self.timeout_ns, self._start_ns = actuator, timeout_ns, start_ns
+        #: Whether any source has an actuator.
+        self.exist = any(each)
+        self._time_constants = np.array(time_constants(each))
+        self._longest_ns = max((one.delay_ns for one in each if one), default=0)
+
+    def of(self, source: int) -> Actuator | None:
+        """Return the actuator of a source; raise ValueError if there is no such source."""
+        given = self._actuator
+        if source == WHEELS or given is None:
+            return None
+        if isinstance(given, Actuator):
+            return given
+        if source >= len(given):
+            raise ValueError(f'source: expected a number from 0 to {len(given) - 1}, because '
+                             f'there are {len(given)} actuators, found {source}')
+        return given[source]
+
+    @property
+    def lag(self) -> bool:
+        """Return whether a source lags."""
+        return bool(self._time_constants.size)
+
+    def delay_ns(self, source: int) -> int:
+        """Return how long after its stamp a sample acts, ns."""
+        found = self.of(source)
+        return found.delay_ns if found else 0
+
+    @property
+    def longest_delay_ns(self) -> int:
+        """Return the longest of all delays, ns."""
+        return self._longest_ns
+
+    def acting(self, samples: Mapping[int, Sample]) -> Mapping[int, Sample]:
+        """Return samples as they act, each stamped with the time from which it does."""
+        if not self.exist:
+            return samples
+        return {source: sample if (one := self.of(source)) is None else
+                Sample(sample.stamp_ns + one.delay_ns, one.limited(sample.torque), sample.in_space)
+                for source, sample in samples.items()}
+
+    def due_ns(self, samples: Mapping[int, Sample]) -> set[int]:
+        """Return when samples time out, and when the lags before and after that are over."""
+        return {time_ns for source, sample in self.acting(samples).items()
+                for time_ns in self._due_of(source, sample.stamp_ns)}
+
+    def _due_of(self, source: int, acts_ns: int) -> Iterator[int]:
+        out_ns, found = acts_ns + self.timeout_ns, self.of(source)
+        begin_ns = max(acts_ns, self._start_ns)
+        if self.timeout_ns:
+            yield out_ns
+        if found and found.expiry_ns:
+            over_ns = begin_ns + found.expiry_ns
+            if not self.timeout_ns or over_ns < out_ns:
+                yield over_ns
+            if self.timeout_ns:
+                yield max(out_ns, self._start_ns) + found.expiry_ns
+
+    def lagging(self, samples: Mapping[int, Sample], time_ns: int,
+                before: Mapping[int, Lagging]) -> Mapping[int, Lagging]:
+        """
+        Return the sources that lag, at a time at which samples come into force or time out.
+
+        Parameters
+        ----------
+        samples : mapping of int to Sample
+            Those in force.
+        time_ns : int, ns
+            The time.
+        before : mapping of int to Lagging
+            The sources before that time.
+
+        """
+        found: dict[int, Lagging] = {}
+        if not self.lag:
+            return found
+        for source, (acts_ns, torque, in_space) in sorted(self.acting(samples).items()):
+            one = self.of(source)
+            if one is None or not one.expiry_ns:
+                continue
+            is_out = 0 < self.timeout_ns <= time_ns - acts_ns
+            since_ns = max(acts_ns + (self.timeout_ns if is_out else 0), self._start_ns)
+            command = command_of(torque[0], in_space) * (not is_out)
+            last = before.get(source)
+            if last is None:
+                last = first_of(since_ns, command)
+            elif last.since_ns != since_ns or not np.array_equal(last.command, command):
+                last = last.at(since_ns, command, one)
+            found[source] = last
+        return found
+
+    def torque(self, samples: Mapping[int, Sample], lagging: Mapping[int, Lagging],
+               state: State) -> Floats:
+        """Return the sum of samples and of what lags, N m, body axes; without the rotors."""
+        on_body = {source: sample for source, sample in self.acting(samples).items()
+                   if source != WHEELS}
+        total = summed(on_body, state.time_ns, self.timeout_ns)
+        axes = np.zeros((2, 3))
+        axes[int(total.in_space)] += total.torque[0]
+        axes[1] += total.space[0]
+        lags = self.lags(lagging, state.time_ns)
+        if lags is not None:
+            axes += lags.excess.sum(axis=(0, 1))
+        return np.asarray(axes[0] + so3.rotate(so3.conjugate(state.attitude), axes[1]))
+
+    def lags(self, lagging: Mapping[int, Lagging], time_ns: int) -> Lags | None:
+        """Return what remains beyond the commands at a time, None without lags."""
+        if not self.lag:
+            return None
+        excess: Floats = np.zeros((1, len(self._time_constants), 2, 3))
+        for source, (since_ns, command, torque) in lagging.items():
+            one = self.of(source)
+            assert one
+            which = int(np.flatnonzero(self._time_constants == one.time_constant)[0])
+            kernels.add_lag(np.array([time_ns]), np.array([since_ns]), command[None],
+                            torque[None].copy(), one.time_constant, one.expiry_ns, which, excess)
+        return Lags(excess, self._time_constants)

@@ -1,0 +1,198 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The torques of actuators that follow their commands with a lag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.engine import FIELDS, kernels, Lags, LagTerms
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.actuator import Actuator, time_constants
+from rigid_body_ros.mechanics.torque import TorqueLog
+
+_NO_FIELDS = np.zeros(1, FIELDS)
+_NO_FIELDS.flags.writeable = False
+#: The torque of a source before its first command, and its low-order part.
+_AT_REST = np.zeros((2, 6))
+
+
+class Lagging(NamedTuple):
+    """
+    A source from a change of its command on.
+
+    The command, N m, shape (2, 3), is that in body axes and that in space axes, one of which is
+    zero. The torque at the change, and its low-order part, has shape (2, 6).
+    """
+
+    since_ns: int
+    command: Floats
+    torque: Floats
+
+    @property
+    def key(self) -> Floats:
+        """Return all numbers of the source; the time as seconds and nanoseconds, exactly."""
+        return np.array([*divmod(self.since_ns, 10 ** 9), *self.command.flat, *self.torque.flat])
+
+    def at(self, time_ns: int, command: Floats, actuator: Actuator) -> Lagging:
+        """Return the source after another change of its command."""
+        torques = np.stack([self.torque, self.torque])
+        kernels.add_lag(_NO_TIMES, np.array([self.since_ns, time_ns]),
+                        np.stack([self.command, command]), torques, actuator.time_constant,
+                        actuator.expiry_ns, 0, _NO_EXCESS)
+        return Lagging(time_ns, command, torques[1])
+
+
+_NO_TIMES, _NO_EXCESS = np.empty(0, np.int64), np.empty((0, 0, 2, 3))
+
+
+def command_of(torque: Floats, in_space: bool) -> Floats:
+    """Return a command, see `Lagging`."""
+    result = np.zeros((2, 3))
+    result[int(in_space)] = torque
+    return result
+
+
+def first_of(time_ns: int, command: Floats) -> Lagging:
+    """Return a source at its first command, or at the start of the motion."""
+    return Lagging(time_ns, command, _AT_REST)
+
+
+class Changes(NamedTuple):
+    """The commands of one source from each of their changes on."""
+
+    actuator: Actuator
+    times_ns: NDArray[np.int64]
+    #: See `Lagging`, shape (n, 2, 3).
+    commands: Floats
+
+    @classmethod
+    def of(cls, log: TorqueLog, actuator: Actuator, timeout_ns: int, rest_ns: int) -> Changes:
+        """Return the changes of commands as they act, see `Actuator.acting`, from a time on."""
+        times_ns, samples = log.segments(timeout_ns)
+        first = max(int(times_ns.searchsorted(rest_ns, 'right')) - 1, 0)
+        times_ns, samples = np.maximum(times_ns[first:], rest_ns), samples[first:]
+        commands = np.zeros((len(times_ns), 2, 3))
+        acts = np.flatnonzero(samples >= 0)
+        commands[acts, log.in_space[samples[acts]].astype(int)] = log.torques[samples[acts]]
+        return cls(actuator, times_ns, commands)
+
+
+class LaggingSources:
+    """
+    All sources with a lag.
+
+    Parameters
+    ----------
+    logs : sequence of TorqueLog
+        The commands of all sources as they act.
+    actuators : sequence of Actuator or None
+        Of all sources.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+    rest_ns : int, ns
+        The time at which the torques are zero.
+
+    Attributes
+    ----------
+    marks_ns : array of int64, ns
+        When the lag of a command is over, ascending.
+
+    """
+
+    def __init__(self, logs: Sequence[TorqueLog], actuators: Sequence[Actuator | None],
+                 timeout_ns: int, rest_ns: int) -> None:
+        self._time_constants = np.array(time_constants(actuators))
+        self._sources = [Changes.of(log, each, timeout_ns, rest_ns)
+                         for log, each in zip(logs, actuators) if each and each.expiry_ns]
+        self.marks_ns = np.unique(np.concatenate([_NO_TIMES, *map(_marks, self._sources)]))
+
+    def __bool__(self) -> bool:
+        return bool(self._sources)
+
+    def excess(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the excess at ascending times, N m, see `layout.Lags`."""
+        result = np.zeros((len(times_ns), len(self._time_constants), 2, 3))
+        for source in self._sources:
+            which = int(np.flatnonzero(self._time_constants == source.actuator.time_constant)[0])
+            _add(source, times_ns, which, result)
+        return result
+
+    def key(self, time_ns: int) -> Floats:
+        """Return what determines the torques from a time to the next change, as numbers."""
+        found = [np.empty(0)]
+        for source in self._sources:
+            row = int(source.times_ns.searchsorted(time_ns, 'right')) - 1
+            if row >= 0:
+                torques = _add(source, _NO_TIMES, 0, _NO_EXCESS)
+                found.append(Lagging(int(source.times_ns[row]), source.commands[row],
+                                     torques[row]).key)
+        return np.concatenate(found)
+
+    def excess_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
+        """Return the sum of the excesses, N m, body axes, at times and attitudes, shape (m, 3)."""
+        order = np.argsort(times_ns, kind='stable')
+        sums = np.empty((len(times_ns), 2, 3))
+        sums[order] = self.excess(times_ns[order]).sum(axis=1)
+        return sums[:, 0] + so3.rotate(so3.conjugate(attitude), sums[:, 1])
+
+    def impulses(self, times_ns: NDArray[np.int64]) -> Floats:
+        """
+        Return the integral of the excess between ascending times.
+
+        Parameters
+        ----------
+        times_ns : array of int64, shape (m,), ns
+            No command changes between them.
+
+        Returns
+        -------
+        array, shape (m - 1, 2, 3), N m s
+            In body axes and in space axes.
+
+        """
+        seconds, constants = np.diff(times_ns)[:, None] / 1e9, self._time_constants
+        integrals = -constants * np.expm1(-seconds / constants)
+        return np.einsum('nl,nlij->nij', integrals, self.excess(times_ns[:-1]))
+
+    def terms(self, times_ns: NDArray[np.int64], momentum: Floats, motors: Floats, space: Floats,
+              fields: NDArray[Any] | None) -> LagTerms:
+        """Return the terms of rows at these times."""
+        return lag_terms(momentum, motors, space, fields,
+                         Lags(self.excess(times_ns), self._time_constants))
+
+
+def lag_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
+              lags: Lags) -> LagTerms:
+    """Return the terms of rows with lags, with fields or without."""
+    return LagTerms(momentum, motors, space, _NO_FIELDS if fields is None else fields, lags)
+
+
+def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:
+    """Add the excess at times, and return the torque at each change; see `Lagging`."""
+    torques = np.zeros((len(changes.times_ns), 2, 6))
+    kernels.add_lag(times_ns, changes.times_ns, changes.commands, torques,
+                    changes.actuator.time_constant, changes.actuator.expiry_ns, which, into)
+    return torques
+
+
+def _marks(changes: Changes) -> NDArray[np.int64]:
+    """Return when the lag after each change of a command is over, if none follows before."""
+    over_ns = changes.times_ns + changes.actuator.expiry_ns
+    return over_ns[np.append(over_ns[:-1] < changes.times_ns[1:], True)[:len(over_ns)]]
