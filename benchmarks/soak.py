@@ -46,7 +46,6 @@ from rigid_body_ros.live.events import (
     LOST,
     MALFORMED,
     NOT_FINITE,
-    OVERFLOW,
     RECEIVED,
     rejections,
     REPLACED,
@@ -256,7 +255,7 @@ def counted(live, plan):
             Line(APPLIED, counts[APPLIED], valid.size),
             Line(REPLACED, counts[REPLACED], valid.size - np.unique(valid).size),
             Line(FORCE, counts[FORCE], plan.causes.count(FORCED)),
-            *(Line(name, counts[name], 0) for name in (LOST, OVERFLOW)),
+            Line(LOST, counts[LOST], 0),
             Line('messages accepted', len(live.torques), counts[APPLIED])]
 
 

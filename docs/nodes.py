@@ -208,8 +208,8 @@ is unknown, or its stamp is too old or impossible. Rejected messages are counted
 most every 5 s.
 
 `/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause (see
-[below](#why-is-a-torque-rejected)), lost in transit, or dropped because the queue of the
-subscription was full. Losses show as gaps in the numbers of a publisher's messages, so the node
+[below](#why-is-a-torque-rejected)), or lost, in transit or because the queue of the subscription
+was full. Losses show as gaps in the numbers of a publisher's messages, so the node
 cannot know of those before the first message that it receives from a publisher. Torques that still
 wait when their epoch ends are rejected (`epoch ended`).
 

@@ -30,7 +30,7 @@ CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERL
 OF_RESETS = (ENDED, STALE)
 #: Other counts of torques.
 REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
-LOST, OVERFLOW = 'lost in transit', 'dropped (queue full)'
+LOST = 'lost'
 #: Counts of the motion.
 MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
 UNSAVED, TIME_JUMP = 'checkpoint failures', 'clock jumps'

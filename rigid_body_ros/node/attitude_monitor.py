@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from copy import copy
 from functools import partial
 from importlib import import_module
 import time
@@ -29,7 +28,6 @@ from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.common.times import duration_ns
@@ -49,7 +47,7 @@ from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockMonitor, JumpDetector
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback
+from rigid_body_ros.node.drain import DrainCallback, subscription
 from rigid_body_ros.node.parameters import NodeParameters
 from rigid_body_ros.node.process import main as run
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
@@ -143,11 +141,9 @@ class AttitudeMonitor(Node):
 
     def _subscribe(self, source: TorqueTopic, kind: type, on_message: Any) -> None:
         drain = DrainCallback(partial(self._on_message, source.number, on_message), lambda: None,
-                              partial(self._diagnostics.count_missing, source.number))
+                              partial(self._diagnostics.count_lost, source.number))
         with one_line_errors():
-            drain.subscription = self.create_subscription(
-                kind, source.topic, drain, copy(_QOS), raw=True,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            drain.subscription = subscription(self, kind, source.topic, drain, _QOS)
         self._drains[source.number] = drain
 
     def _on_message(self, source: int, handle: Any, data: bytes, sender: Sender) -> None:

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import copy
 from functools import partial
 import time
 from typing import Any
@@ -28,7 +27,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from rigid_body_ros.common.arrays import written
@@ -39,7 +37,7 @@ from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback
+from rigid_body_ros.node.drain import DrainCallback, subscription
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
@@ -47,11 +45,6 @@ from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.node.sources import BODY, check_topics, sources_of, TorqueTopic
 from rigid_body_ros.scene.parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
-
-try:
-    from rclpy.event_handler import SubscriptionEventCallbacks
-except ModuleNotFoundError:  # Humble
-    from rclpy.qos_event import SubscriptionEventCallbacks
 
 #: Best effort matches any publisher; in lockstep a lost torque stops the loop.
 _TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
@@ -212,26 +205,17 @@ class AttitudeComponent:
             self._node.get_logger().warning(warning)
 
     def _subscribe(self) -> None:
-        def subscription(kind: type, topic: str, callback: Callable[..., None],
-                         qos: QoSProfile, events: SubscriptionEventCallbacks) -> Subscription:
-            return self._node.create_subscription(
-                kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies())
-
         def torques(source: TorqueTopic) -> DrainCallback:
             callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
-                                     partial(self._diagnostics.count_missing, source.number))
+                                     partial(self._diagnostics.count_lost, source.number))
             callback.subscription = subscription(
-                source.kind, source.topic, callback,
+                self._node, source.kind, source.topic, callback,
                 # An inertia comes once, so it must not be lost.
-                _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode],
-                SubscriptionEventCallbacks(message_lost=partial(self._on_lost, source.number),
-                                           use_default_callbacks=False))
+                _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode])
             return callback
         self._states = subscription(
-            Odometry, 'initial_state', self._on_state,
-            QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
-            SubscriptionEventCallbacks(use_default_callbacks=False))
+            self._node, Odometry, 'initial_state', self._on_state,
+            QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE))
         check_topics(self._node, self._sources, [self._states.topic_name, *(
             publisher.topic_name for publisher in self._outputs.publishers)])
         #: By number of the source.
@@ -282,9 +266,6 @@ class AttitudeComponent:
         except RejectedError as rejected:
             response.message = str(rejected)
         return response
-
-    def _on_lost(self, source: int, event: Any) -> None:
-        self._diagnostics.count_lost(source, event.total_count_change)
 
     def _watch(self) -> None:
         """Once a second, and when a source falls silent or sends again: report, and save."""

@@ -36,7 +36,6 @@ from rigid_body_ros.live.events import (
     MISSED,
     NOT_COMPUTABLE,
     OF_RESETS,
-    OVERFLOW,
     RECEIVED,
     RejectedError,
     rejections,
@@ -56,14 +55,14 @@ if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _SEVERAL_PUBLISHERS, _QOS = 'several publishers', 'incompatible QoS'
-_OF_TORQUES = (REPLACED, FORCE, LOST, OVERFLOW)
+_OF_TORQUES = (REPLACED, FORCE, LOST)
 _OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, TIME_JUMP, STATES, STATES_REJECTED)
 #: The time since the newest torque of a source arrived.
 AGE = 'age of the newest torque (s)'
 #: Counts that make a status an error, or a warning, in any second in which they increase.
 _ERRORS = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, STATES_REJECTED)
 _WARNINGS = (TIME_JUMP,)
-_TORQUE_WARNINGS = (REPLACED, LOST, OVERFLOW)
+_TORQUE_WARNINGS = (REPLACED, LOST)
 #: s; shortest time between two log messages of one kind.
 _LOG_PERIOD = 5.0
 
@@ -74,8 +73,6 @@ class _Counts(Counter[str]):
     def __init__(self) -> None:
         super().__init__()
         self._published: Counter[str] = Counter()
-        #: Torques that are missing between two torques from one publisher.
-        self.missing = 0
 
     def increments(self) -> Counter[str]:
         """Return by how much the counts have increased since the last call."""
@@ -88,8 +85,8 @@ class Diagnostics:
     """
     Count events of the torques of each source, and of the motion.
 
-    Every torque sent is either lost in transit, dropped from the full queue, or received. Every
-    torque received is applied, rejected for a cause, or waiting.
+    Every torque sent is either lost or received. Every torque received is applied, rejected for a
+    cause, or waiting.
     """
 
     def __init__(self, node: Node, sources: Sequence[TorqueTopic]) -> None:
@@ -151,27 +148,12 @@ class Diagnostics:
         self._results.publish(self.status('initial_state', is_error, False, text, stamp))
 
     def count_lost(self, source: int, number: int) -> None:
-        """Count torques that the middleware reports as lost in transit."""
+        """Count torques that are missing between two torques from one publisher."""
         counts = self._torques[source]
         counts[LOST] += number
-        self._log(f'{LOST} {source}',
-                  f'torques{self._place(source)} lost in transit so far: {counts[LOST]}')
-        self.count_missing(source, 0)
-
-    def count_missing(self, source: int, number: int) -> None:
-        """
-        Count torques that are missing between two torques from one publisher.
-
-        Missing torques that the middleware does not report as lost in transit were dropped from
-        the full queue.
-        """
-        counts = self._torques[source]
-        counts.missing += number
-        counts[OVERFLOW] = max(0, counts.missing - counts[LOST])
-        if number and counts[OVERFLOW]:
-            self._log(f'{OVERFLOW} {source}',
-                      f'torques{self._place(source)} dropped from the full queue so far: '
-                      f'{counts[OVERFLOW]}; they arrive faster than this machine can process them')
+        self._log(f'{LOST} {source}', f'{self._sources[source].what}s{self._place(source)} lost '
+                  f'so far: {counts[LOST]}; the network dropped them, or they arrive faster than '
+                  'this machine can process them')
 
     def _place(self, source: int) -> str:
         return f' on {self._sources[source].topic}' if len(self._sources) > 1 else ''

@@ -12,22 +12,42 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A callback that empties the queue of its subscription and counts lost messages."""
+"""Raw subscriptions, and a callback that empties the queue of one and counts lost messages."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 import inspect
 import time
 from typing import Any
 
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
+
+try:
+    from rclpy.event_handler import SubscriptionEventCallbacks
+except ModuleNotFoundError:  # Humble
+    from rclpy.qos_event import SubscriptionEventCallbacks
 
 #: s; time limit for taking messages in one call.
 _BUDGET = 0.02
 #: Largest number of known publishers; the one that was silent for longest is removed first.
 _MAX_SENDERS = 100
+
+
+def subscription(node: Node, kind: type, topic: str, callback: Callable[..., None],
+                 qos: QoSProfile) -> Subscription:
+    """Return a subscription to serialized messages, whose QoS parameters can override."""
+    # Without events: rmw_fastrtps may wait for itself for ever if a message is lost while an event
+    # is taken (ros2/rmw_fastrtps#890).
+    return node.create_subscription(
+        kind, topic, callback, copy(qos), raw=True,
+        event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
 class DrainCallback:
