@@ -46,10 +46,11 @@ class ActingSamples:
     def __init__(self, actuator: Actuators, timeout_ns: int, start_ns: int) -> None:
         each = [actuator] if isinstance(actuator, Actuator) else [*(actuator or ())]
         self._actuator, self.timeout_ns, self._start_ns = actuator, timeout_ns, start_ns
-        #: Whether any source has an actuator.
-        self.exist = any(each)
-        self._time_constants = np.array(time_constants(each))
-        self._longest_ns = max((one.delay_ns for one in each if one), default=0)
+        self._time_constants = time_constants(each)
+        #: Whether any source has an actuator, and whether any lags.
+        self.exist, self.lag = any(each), bool(self._time_constants)
+        #: The longest of all delays.
+        self.longest_delay_ns = max((one.delay_ns for one in each if one), default=0)
 
     def of(self, source: int) -> Actuator | None:
         """Return the actuator of a source; raise ValueError if there is no such source."""
@@ -63,20 +64,10 @@ class ActingSamples:
                              f'there are {len(given)} actuators, found {source}')
         return given[source]
 
-    @property
-    def lag(self) -> bool:
-        """Return whether a source lags."""
-        return bool(self._time_constants.size)
-
     def delay_ns(self, source: int) -> int:
         """Return how long after its stamp a sample acts, ns."""
-        found = self.of(source)
+        found = self.of(source) if self.exist else None
         return found.delay_ns if found else 0
-
-    @property
-    def longest_delay_ns(self) -> int:
-        """Return the longest of all delays, ns."""
-        return self._longest_ns
 
     def acting(self, samples: Mapping[int, Sample]) -> Mapping[int, Sample]:
         """Return samples as they act, each stamped with the time from which it does."""
@@ -88,16 +79,18 @@ class ActingSamples:
 
     def due_ns(self, samples: Mapping[int, Sample]) -> set[int]:
         """Return when samples time out, and when the lags before and after that are over."""
-        return {time_ns for source, sample in self.acting(samples).items()
-                for time_ns in self._due_of(source, sample.stamp_ns)}
+        acting, timeout_ns = self.acting(samples), self.timeout_ns
+        due = {sample.stamp_ns + timeout_ns for sample in acting.values()} if timeout_ns else set()
+        if self.lag:
+            for source, sample in acting.items():
+                due.update(self._lags_end_ns(source, sample.stamp_ns))
+        return due
 
-    def _due_of(self, source: int, acts_ns: int) -> Iterator[int]:
-        out_ns, found = acts_ns + self.timeout_ns, self.of(source)
-        begin_ns = max(acts_ns, self._start_ns)
-        if self.timeout_ns:
-            yield out_ns
+    def _lags_end_ns(self, source: int, acts_ns: int) -> Iterator[int]:
+        """Generate when the lags of a command, and of its timeout, are over."""
+        found, out_ns = self.of(source), acts_ns + self.timeout_ns
         if found and found.expiry_ns:
-            over_ns = begin_ns + found.expiry_ns
+            over_ns = max(acts_ns, self._start_ns) + found.expiry_ns
             if not self.timeout_ns or over_ns < out_ns:
                 yield over_ns
             if self.timeout_ns:
@@ -158,7 +151,7 @@ class ActingSamples:
         for source, (since_ns, command, torque) in lagging.items():
             one = self.of(source)
             assert one
-            which = int(np.flatnonzero(self._time_constants == one.time_constant)[0])
+            which = self._time_constants.index(one.time_constant)
             kernels.add_lag(np.array([time_ns]), np.array([since_ns]), command[None],
                             torque[None].copy(), one.time_constant, one.expiry_ns, which, excess)
-        return Lags(excess, self._time_constants)
+        return Lags(excess, np.array(self._time_constants))

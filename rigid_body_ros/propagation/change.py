@@ -93,7 +93,8 @@ class Change:
         if not (acting.timeout_ns or acting.lag):
             return []
         due = acting.due_ns(self.samples)
-        due.add(self.commands.stamp_ns + acting.timeout_ns)
+        if self.commands.efforts:
+            due.add(self.commands.stamp_ns + acting.timeout_ns)
         return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
 
     def begins_at(self, time_ns: int, acting: ActingSamples) -> bool:

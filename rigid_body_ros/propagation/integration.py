@@ -62,19 +62,21 @@ class Integration:
 
     """
 
+    # As defaults, because most motions have neither and to set these takes time.
+    _others = NO_OTHERS
+    #: What the wheels with names do, and how many of their commands are known to act or not.
+    _wheels: WheelTimeline | None = None
+    _resolved = refused_commands = 0
+    #: A time at which a new timeline begins, so that each is short.
+    _mark_ns = NEVER_NS
+
     def __init__(self, problem: Problem) -> None:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
         self._body = problem.body_at(start.time_ns)
-        self._others = NO_OTHERS
         if problem.fields or problem.actuators:
             self._others = OtherTorques(problem._fields, problem.lagging())
-        #: What the wheels with names do, and how many of their commands are known to act or not.
-        self._wheels: WheelTimeline | None = None
-        self._resolved = self.refused_commands = 0
-        #: A time at which a new timeline begins, so that each is short.
-        self._mark_ns = NEVER_NS
-        #: The body without the axial inertia of these.
+        #: The body without the axial inertia of wheels with names.
         self._carrier = self._body
         if problem.named_wheels:
             self._carrier = problem.named_wheels.carrier(self._body)
@@ -226,7 +228,7 @@ class Integration:
     def _next_ns(self) -> int:
         """Return when the present timeline ends: at the next change of the body, or earlier."""
         changes = self.problem.changes
-        return min(self._mark_ns, changes.next_ns(self._end_ns) if changes else NEVER_NS)
+        return min(self._mark_ns, changes.next_ns(self._end_ns)) if changes else self._mark_ns
 
     def _change(self, body: RigidBody) -> None:
         """Continue with another body from the end of the motion so far."""

@@ -114,6 +114,7 @@ class Problem:
     """
 
     # Most problems have none of these, and to set them takes a hundredth of a short run.
+    wheels: TorqueLog | None = None
     named_wheels: Wheels | None = None
     efforts: EffortLog | None = None
     actuators: tuple[Actuator | None, ...] = ()
@@ -151,13 +152,13 @@ class Problem:
         self.logs = self.acting_logs = tuple([each for each in given if len(each)])
         if self._actuator and given:
             self._set_actuators(given)
-        self.wheels: TorqueLog | None = None
         if isinstance(wheels, TorqueLog):
             self.wheels = wheels if len(wheels) else None
+            if wheels.in_space.any():
+                raise ValueError('wheels: expected torques in body axes, found torques in space '
+                                 'axes')
         elif wheels:
             self.named_wheels = Wheels(wheels)
-        if self.wheels and self.wheels.in_space.any():
-            raise ValueError('wheels: expected torques in body axes, found torques in space axes')
         if start._axial is not None and not self.named_wheels:  # its rotors are those of a carrier
             self.start = State(start.time_ns, start.attitude, start.angular_velocity,
                                start.rotor_momentum)
