@@ -28,6 +28,7 @@ from rigid_body_ros.common.times import duration_ns, LONGEST
 from rigid_body_ros.engine import FASTEST as FASTEST
 from rigid_body_ros.engine import kernels, layout
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.solvers import AUTO, Solver, solver_named
 
 TOLERANCES = (1e-15, 1.0)
@@ -105,6 +106,14 @@ class Options:
         if (damping or rotors) and not self.record.takes_linear_terms:
             raise ValueError(f'solver {self.solver!r} handles neither rotors nor damping, found '
                              + ('damping' if damping else 'rotors'))
+
+    def check_torque_free(self, log: TorqueLog) -> None:
+        """Raise ValueError if a log has a torque other than zero."""
+        if log.torques.any():
+            row = int(np.flatnonzero(log.torques.any(axis=1))[0])
+            raise ValueError(f'solver {self.solver!r} handles torque-free motion only, found a '
+                             f'torque of {log.torques[row].tolist()} N m at '
+                             f'{log.times_ns[row]} ns (sample {row})')
 
     def rule(self, body: RigidBody, fields: NDArray[Any] | None, torque: Floats, in_space: bool,
              *others: Floats) -> Hashable:

@@ -169,7 +169,7 @@ class Problem:
                             bool(self.fields))
         if not options.record.takes_torque:
             for each in self.sources:
-                _check_torque_free(each, options)
+                options.check_torque_free(each)
 
     def _set_actuators(self, given: Sequence[TorqueLog]) -> None:
         found = actuators_of(self._actuator, len(given))
@@ -376,14 +376,6 @@ class Problem:
 
         """
         return Integration(self).advance(at)
-
-
-def _check_torque_free(log: TorqueLog, options: Options) -> None:
-    if log.torques.any():
-        row = int(np.flatnonzero(log.torques.any(axis=1))[0])
-        raise ValueError(f'solver {options.solver!r} handles torque-free motion only, found '
-                         f'a torque of {log.torques[row].tolist()} N m at '
-                         f'{log.times_ns[row]} ns (sample {row})')
 
 
 def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None,
