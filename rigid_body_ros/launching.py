@@ -95,6 +95,28 @@ def attitude_node(context: LaunchContext, more: Mapping[str, Any] | None = None)
         respawn=given['respawn'] == 'true', respawn_delay=1.0, output='screen')
 
 
+def attitude_monitor(context: LaunchContext) -> Node:
+    """
+    Return the action that starts the live check of a scene.
+
+    Of the arguments, those that only `attitude_node` has are ignored.
+
+    Raises
+    ------
+    RuntimeError
+        The scene is neither a file nor the name of an example, or a remapping is malformed.
+
+    """
+    given = context.launch_configurations
+    flags = {'use_sim_time': given['use_sim_time'] == 'true'} if given['use_sim_time'] else {}
+    return Node(
+        package=NAME, executable='attitude_monitor', name=given['name'],
+        namespace=given['namespace'],
+        parameters=[str(scene(given['scene'])), *([flags] if flags else [])],
+        remappings=remappings(given), ros_arguments=['--log-level', given['log_level']],
+        respawn=given['respawn'] == 'true', respawn_delay=1.0, output='screen')
+
+
 def scene(name: str) -> Path:
     """Return the parameter file of a scene: a file, or an example of the package."""
     examples = Path(get_package_share_directory(NAME), 'config')

@@ -173,7 +173,7 @@ def first_attitude(listener, topic):
 
 @pytest.mark.parametrize(('name', 'arguments'), [
     ('attitude_node', ()), ('closed_loop', ('stop_after',)), ('replay_into_node', ('bag', 'rate')),
-    ('view', ('space_frame',))])
+    ('view', ('space_frame',)), ('monitor', ())])
 def test_every_launch_file_lists_its_arguments(name, arguments):
     words, status = run(name, '--show-args')
     assert status == 0, words
@@ -181,7 +181,7 @@ def test_every_launch_file_lists_its_arguments(name, arguments):
         assert f"'{argument}':" in words
 
 
-@pytest.mark.parametrize('name', ['attitude_node', 'closed_loop', 'view', 'fleet'])
+@pytest.mark.parametrize('name', ['attitude_node', 'closed_loop', 'view', 'fleet', 'monitor'])
 def test_a_forgotten_scene_is_an_error(name):
     words, status = run(name)
     assert status == 1
@@ -195,6 +195,19 @@ def test_a_scene_that_is_neither_a_file_nor_an_example_is_an_error():
     assert ('scene: expected a parameter file or the name of an example (cubesat, gimbal, iss, '
             "robot_stack, top, tumbler), found 'tumblr'") in words
     assert 'process started' not in words
+
+
+def test_the_live_check_runs_beside_a_robot(listener, tmp_path):
+    scene = tmp_path / 'scene.yaml'
+    monitor = 'monitor: {measured: [/imu], attitude_noise: 0.002, rate_noise: 0.005}'
+    scene.write_text(f'{(CONFIG / "tumbler.yaml").read_text()}    {monitor}\n')
+    with launched('monitor', f'scene:={scene}', 'namespace:=robot',
+                  'torque:=/control') as process:
+        wait_for(lambda: listener.count_subscribers('/control') == 1)
+        assert listener.count_publishers('/robot/attitude_monitor/attitude_error') == 1
+        words, status = interrupt(process)
+    assert status == 0, words
+    assert 'attitude_monitor-1]: process has finished cleanly' in words
 
 
 def test_the_node_alone_uses_its_arguments(listener):

@@ -43,7 +43,8 @@ def rows(comparison: Comparison, degrees: bool = False) -> Iterator[tuple[str, s
     if rejected:
         yield 'rejected', f'{rejected} messages without a finite value up to {FASTEST:g} rad/s'
     if comparison.left_out:
-        yield 'left out', f'{comparison.left_out} samples outside of the motion'
+        count = comparison.left_out
+        yield 'left out', f'{count} sample{"s" if count > 1 else ""} outside of the motion'
     for damage in dict.fromkeys(sensor.damage for sensor in comparison.measured if sensor.damage):
         yield 'lost', damage
     if isinstance(comparison.motion, Problem) and not comparison.motion.sources:

@@ -1,0 +1,24 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A live check of the model, beside `attitude_node` or a real robot."""
+
+from launch import LaunchDescription
+from rigid_body_ros import launching
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        launching.scoped(lambda context: [launching.attitude_monitor(context)],
+                         name='attitude_monitor')])
