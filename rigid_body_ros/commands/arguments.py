@@ -142,7 +142,8 @@ def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics of the torques that are given."""
     from rigid_body_ros import recording
     return recording.Topics.given(options.topic, options.wheel_torque,
-                                  options.wheel_momentum, options.inertia)
+                                  options.wheel_momentum, options.inertia,
+                                  options.wheel_command)
 
 
 def read_torques(options: argparse.Namespace, scene: Scene) -> Logged:
@@ -179,6 +180,9 @@ def add_torques(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--wheel-momentum', metavar='TOPIC',
                         help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
                         's, body axes), linear between samples; needs a scene with wheels: true')
+    parser.add_argument('--wheel-command', metavar='TOPIC',
+                        help='topic of the efforts of wheels with names (JointState; default: '
+                        'wheel_command, if the recording has it); needs a scene with wheel_names')
     parser.add_argument('--inertia', metavar='TOPIC',
                         help='topic of the inertia of a body that changes (InertiaStamped; '
                         'default: inertia, if the recording has it); needs a scene with '

@@ -88,8 +88,8 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
-    names = ('topic', 'wheel_torque', 'wheel_momentum', 'inertia', 'interpolation', 'rate',
-             'until', 'start', 'time_source', 'also')
+    names = ('topic', 'wheel_torque', 'wheel_momentum', 'wheel_command', 'inertia',
+             'interpolation', 'rate', 'until', 'start', 'time_source', 'also')
     return {name: getattr(options, name) for name in names}
 
 
@@ -158,8 +158,9 @@ def replay_parser() -> argparse.ArgumentParser:
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
                         help='write attitude, euler_angles, angular_velocity and, if there '
-                        'are rotors, rotor_momentum to this MCAP file, or, if the name does not '
-                        'end in .mcap, to a new rosbag2 folder; for several recordings, a folder '
+                        'are rotors, rotor_momentum, and of wheels with names wheel_states to '
+                        'this MCAP file, or, if the name does not end in .mcap, to a new rosbag2 '
+                        'folder; for several recordings, a folder '
                         'of MCAP files')
     target.add_argument('--verify', metavar='MOTION',
                         help='recorded motion to compare with the computed one, bit for bit: the '

@@ -75,7 +75,9 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     moved: Motion
     if motion is None:
         searched = LARGEST_OFFSET if moves_clocks else 0.0
-        moved, during = read_observed(path, scene, reading, searched)
+        stated, during = read_observed(path, scene, reading, searched, may_command=True)
+        # A part of the motion begins with the momentum of the rotors, not with speeds of wheels.
+        moved = stated.carried()
     else:
         moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
     try:

@@ -117,7 +117,8 @@ class DuplicateFilter:
     def is_same(self, torque: Torque) -> bool:
         """Return whether a torque equals the accepted torque with the same stamp."""
         other = self._accepted[torque.stamp_ns].torque
-        return torque.frame == other.frame and np.array_equal(torque.values, other.values)
+        return torque.frame == other.frame and np.array_equal(torque.values, other.values,
+                                                              equal_nan=True)
 
 
 @dataclass

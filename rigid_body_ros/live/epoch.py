@@ -21,11 +21,12 @@ from dataclasses import asdict
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation import Propagator
-from rigid_body_ros.propagation.segment import BODY, Sample, WHEELS
+from rigid_body_ros.propagation.segment import BODY, COMMANDS, Sample, WHEELS
 from rigid_body_ros.scene import Scene
 
 
@@ -45,6 +46,7 @@ class Epoch:
     def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
         self.start, self._timeout_ns = start, scene.timeout_ns
         self._body, self._keep = scene.body, scene.inertia_change
+        self._wheels = Wheels(scene.named_wheels)
         #: How much older than the newest stamp a torque may be, ns.
         self.history_ns = max(1, duration_ns(scene.history, 'history'))
         # The IMU has earlier states.
@@ -53,6 +55,8 @@ class Epoch:
                                       actuator=scene.actuators, **asdict(scene.options),
                                       history=scene.history + scene.imu.delay)
         self._committed_ns = start.time_ns
+        #: Up to which stamp commands that act as zero are counted.
+        self._counted_ns = start.time_ns - 1
         #: Source and stamp of the torques of the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}
         for torque in torques:
@@ -92,6 +96,10 @@ class Epoch:
         if torque.source == BODY:
             self._propagator.apply_body(torque.stamp_ns, self._body.with_entries(torque.values),
                                         self._keep)
+        elif torque.source == COMMANDS:
+            self._propagator.apply_efforts(torque.stamp_ns, {
+                name: effort for name, effort in zip(self._wheels.names, torque.values.tolist())
+                if effort == effort})
         elif torque.source == WHEELS:
             self._propagator.apply_wheels(torque.stamp_ns, torque.values)
         else:
@@ -101,6 +109,8 @@ class Epoch:
         """Return whether a source has a torque of this stamp that may still be replaced."""
         if source == BODY:
             return self._propagator.body_at(stamp_ns).stamp_ns == stamp_ns
+        if source == COMMANDS:
+            return stamp_ns in self._propagator.commands_at(stamp_ns).stamps_ns
         held = self._held(stamp_ns, source)
         return held is not None and held.stamp_ns == stamp_ns
 
@@ -108,36 +118,60 @@ class Epoch:
         """Return the torque of a source with the newest stamp, or None before its first."""
         if self.newest_ns is None:
             return None
+        if source == COMMANDS:
+            return self._commands_at(self.newest_ns)
         held = self._held(self.newest_ns, source)
         return None if held is None else _torque(source, held)
 
     def acting_at(self, time_ns: int) -> list[Torque]:
         """Return the torques other than zero that act at a time."""
-        return [_torque(source, held)
-                for source, held in self._propagator.held(time_ns).items()
-                if held.torque.any()
-                and not 0 < self._timeout_ns <= time_ns - held.stamp_ns
-                - self._propagator.delay_ns(source)]
+        found = [_torque(*pair) for pair in self._propagator.held(time_ns).items()]
+        commands = self._commands_at(time_ns)
+        return [torque for torque in (*found, *([commands] if commands else []))
+                if torque.values.any()
+                and not 0 < self._timeout_ns <= time_ns - torque.stamp_ns
+                - self._propagator.delay_ns(torque.source)]
 
     def _held(self, stamp_ns: int, source: int) -> Sample | None:
         """Return the sample of a source that is in force once a torque of this stamp acts."""
         acts_ns = stamp_ns + self._propagator.delay_ns(source)
         return self._propagator.held(acts_ns).get(source)
 
+    def _commands_at(self, time_ns: int) -> Torque | None:
+        """Return the commands of all wheels in force at a time, with the stamp of the last."""
+        commands = self._propagator.commands_at(time_ns)
+        return None if commands.stamp_ns == -NEVER_NS else Torque(
+            commands.stamp_ns, np.array(commands.efforts), 'body', COMMANDS)
+
     def torques_since(self, time_ns: int) -> list[Torque]:
         """Return, sorted by stamp, the torques that are in force at a time, and all later ones."""
         found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
         found += [Torque(stamp_ns, body.entries, 'body', BODY)
                   for stamp_ns, body, *_ in self._propagator.bodies_since(time_ns)]
+        found += [Torque(stamp_ns, self._wheels.row(efforts), 'body', COMMANDS)
+                  for stamp_ns, efforts in self._propagator.commands_since(time_ns)]
         return sorted(found, key=lambda torque: torque.stamp_ns)
 
     def uncommitted(self, until_ns: int) -> list[int]:
         """Return the stamps up to a time, ascending, whose states are not committed yet."""
         return self._propagator.stamps(self._committed_ns, until_ns)
 
-    def mark_committed(self, time_ns: int) -> None:
-        """Record that the states at the stamps up to a time are committed."""
-        self._committed_ns = time_ns
+    def mark_committed(self, time_ns: int) -> int:
+        """
+        Record that the states at the stamps up to a time are committed.
+
+        Return how many commands up to this time are now known to act as zero, because their wheels
+        are too fast.
+        """
+        self._committed_ns, begin_ns = time_ns, self._counted_ns
+        if not self._wheels.is_limited:
+            return 0
+        self._counted_ns = time_ns
+        return self._propagator.refused_commands(begin_ns, time_ns)
+
+    def clipped(self, torque: Torque) -> int:
+        """Return how many efforts of a command are clipped, 0 of another torque."""
+        return self._wheels.count_clipped(torque.values) if torque.source == COMMANDS else 0
 
 
 def _torque(source: int, sample: Sample) -> Torque:

@@ -31,6 +31,8 @@ OF_RESETS = (ENDED, STALE)
 #: Other counts of torques.
 REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
 LOST = 'lost'
+#: Counts of the commands of wheels.
+CLIPPED, TOO_FAST = 'clipped to max_torque', 'zero at max_speed'
 #: Counts of the motion.
 MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
 UNSAVED, TIME_JUMP = 'checkpoint failures', 'clock jumps'
@@ -57,8 +59,8 @@ class EarlyError(RejectedError):
 class Events(Protocol):
     """Counts and reports what happens."""
 
-    def count(self, name: str, source: int) -> None:
-        """Count an event of a torque of a source without logging it."""
+    def count(self, name: str, source: int, number: int = 1) -> None:
+        """Count events of torques of a source without logging them."""
 
     def count_force(self, source: int) -> None:
         """Count an ignored force."""

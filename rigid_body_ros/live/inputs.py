@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import quoted
@@ -34,7 +35,7 @@ from rigid_body_ros.live.events import (
 from rigid_body_ros.mechanics.frames import Frame, OffAxisError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.propagation.segment import BODY, WHEELS
+from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
 from rigid_body_ros.scene import Scene
 
 #: rad/s^2; an acceleration that reaches FASTEST, a radian per nanosecond, within a second.
@@ -45,13 +46,14 @@ class Torque(NamedTuple):
     """
     A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'.
 
-    Of the source BODY, it is a body instead: `RigidBody.entries`, kg m^2.
+    Of the source BODY, it is a body instead: `RigidBody.entries`, kg m^2. Of COMMANDS, it has the
+    efforts of the wheels with names, N m, NaN for those that keep theirs.
     """
 
     stamp_ns: int
     values: Floats
     frame: str
-    #: Of `Propagator.apply`; WHEELS for a torque on the rotors, BODY for a body.
+    #: Of `Propagator.apply`; COMMANDS, WHEELS for a torque on the rotors, BODY for a body.
     source: int = 0
 
 
@@ -63,6 +65,7 @@ class Inputs:
         self._frames = scene.body_frame, scene.space_frame
         self._links = scene.links
         self._scene_body = scene.body
+        self._commands = messages.joint_commands([wheel.name for wheel in scene.named_wheels])
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
 
     def torque(self, data: bytes, source: int) -> Torque:
@@ -70,17 +73,19 @@ class Inputs:
         Return the torque of a WrenchStamped in CDR of a source, about the centre of mass.
 
         A force without a lever arm is ignored and reported. Of the source BODY, the message is an
-        InertiaStamped.
+        InertiaStamped; of COMMANDS, a JointState.
 
         Raises
         ------
         RejectedError
             The message is malformed, in an unknown frame, not along the axis of its frame, not
-            finite or far too large; or no body has this inertia.
+            finite or far too large; no body has this inertia; or no wheel has such a name.
 
         """
         if source == BODY:
             return self._body(_decoded(messages.INERTIA, data))
+        if source == COMMANDS:
+            return self._efforts(_decoded(self._commands, data))
         wrench = _decoded(messages.WRENCH, data)
         axes, frame = (self._only_body_axes(wrench, 'the torque on rotors'), None) \
             if source == WHEELS else self._frame(wrench)
@@ -124,6 +129,18 @@ class Inputs:
         if inertia.values[messages.MASS_AND_CENTRE].any():
             self._events.ignore_mass()
         return Torque(inertia.stamp_ns, entries, axes, BODY)
+
+    def _efforts(self, command: messages.Stamped) -> Torque:
+        if messages.is_epoch_marker(command.frame_id):  # another frame has no meaning
+            raise RejectedError(FRAME, 'frame_id: expected that of a command, found the marker of '
+                                f'an epoch, {quoted(command.frame_id)}')
+        largest = float(np.nanmax(np.abs(command.values), initial=-1.0))
+        if largest < 0.0:
+            raise RejectedError(MALFORMED, 'name: expected a wheel, found none')
+        if largest > self._largest:
+            raise RejectedError(TOO_LARGE, f'expected efforts of at most {self._largest:.3g} N m '
+                                f'for this inertia, found {command.values.tolist()}')
+        return Torque(command.stamp_ns, command.values, 'body', COMMANDS)
 
     def odometry(self, data: bytes) -> messages.Stamped:
         """Decode an Odometry in CDR; raise RejectedError if it is malformed."""

@@ -26,6 +26,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import (
     APPLIED,
+    CLIPPED,
     ENDED,
     Events,
     LATE,
@@ -34,9 +35,11 @@ from rigid_body_ros.live.events import (
     NOT_COMPUTABLE,
     RejectedError,
     REPLACED,
+    TOO_FAST,
 )
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation.segment import COMMANDS
 from rigid_body_ros.scene import Scene
 
 #: Largest number of messages in one burst.
@@ -150,6 +153,8 @@ class Run:
         self._events.count(APPLIED, torque.source)
         if is_replacement:
             self._events.count(REPLACED, torque.source)
+        if clipped := epoch.clipped(torque):
+            self._events.count(CLIPPED, torque.source, clipped)
         return True
 
     def log(self, torque: Torque) -> None:
@@ -219,13 +224,15 @@ class Run:
 
     def with_rotor_momentum(self, start: State, time_ns: int, default: State) -> State:
         """
-        Return a start state with the rotor momentum at a time of the present epoch.
+        Return a start state with the momenta of rotors and wheels at a time of the present epoch.
 
-        If there is no epoch, or no motor on the rotors, the momentum is that of a default state.
+        If there is no epoch, or no motor on the rotors, they are those of a default state.
         """
-        if self.epoch is not None and self._scene.wheels and time_ns > self.epoch.start.time_ns:
+        has_motors = self._scene.wheels or self._scene.named_wheels
+        if self.epoch is not None and has_motors and time_ns > self.epoch.start.time_ns:
             default = self.last_state(time_ns) or default
-        return replace(start, rotor_momentum=default.rotor_momentum)
+        return replace(start, rotor_momentum=default.rotor_momentum,
+                       wheel_speeds=default.wheel_speeds)
 
     def age(self, source: int, now_ns: int) -> float | None:
         """Return the time since the newest torque of a source, s, or None before its first."""
@@ -248,7 +255,8 @@ class Run:
         """Compute the states up to a time, which no torque can change any more."""
         for stamp_ns in epoch.uncommitted(until_ns):
             state = self.state(stamp_ns, until)
-            epoch.mark_committed(stamp_ns)
+            if zeros := epoch.mark_committed(stamp_ns):
+                self._events.count(TOO_FAST, COMMANDS, zeros)
             if state is not None:
                 self._final.append(state)
             if time.monotonic() > until:  # the next call continues from here

@@ -270,6 +270,10 @@ class Wheels:
         """Return commands, N m, shape (..., n), within the limits of the motors."""
         return np.clip(efforts, -self._max_torque, self._max_torque)
 
+    def count_clipped(self, efforts: Floats) -> int:
+        """Return how many commands are beyond the limits of the motors; NaN is none."""
+        return int((np.abs(efforts) > self._max_torque).sum())
+
     def torque(self, efforts: Floats) -> Floats:
         """Return the torque of the motors on all wheels, N m, body axes, shape (..., 3)."""
         return _sum_along(efforts, self._axes)
@@ -312,7 +316,7 @@ class Wheels:
                              f'{len(speeds)}')
         high, low = start._packed.reshape(4, 4)[[0, 2], :3].tolist()
         rates = [Fraction(a) + Fraction(b) for a, b in zip(high, low)]
-        others = [Fraction(value) for value in self._others(start).tolist()]
+        others = [Fraction(value) for value in self.others(start).tolist()]
         exact = []
         for wheel, speed, axis in zip(self.wheels, speeds.tolist(), self._axes.tolist()):
             turn = sum((Fraction(a) * rate for a, rate in zip(axis, rates)), Fraction(speed))
@@ -322,8 +326,8 @@ class Wheels:
         axial = Axial(start.time_ns, -NEVER_NS, _pair(exact), none, none, none > 0.0)
         return State._as_computed(start.time_ns, start._packed, None, _pair(others)), axial
 
-    def _others(self, start: State) -> Floats:
-        """Return the momentum of the rotors without a name, N m s, body axes."""
+    def others(self, start: State) -> Floats:
+        """Return the momentum of the rotors without a name, N m s, body axes, shape (3,)."""
         if not (len(start.wheel_speeds) and start.rotor_momentum.any()):
             return start.rotor_momentum
         momenta = start.wheel_speeds * self._inertia

@@ -39,7 +39,7 @@ from rigid_body_ros.messages.kinds import (
 #: The frame_id of an epoch marker: this word, and the numbers of the start state.
 _EPOCH = '/epoch'
 _EPOCH_NUMBERS = re.compile(_EPOCH + ' attitude(' + 4 * r' \S+' + ') rates(' + 3 * r' \S+'
-                            + ') rotors(' + 3 * r' \S+' + ')')
+                            + ') rotors(' + 3 * r' \S+' + r')(?: wheels((?: \S+)+))?')
 #: Position of the orientation in the doubles of an Odometry.
 ORIENTATION = slice(3, 7)
 #: Position of the angular velocity in the doubles of an Odometry.
@@ -84,6 +84,8 @@ def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
     """
     groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
               'rotors': start.rotor_momentum}
+    if start.wheel_speeds.size:
+        groups['wheels'] = start.wheel_speeds
     words = [f'{name} {" ".join(map(repr, values.tolist()))}' for name, values in groups.items()]
     return kind.encode(start.time_ns, f'{_EPOCH} {" ".join(words)}', np.zeros(kind.doubles))
 
@@ -107,9 +109,8 @@ def epoch_start(stamp_ns: int, frame_id: str) -> State:
     if not found:
         raise ValueError('frame_id: expected the start state of an epoch, '
                          f'found {quoted(frame_id)}')
-    attitude, rates, rotors = ([float(number) for number in group.split()]
-                               for group in found.groups())
-    return State(stamp_ns, attitude, rates, rotors)
+    return State(stamp_ns, *([float(number) for number in group.split()]
+                             for group in found.groups('')))
 
 
 def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:

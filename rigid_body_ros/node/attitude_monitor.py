@@ -311,6 +311,9 @@ def _check(scene: Scene) -> None:
             raise InputError(f'{name}: expected the standard deviation of a component, found 0')
     if not scene.values['monitor.measured']:
         raise InputError('monitor.measured: expected at least one topic, found an empty list')
+    if scene.named_wheels:
+        raise InputError('wheel_names: expected none, because attitude_monitor knows rotors '
+                         f'without names, found {listed(scene.values["wheel_names"])}')
     if scene.inertia_topic:
         raise InputError('inertia_topic: expected false, because attitude_monitor checks one '
                          'inertia, found true')

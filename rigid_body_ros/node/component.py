@@ -42,7 +42,7 @@ from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
 from rigid_body_ros.node.realtime import Realtime
-from rigid_body_ros.node.sources import BODY, check_topics, sources_of, TorqueTopic
+from rigid_body_ros.node.sources import BODY, check_topics, COMMANDS, sources_of, TorqueTopic
 from rigid_body_ros.scene.parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
@@ -291,8 +291,9 @@ class AttitudeComponent:
 
     def _silence(self, torque: Torque, now_ns: int) -> str:
         topic = self._torques[torque.source].topic_name
+        axes = 'on the wheels' if torque.source == COMMANDS else f'in {torque.frame} axes'
         return (f'{topic}: no torque for {self._mode.run.age(torque.source, now_ns):.3g} s: the '
-                f'last one, {torque.values.tolist()} N m in {torque.frame} axes, still acts '
+                f'last one, {torque.values.tolist()} N m {axes}, still acts '
                 f'(stale_after: {self._scene.stale_after:g} s)')
 
     def _save(self, save: Callable[[State | None], None]) -> None:

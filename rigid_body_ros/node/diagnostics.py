@@ -31,6 +31,7 @@ from rclpy.subscription import Subscription
 from rigid_body_ros.live.events import (
     APPLIED,
     CAUSES,
+    CLIPPED,
     FORCE,
     LOST,
     MISSED,
@@ -43,26 +44,28 @@ from rigid_body_ros.live.events import (
     STATES,
     STATES_REJECTED,
     TIME_JUMP,
+    TOO_FAST,
     UNSAVED,
     UNSENT,
     WAITING,
 )
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.drain import DrainCallback
-from rigid_body_ros.node.sources import BODY, TorqueTopic
+from rigid_body_ros.node.sources import BODY, COMMANDS, TorqueTopic
 
 if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _SEVERAL_PUBLISHERS, _QOS = 'several publishers', 'incompatible QoS'
 _OF_TORQUES = (REPLACED, FORCE, LOST)
+_OF_COMMANDS = (REPLACED, CLIPPED, TOO_FAST, LOST)
 _OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, TIME_JUMP, STATES, STATES_REJECTED)
 #: The time since the newest torque of a source arrived.
 AGE = 'age of the newest torque (s)'
 #: Counts that make a status an error, or a warning, in any second in which they increase.
 _ERRORS = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, STATES_REJECTED)
 _WARNINGS = (TIME_JUMP,)
-_TORQUE_WARNINGS = (REPLACED, LOST)
+_TORQUE_WARNINGS = (REPLACED, TOO_FAST, LOST)
 #: s; shortest time between two log messages of one kind.
 _LOG_PERIOD = 5.0
 
@@ -107,9 +110,9 @@ class Diagnostics:
                                      'ignored: the inertia is that about the centre of mass',
                                      once=True)
 
-    def count(self, name: str, source: int) -> None:
-        """Count an event of a torque of a source without logging it."""
-        self._torques[source][name] += 1
+    def count(self, name: str, source: int, number: int = 1) -> None:
+        """Count events of torques of a source without logging them."""
+        self._torques[source][name] += number
 
     def accept_state(self, result: str, stamp_ns: int) -> None:
         """Count a state that begins an epoch, and publish the result."""
@@ -259,7 +262,8 @@ class Diagnostics:
             '; '.join(rejected + warnings) or 'OK',
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
              **{rejections(cause): counts[cause] for cause in CAUSES}, **present,
-             **{name: counts[name] for name in _OF_TORQUES}})
+             **{name: counts[name] for name in
+                (_OF_COMMANDS if source == COMMANDS else _OF_TORQUES)}})
 
     def status(self, name: str, is_error: bool, is_warning: bool, message: str,
                values: Mapping[str, object]) -> DiagnosticStatus:

@@ -262,7 +262,9 @@ class Lockstep(Mode):
         self._duplicates[torque.source].discard(torque)
 
     def _publish_start(self) -> None:
-        start = Snapshot(self._start, self._start)
+        # That of the epoch, with what acts on the wheels.
+        begun = self.run.epoch and self.run.last_state(self._start.time_ns)
+        start = Snapshot(begun or self._start, self._start)
         self._publish(start, start)
 
     def _publish(self, snapshot: Snapshot, latest: Snapshot) -> None:

@@ -16,13 +16,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from copy import copy
 import time
 
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -36,10 +37,11 @@ from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import LOG_DEPTH, Snapshot
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.sources import BODY, TorqueTopic
+from rigid_body_ros.node.sources import BODY, COMMANDS, TorqueTopic
 from rigid_body_ros.scene import Scene
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, JointState
 
 try:
     from rclpy.event_handler import PublisherEventCallbacks
@@ -88,12 +90,16 @@ class Publishers:
             self._states.append((
                 self._publisher(WrenchStamped, 'applied_torque'), lambda state, _, torque: (
                     messages.wrench(state.time_ns, body, torque))))
+        if scene.named_wheels:
+            self._states.append((self._publisher(JointState, 'wheel_states'),
+                                 _wheel_states(scene.named_wheels)))
         if scene.publish_tf:
             self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, *_: (
                 messages.transform(state, space, body))))
         #: By number of the source.
         self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)
                           for source in sources}
+        self._kinds = {source.number: source.message for source in sources}
         self._committed = self._publisher(Odometry, '~/committed', _LOG_QOS)
 
     @property
@@ -116,12 +122,12 @@ class Publishers:
     def begin_log(self, start: State) -> None:
         """Mark in the logs of torques that an epoch begins with a state."""
         for source, publisher in self._accepted.items():
-            kind = messages.INERTIA if source == BODY else messages.WRENCH
-            self._send(publisher, messages.epoch_marker(start, kind))
+            self._send(publisher, messages.epoch_marker(start, self._kinds[source]))
 
     def log_torque(self, torque: Torque) -> None:
         """Log an accepted torque."""
-        encode = messages.inertia if torque.source == BODY else messages.wrench
+        encode = {BODY: messages.inertia, COMMANDS: self._kinds[torque.source].encode}.get(
+            torque.source, messages.wrench)
         self._send(self._accepted[torque.source], encode(
             torque.stamp_ns, self._frames[torque.frame], torque.values))
 
@@ -158,6 +164,20 @@ class Publishers:
             kind, topic, copy(qos),
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+def _wheel_states(wheels: Sequence[Wheel]) -> Callable[[State, State, Floats], bytes]:
+    """Return how the speeds and efforts of wheels with names are encoded."""
+    kind = messages.joint_states([wheel.name for wheel in wheels])
+    speeds = np.array([wheel.initial_speed for wheel in wheels])
+
+    def encode(state: State, *_: object) -> bytes:
+        # A start that is not computed has no efforts, and that of the scene no speeds.
+        values = (found if found.size else default for found, default in (
+            (state.wheel_speeds, speeds), (state.wheel_efforts, np.zeros(len(wheels)))))
+        return kind.encode(state.time_ns, '', messages.joint_values(*(
+            each[None] for each in values))[0])
+    return encode
 
 
 def _transform_type() -> type:

@@ -33,6 +33,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.runtime.parameters import checked as checked_value
@@ -95,9 +96,13 @@ class NodeParameters:
 
     def set_start(self, start: State) -> None:
         """Set the parameters to the start state of an epoch, or raise RuntimeError."""
+        wheels = Wheels(self.scene.named_wheels)
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
-                  *start.rotor_momentum.tolist()]
+                  *wheels.others(start).tolist()]
         epoch = dict(zip(_EPOCH, values)) | at_start(self.scene.values, start.time_ns)
+        speeds = start.wheel_speeds.tolist() or [
+            wheel.initial_speed for wheel in self.scene.named_wheels]
+        epoch |= {f'{name}.initial_speed': speed for name, speed in zip(wheels.names, speeds)}
         self._fixed |= epoch
         # The descriptors are those that the node has stored: only users may not set the values.
         descriptors = self._node.describe_parameters(list(epoch))

@@ -346,7 +346,8 @@ class Realtime(Mode):
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
                    for torque in self.run.epoch.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]
-        start = State(now_ns, state.attitude, state.angular_velocity, state.rotor_momentum)
+        start = State(now_ns, state.attitude, state.angular_velocity, state.rotor_momentum,
+                      state.wheel_speeds)
         self._begin(start, torques, f'{text}, state kept', now_ns > latest_ns)
         return True
 

@@ -225,6 +225,4 @@ def _base(name: str) -> str:
 
 def _message_type(source: TorqueTopic | None) -> messages.MessageType:
     """Return the type of the log of a source, or of the states."""
-    if source is None:
-        return messages.ODOMETRY
-    return messages.INERTIA if source.number == BODY else messages.WRENCH
+    return source.message if source else messages.ODOMETRY

@@ -21,21 +21,26 @@ from typing import NamedTuple
 
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from rclpy.node import Node
+from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.propagation.segment import BODY as BODY
+from rigid_body_ros.propagation.segment import COMMANDS as COMMANDS
 from rigid_body_ros.propagation.segment import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
+from sensor_msgs.msg import JointState
 
 #: The topic of the torque of the motors on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'
 #: That of the inertia of a body that changes.
 _INERTIA = 'inertia'
+#: That of the commands of wheels with names.
+_WHEEL_COMMAND = 'wheel_command'
 
 
 class TorqueTopic(NamedTuple):
-    """A topic of torques, or of inertia."""
+    """A topic of torques, of commands of wheels, or of inertia."""
 
-    #: The source of `Propagator.apply`, WHEELS or BODY.
+    #: The source of `Propagator.apply`, COMMANDS, WHEELS or BODY.
     number: int
     topic: str
     #: The topic on which its accepted torques are logged.
@@ -45,6 +50,8 @@ class TorqueTopic(NamedTuple):
     #: The message, and what it has.
     kind: type = WrenchStamped
     what: str = 'torque'
+    #: How its messages are encoded.
+    message: messages.MessageType = messages.WRENCH
 
 
 def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
@@ -57,7 +64,12 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
                                    'wheel torques'))
     if scene.inertia_topic:
         sources.append(TorqueTopic(BODY, _INERTIA, '~/accepted_inertia', 'inertia',
-                                   InertiaStamped, 'inertia'))
+                                   InertiaStamped, 'inertia', messages.INERTIA))
+    if scene.named_wheels:
+        names = [wheel.name for wheel in scene.named_wheels]
+        sources.append(TorqueTopic(COMMANDS, _WHEEL_COMMAND, '~/accepted_wheel_command',
+                                   'wheel commands', JointState, 'command',
+                                   messages.joint_commands(names)))
     return tuple(sources)
 
 

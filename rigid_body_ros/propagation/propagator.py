@@ -33,10 +33,11 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation.acting import ActingSamples
+from rigid_body_ros.propagation.change import Commands
 from rigid_body_ros.propagation.history import History
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import with_rest
-from rigid_body_ros.propagation.segment import NewBody, Sample, WHEELS
+from rigid_body_ros.propagation.segment import COMMANDS, NewBody, Sample, WHEELS
 from rigid_body_ros.propagation.wheels import check_named, momenta_at
 
 
@@ -135,6 +136,10 @@ class Propagator:
             for source, sample in change.samples.items()
             if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
 
+    def commands_at(self, time_ns: int) -> Commands:
+        """Return the commands of wheels in force at a time; -NEVER_NS is no stamp."""
+        return self._history.changes[max(self._history.index_of(time_ns), 0)].commands
+
     def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:
         """
         Return the commands of wheels in force at a time, and all later ones.
@@ -187,7 +192,7 @@ class Propagator:
         values = self._checked_torque(time_ns, torque)
         if frame not in FRAMES:
             raise ValueError(f"frame: expected 'body' or 'space', found {frame!r}")
-        if not 0 <= operator.index(source) < WHEELS:
+        if not 0 <= operator.index(source) < COMMANDS:
             raise ValueError(f'source: expected a number from 0 on, found {source}')
         return self._apply(time_ns, source, values, frame == 'space')
 

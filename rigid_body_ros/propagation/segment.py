@@ -34,8 +34,9 @@ from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.summation import added
 from rigid_body_ros.propagation.timeline import held_row, momentum_at
 
-#: The keys of the torque on the rotors, and of bodies, among the sources: the last ones.
-WHEELS, BODY = sys.maxsize - 1, sys.maxsize
+#: The keys of the commands of wheels with names, the torque on the rotors, and bodies, among the
+#: sources: the last ones.
+COMMANDS, WHEELS, BODY = sys.maxsize - 2, sys.maxsize - 1, sys.maxsize
 #: Outputs of the loop that are not read: only its latest state is used.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 _NONE = np.zeros((1, 3))

@@ -29,6 +29,7 @@ from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
+from rigid_body_ros.mechanics.wheels import EffortLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.selection import Topics
@@ -64,8 +65,9 @@ class Logged(NamedTuple):
 
 def read(path: str | Path, scene: str | Path | Scene, *,
          topic: str | Sequence[str] | None = None, wheel_torque: str | None = None,
-         wheel_momentum: str | None = None, inertia: str | None = None,
-         interpolation: str | None = None, time_source: str = 'header') -> Problem:
+         wheel_momentum: str | None = None, wheel_command: str | None = None,
+         inertia: str | None = None, interpolation: str | None = None,
+         time_source: str = 'header') -> Problem:
     """
     Return the problem that a recording and a scene state, as `attitude_replay` computes it.
 
@@ -77,7 +79,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
         The recording.
     scene : str, Path or Scene
         A scene, or its file.
-    topic, wheel_torque, wheel_momentum, inertia, interpolation, time_source
+    topic, wheel_torque, wheel_momentum, wheel_command, inertia, interpolation, time_source
         As for `replay`.
 
     Returns
@@ -91,9 +93,11 @@ def read(path: str | Path, scene: str | Path | Scene, *,
 
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
-    topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia).found_in(path, loaded)
+    topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia,
+                          wheel_command).found_in(path, loaded)
     return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
-                                            time_source=time_source), may_change=True).problem
+                                            time_source=time_source), may_change=True,
+                  may_command=True).problem
 
 
 def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None,
@@ -134,6 +138,9 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         if topics.wheel_momentum else None
     if topics.inertia:
         torques.append(source.read(path, topics.inertia, messages.INERTIA, track, time_source))
+    if topics.wheel_command:
+        kind = messages.joint_commands([wheel.name for wheel in scene.named_wheels])
+        torques.append(source.read(path, topics.wheel_command, kind, track, time_source))
     found = aligned(path, [epochs(path, one) for one in torques], time_source == 'header')
     if momentum is not None and len(found) > 1:
         raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(found)}')
@@ -142,12 +149,13 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
 
 
 def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
-           may_change: bool = False) -> Logged:
+           may_change: bool = False, may_command: bool = False) -> Logged:
     """
     Return the epoch for a command that needs one motion.
 
     Of several epochs, it is the last one that begins at the start_time of the scene. Only a
-    command that says so computes with a body that changes, or with wheels that have names.
+    command that says so computes with a body that changes (`may_change`), or with wheels that have
+    names (`may_command`).
 
     Raises
     ------
@@ -167,18 +175,20 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
         raise InputError(f'{path}: expected a body that does not change, found '
                          f'{len(one.problem.changes)} changes of its inertia, which only '
                          'attitude_replay computes; set inertia_topic: false in the scene')
-    if scene.named_wheels and not may_change:
+    if scene.named_wheels and not may_command:
         raise InputError(f'{path}: expected wheels without names, found '
                          f'{listed([wheel.name for wheel in scene.named_wheels])}, which only '
-                         'attitude_replay computes; remove wheel_names from the scene')
+                         'attitude_replay and attitude_compare compute; remove wheel_names from '
+                         'the scene')
     return one
 
 
 def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
             momentum: Messages | None, interpolation: str) -> Logged:
-    """Return the problem of a motion; torques on the rotors and inertia are the last parts."""
+    """Return the problem of a motion; those of rotors, inertia and commands are the last parts."""
     body, measured = [*parts], None
     every = [*parts, *([] if momentum is None else [momentum])]
+    efforts = _efforts(path, body.pop()) if topics.wheel_command else None
     changes = _changes(path, body.pop(), scene) if topics.inertia else None
     wheels = _wheel_log(path, body.pop(), scene, interpolation) if topics.wheel_torque else None
     actuators = topics.actuators(scene)
@@ -189,6 +199,8 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
         wheels = _from_momentum(path, momentum, measured, scene)
     damage = '; '.join(dict.fromkeys(one.damage for one in every if one.damage))
     stamps_ns = stamps_of([*logs, *([wheels] if wheels else [])])
+    if efforts:
+        stamps_ns = np.union1d(stamps_ns, efforts.times_ns)
     begin = next((one.start for one in parts if one.start), None)
     if not stamps_ns.size and not begin:
         lost = f' ({damage})' if damage else ''
@@ -199,7 +211,7 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
         start = _started(start, measured)
     try:
         problem = scene.problem(start).replaced(
-            log=logs, wheels=wheels, changes=changes, actuator=actuators)
+            log=logs, wheels=wheels, changes=changes, efforts=efforts, actuator=actuators)
     except ValueError as error:
         raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
     return Logged(problem, measured is not None, sum(len(one) for one in every),
@@ -247,7 +259,8 @@ def _check_same_start(path: str | Path, part: Messages, expected: Messages,
     if part.start is None and not len(part):
         return  # a topic without messages
     one, other = ((state.time_ns if has_stamps else 0, state.attitude.tobytes(),
-                   state.angular_velocity.tobytes(), state.rotor_momentum.tobytes())
+                   state.angular_velocity.tobytes(), state.rotor_momentum.tobytes(),
+                   state.wheel_speeds.tobytes())
                   if (state := found.start) else None for found in (part, expected))
     if one != other:
         found = f'the epoch that begins at {part.start.time_ns} ns' if part.start else \
@@ -270,6 +283,13 @@ def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
                interpolation: str) -> TorqueLog:
     check_axes(path, recorded, scene)
     return _log(path, recorded, scene, interpolation)
+
+
+def _efforts(path: str | Path, recorded: Messages) -> EffortLog:
+    """Return the commands of a topic, in the order of the wheels; frames have no meaning."""
+    if len(recorded) and not recorded.start:
+        check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
+    return EffortLog(recorded.stamps_ns, recorded.values)
 
 
 def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:

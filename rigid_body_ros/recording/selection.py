@@ -23,13 +23,16 @@ import re
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.mechanics.actuator import Actuator
-from rigid_body_ros.messages import INERTIA
+from rigid_body_ros.messages import INERTIA, joint_commands
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.source import TORQUES
 from rigid_body_ros.scene import Scene
 
-#: The topics of the torque on the rotors, and of the inertia.
-_WHEEL_TORQUE, _INERTIA = 'wheel_torque', 'inertia'
+#: The topics of the torque on the rotors, of the commands of wheels, and of the inertia.
+_WHEEL_TORQUE, _WHEEL_COMMAND, _INERTIA = 'wheel_torque', 'wheel_command', 'inertia'
+#: By option, the parameter of a scene that has such a topic, and what it then is.
+_NEEDED = {'--wheel-torque': ('wheels', 'true'), '--wheel-momentum': ('wheels', 'true'),
+           '--wheel-command': ('wheel_names', 'names'), '--inertia': ('inertia_topic', 'true')}
 #: The topic on which a node logs the torques of the first topic, or of the one with a number.
 _ACCEPTED = re.compile('.*/accepted_torque(?:_([0-9]+))?')
 
@@ -47,6 +50,8 @@ class Topics:
         Topic of the torque on the rotors, or of their momentum.
     inertia : str, optional
         Topic of the inertia of a body that changes.
+    wheel_command : str, optional
+        Topic of the commands of wheels with names.
     preferred : str
         If set, the torques are those of the only topic of a recording, or of this one.
 
@@ -62,6 +67,7 @@ class Topics:
     wheel_momentum: str | None = None
     inertia: str | None = None
     preferred: str = ''
+    wheel_command: str | None = None
 
     def __post_init__(self) -> None:
         if self.wheel_torque and self.wheel_momentum:
@@ -76,21 +82,24 @@ class Topics:
 
     @classmethod
     def given(cls, topic: str | Sequence[str] | None, wheel_torque: str | None = None,
-              wheel_momentum: str | None = None, inertia: str | None = None) -> Topics:
+              wheel_momentum: str | None = None, inertia: str | None = None,
+              wheel_command: str | None = None) -> Topics:
         """Return the topics that a caller gave."""
         names = (topic,) if isinstance(topic, str) else tuple(topic or ())
-        return cls(names, wheel_torque, wheel_momentum, inertia)
+        return cls(names, wheel_torque, wheel_momentum, inertia, wheel_command=wheel_command)
 
     @property
     def _options(self) -> list[tuple[str, str | None]]:
         return [('--wheel-torque', self.wheel_torque), ('--wheel-momentum', self.wheel_momentum),
-                ('--inertia', self.inertia)]
+                ('--wheel-command', self.wheel_command), ('--inertia', self.inertia)]
 
     @property
     def wheel_source(self) -> str:
         """Return where the torque on the rotors comes from, for a summary."""
         if self.wheel_momentum:
             return f'momentum on {self.wheel_momentum}, linear between samples'
+        if self.wheel_command:
+            return f'efforts on {self.wheel_command}'
         return f'torque on {self.wheel_torque}' if self.wheel_torque else 'constant momentum'
 
     def found_in(self, path: str | Path, scene: Scene) -> Topics:
@@ -100,15 +109,16 @@ class Topics:
         Raises
         ------
         InputError
-            The recording cannot be read, or lacks a topic of the scene; or rotors or inertia have
-            a topic, but the scene has no rotors with motors, or no topic of inertia.
+            The recording cannot be read, or lacks a topic of the scene; or rotors, wheels or
+            inertia have a topic, but the scene has none of these.
 
         """
         self.check(scene)
         names, wheel_torque, inertia = self.torques, self.wheel_torque, self.inertia
         if scene.inertia_topic:
             inertia = inertia or _match(_INERTIA, source.topics(path, [INERTIA]))
-        if len(names or scene.torque_topics) == 1 and not scene.wheels:
+        command = self.command_in(path, scene)
+        if len(names or scene.torque_topics) == 1 and not (scene.wheels or command):
             preferred = '' if names else absolute(scene.torque_topics[0])
             return replace(self, inertia=inertia, preferred=preferred)
         recorded = source.topics(path, TORQUES)
@@ -116,17 +126,24 @@ class Topics:
             wheel_torque = wheel_torque or _match(_WHEEL_TORQUE, recorded)
         if not names:
             others = [topic for topic in recorded if topic != wheel_torque]
-            optional = bool(wheel_torque or self.wheel_momentum)
+            optional = bool(wheel_torque or self.wheel_momentum or command)
             names = _torques_of(path, scene.torque_topics, others, optional)
-        return Topics(names, wheel_torque, self.wheel_momentum, inertia)
+        return replace(self, torques=names, wheel_torque=wheel_torque, inertia=inertia,
+                       wheel_command=command)
+
+    def command_in(self, path: str | Path, scene: Scene) -> str | None:
+        """Return the topic of the commands of wheels with names, None if there is none."""
+        if self.wheel_command or not scene.named_wheels:
+            return self.wheel_command
+        return _match(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if rotors or inertia have a topic, but not in the scene."""
+        """Raise InputError if rotors, wheels or inertia have a topic, but not in the scene."""
         for option, topic in self._options:
-            parameter = 'inertia_topic' if option == '--inertia' else 'wheels'
-            if topic and not scene.values[parameter]:
-                raise InputError(f'{option}: expected a scene with {parameter}: true, found '
-                                 f'{parameter}: false')
+            parameter, expected = _NEEDED[option]
+            if topic and not (found := scene.values[parameter]):
+                raise InputError(f'{option}: expected a scene with {parameter}: {expected}, found '
+                                 f'{parameter}: {str(found).lower()}')
 
     def actuators(self, scene: Scene) -> tuple[Actuator | None, ...] | None:
         """

@@ -150,7 +150,8 @@ class Streams:
         begun = [self._begun(source) for source in self._sources]
         starts = {None if start is None else (
             start.time_ns, start.attitude.tobytes(), start.angular_velocity.tobytes(),
-            start.rotor_momentum.tobytes()) for start, _ in begun}
+            start.rotor_momentum.tobytes(), start.wheel_speeds.tobytes())
+            for start, _ in begun}
         self.start, streams = begun[0][0], [stream for _, stream in begun]
         if len(starts) > 1 or not (self.start or any(len(stream.piece.times_ns)
                                                      for stream in streams)):

@@ -40,7 +40,7 @@ _SAMPLES = 2 ** 13
 #: Samples on each side that the cubics of a piece, and of the sample after it, need.
 _NEIGHBOURS = 3
 #: The topics on which a node logs the torques that it accepts.
-_NODE_LOG = re.compile(r'(.*/)?(accepted_torque(_[0-9]+)?|accepted_wheel_torque|accepted_inertia)')
+_NODE_LOG = re.compile(r'(.*/)?accepted_(torque(_[0-9]+)?|wheel_torque|wheel_command|inertia)')
 
 
 def epochs(path: str | Path, recorded: Messages) -> list[Messages]:

@@ -30,9 +30,6 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.actuator import Actuators
-from rigid_body_ros.mechanics.changes import BodyLog
-from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Stream
@@ -88,7 +85,8 @@ class Batch(NamedTuple):
     @property
     def last_ns(self) -> int:
         """Return the last stamp of the torques, ns; 0 without torques."""
-        return max((int(log.times_ns[-1]) for log in self.problem.sources), default=0)
+        logs = [log.times_ns for log in (*self.problem.sources, self.problem.efforts) if log]
+        return max((int(times_ns[-1]) for times_ns in logs), default=0)
 
 
 class Batches:
@@ -101,13 +99,10 @@ class Batches:
     topics : str
         For error messages.
     streams : sequence of Stream
-    start : State
+    problem : Problem
+        With the start, and, if the torques are one piece, changes of the body and efforts.
     is_epoch : bool
         Whether the start is that of an epoch of a node, which may have no torques.
-    changes : BodyLog, optional
-        Those of the body, if the torques are one piece.
-    actuators : sequence of Actuator or None, optional
-        Of each stream on the body, if the torques are one piece.
 
     Attributes
     ----------
@@ -119,15 +114,18 @@ class Batches:
 
     """
 
-    def __init__(self, request: Request, topics: str, streams: Sequence[Stream], start: State,
-                 is_epoch: bool, changes: BodyLog | None = None,
-                 actuators: Actuators = None) -> None:
-        self._changes, self._actuators = changes, actuators
+    def __init__(self, request: Request, topics: str, streams: Sequence[Stream], problem: Problem,
+                 is_epoch: bool) -> None:
+        self._problem, start = problem, problem.start
+        #: What the topics state, but for torques.
+        self._others = [log.times_ns for log in (problem.changes, problem.efforts) if log]
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
         self._delay_ns = request.sensor_delay_ns
         stamps = [int(stream.piece.times_ns[0]) for stream in streams
                   if len(stream.piece.times_ns)]
+        if problem.efforts:
+            stamps.append(int(problem.efforts.times_ns[0]))
         self.first_ns = min(stamps, default=start.time_ns)
         #: The motion, that which a late IMU measures, and those with the other interpolations,
         #: which are removed if the body spins too fast; none before the first piece.
@@ -181,8 +179,8 @@ class Batches:
         try:
             logs = self._logs(self._request.interpolation, begin_ns, until_ns)
             stamps_ns = stamps_of(logs)
-            if self._changes:
-                stamps_ns = np.union1d(stamps_ns, self._changes.times_ns)
+            for others_ns in self._others:
+                stamps_ns = np.union1d(stamps_ns, others_ns)
             numbers, times_of = self._outputs.up_to(stamps_ns, until_ns)
             for gaps, log in zip(self.gaps, logs):
                 gaps.add(log)
@@ -238,9 +236,7 @@ class Batches:
         """Return a motion that continues under the next pieces of the torques."""
         body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
         wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
-        problem = self._request.scene.problem(self.start).replaced(
-            log=body, wheels=next(iter(wheels), None), changes=self._changes,
-            actuator=self._actuators)
+        problem = self._problem.replaced(log=body, wheels=next(iter(wheels), None))
         motion = self._motions.get(interpolation)
         if motion:
             motion.extend(problem)

@@ -29,6 +29,7 @@ from rigid_body_ros.replay.batches import Batch, IMU, INPUT, MARKERS, Request, T
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 
 _EULER_ANGLES, _ROTOR_MOMENTUM = '/euler_angles', '/rotor_momentum'
+_WHEEL_STATES = '/wheel_states'
 _TOPICS = {ATTITUDE: messages.QUATERNION, _EULER_ANGLES: messages.VECTOR3,
            ANGULAR_VELOCITY: messages.VECTOR3}
 _IMU_DATA, _TF = '/imu/data', '/tf'
@@ -48,6 +49,8 @@ def topics(request: Request) -> dict[str, MessageType]:
     found = dict(_TOPICS)
     if request.scene.has_rotors:
         found[_ROTOR_MOMENTUM] = messages.VECTOR3
+    if names := [wheel.name for wheel in request.scene.named_wheels]:
+        found[_WHEEL_STATES] = messages.joint_states(names)
     for name in request.also:
         found.update(_ALSO.get(name, {}))  # 'input' copies the topics of the recording
     return found
@@ -74,6 +77,9 @@ def write(writer: recording.Writer, request: Request, batch: Batch, delay_ns: in
                Column(ANGULAR_VELOCITY, body, rates)]
     if scene.has_rotors:
         columns.append(Column(_ROTOR_MOMENTUM, body, trajectory.rotor_momentum))
+    if scene.named_wheels:
+        columns.append(Column(_WHEEL_STATES, '', messages.joint_values(
+            trajectory.wheel_speeds, trajectory.wheel_efforts)))
     if IMU in request.also:
         columns.append(Column(_IMU_DATA, body, messages.imu_values(
             trajectory.times_ns, batch.sensed.attitude, batch.sensed.angular_velocity,

@@ -32,7 +32,7 @@ import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.messages import VECTOR3
+from rigid_body_ros.messages import joint_commands, VECTOR3
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.recording import (
     Logged,
@@ -52,7 +52,7 @@ from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
 #: The types of all topics that a motion depends on.
-_KINDS = (*recording.TORQUES, VECTOR3)
+_KINDS = (*recording.TORQUES, VECTOR3, joint_commands(()))
 
 
 @dataclass(eq=False)
@@ -135,7 +135,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            rate: float | None = None, until: float | None = None, start: float = 0.0,
            time_source: str = 'header', also: Collection[str] = (), keep: bool | None = None,
            wheel_torque: str | None = None, wheel_momentum: str | None = None,
-           inertia: str | None = None, collect: Callable[[], Collector] | None = None) -> Replay:
+           wheel_command: str | None = None, inertia: str | None = None,
+           collect: Callable[[], Collector] | None = None) -> Replay:
     """
     Compute the motion of a body from the torques of a recording.
 
@@ -151,9 +152,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         node has its own start.
     output : str or Path, optional
         Where to write attitude, Euler angles, angular velocity and, if there are rotors, their
-        momentum: an MCAP file, which may exist, or, if the name does not end in .mcap, a new
-        rosbag2 folder. It must not be the recording or the scene file, under any name, or lie in
-        the folder of the bag.
+        momentum, and of wheels with names speed and effort: an MCAP file, which may exist, or, if
+        the name does not end in .mcap, a new rosbag2 folder. It must not be the recording or the
+        scene file, under any name, or lie in the folder of the bag.
     topic : str or sequence of str, optional
         Topics of the torques, which add up; by default those of the scene. If the scene has one
         topic and the recording has one, their names may differ.
@@ -180,6 +181,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     wheel_momentum : str, optional
         Topic of the measured momentum of the rotors, which is linear between samples. The motion
         starts with the measured momentum.
+    wheel_command : str, optional
+        Topic of the commands of wheels with names; by default wheel_command, if the scene has
+        wheel_names and the recording has that topic. The recording is then read as a whole.
     inertia : str, optional
         Topic of the inertia of a body that changes; by default inertia, if the scene has
         inertia_topic and the recording has that topic. The recording is then read as a whole.
@@ -200,7 +204,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
 
     """
     outputs.check_names(also)
-    given = Topics.given(topic, wheel_torque, wheel_momentum, inertia)
+    given = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command)
     given.check(scene)
     keep = output is None if keep is None else keep
     request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
@@ -209,18 +213,16 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         if output is not None:
             files.check((output, suffix_of(output)))
         topics = given.found_in(path, scene)
-        if start and (len(topics.wrenches) > 1 or topics.wheel_torque or topics.wheel_momentum
-                      or topics.inertia):
+        others = topics.wheel_momentum or topics.wheel_command or topics.inertia
+        if start and (len(topics.wrenches) > 1 or topics.wheel_torque or others):
             raise InputError('--start: expected one topic, of torques, found several; '
                              'set start_time in the scene instead')
         copied = None
         if INPUT in also:
             copied = stack.enter_context(Source(
-                path, next(iter(topics.wrenches), topics.wheel_momentum), _KINDS,
-                preferred=topics.preferred))
+                path, next(iter(topics.wrenches), others), _KINDS, preferred=topics.preferred))
             copied.check_copied(outputs.topics(request))
-        if not (keep or topics.wheel_momentum or topics.inertia or scene.actuators
-                or request.sensor_delay_ns):
+        if not (keep or others or scene.actuators or request.sensor_delay_ns):
             with suppress(NotInOrderError), Streams(
                     path, scene, topics, progress('replaying', size=len), time_source,
                     start) as streams:
@@ -270,16 +272,15 @@ def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoc
                     if len(stream.piece.times_ns)], default=0)
     start = streams.start or scene.starting_at(first_ns)
     result = Replay(scene, request.interpolation, ', '.join(streams.topics), topics.wheel_source)
-    return [(result, Batches(request, result.topic, opened, start, streams.start is not None))]
+    return [(result, Batches(request, result.topic, opened, scene.problem(start),
+                             streams.start is not None))]
 
 
 def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequence[Epoch]:
     """Return the motions of all epochs, each with its torques as one piece."""
     return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
                     topics.wheel_source, each.messages, each.unordered, damage=each.damage),
-             Batches(request, ', '.join(each.topics), whole(each), each.problem.start,
-                     each.is_epoch, each.problem.changes,
-                     each.problem.actuators or [None] * len(each.problem.logs)))
+             Batches(request, ', '.join(each.topics), whole(each), each.problem, each.is_epoch))
             for each in epochs]
 
 

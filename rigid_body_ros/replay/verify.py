@@ -117,7 +117,8 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
                                    progress('reading', size=len))
     # Beside the log of a node; a recording of all topics has its outputs, too.
-    committed = f'{topics.torques[0].rpartition("/")[0]}/committed' if topics.torques else ''
+    log = next(iter(topics.torques), topics.wheel_command)
+    committed = f'{log.rpartition("/")[0]}/committed' if log else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
     with Source(motion_path, motion_topic, _KINDS, preferred=committed) as source:
         recorded = recording.joined(source.topic, source.kind, list(source), source.damage)

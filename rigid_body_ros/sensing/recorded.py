@@ -112,8 +112,8 @@ class Measurements:
                 for sensor, end_ns in zip(self.sensors, ends)]
 
 
-def read_observed(path: str | Path, scene: Scene, reading: Reading,
-                  largest_offset: float = 0.0) -> tuple[Problem, Measurements]:
+def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offset: float = 0.0,
+                  may_command: bool = False) -> tuple[Problem, Measurements]:
     """
     Read the torques of a recording, and what was measured under them.
 
@@ -131,6 +131,8 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading,
         What to read.
     largest_offset : float, s
         How far apart the clocks of torques and measurements may be.
+    may_command : bool
+        As for `recording.chosen`.
 
     Raises
     ------
@@ -141,13 +143,14 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading,
     """
     sensors = reading.sensors(path, scene)
     measurements = Measurements(sensors)
-    if reading.topics == _TOPICS_OF_SCENE and not recording.topics(path, recording.TORQUES):
+    if reading.topics == _TOPICS_OF_SCENE and not (
+            recording.topics(path, recording.TORQUES) or reading.topics.command_in(path, scene)):
         first_ns = min(int(sensor.stamps_ns[0]) for sensor in sensors)
         problem = scene.problem(start=scene.starting_at(first_ns))
     else:
         epochs = recording.read_epochs(path, scene, reading.topics.found_in(path, scene),
                                        reading.interpolation, reading.track, reading.time_source)
-        problem = recording.chosen(path, scene, epochs).problem
+        problem = recording.chosen(path, scene, epochs, may_command=may_command).problem
         begins_ns = [epoch.problem.start.time_ns for epoch in epochs]
         later_ns = [time_ns for time_ns in begins_ns if time_ns > problem.start.time_ns]
         measurements = Measurements(sensors, *sorted(later_ns)[:1])

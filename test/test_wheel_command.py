@@ -1,0 +1,278 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""attitude_node with wheels that have names: the topics wheel_command and wheel_states."""
+
+from dataclasses import replace
+
+from conftest import ROOT, SECOND
+from geometry_msgs.msg import WrenchStamped
+from live import commit, decoded, live_values, PATIENT
+from live_session import COMMITTED, LiveSession, RELIABLE
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rigid_body_ros import messages, Propagator, read, recording, scene, State
+from rigid_body_ros.replay import replay
+from rigid_body_ros.replay.verify import verify
+from sensor_msgs.msg import JointState
+
+pytestmark = pytest.mark.ros
+SCENE = ROOT / 'examples' / 'four_wheels.yaml'
+WHEELS = ('rw_x', 'rw_y', 'rw_z', 'rw_skewed')
+TORQUES = '/attitude_node/accepted_torque', '/attitude_node/accepted_torque_1'
+ACCEPTED = '/attitude_node/accepted_wheel_command'
+COMMANDS, STATES = messages.joint_commands(WHEELS), messages.joint_states(WHEELS)
+KINDS = {COMMITTED: messages.ODOMETRY, **dict.fromkeys(TORQUES, messages.WRENCH),
+         ACCEPTED: COMMANDS}
+SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', *RELIABLE,
+           '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
+           '-p', 'qos_overrides./wheel_command.subscription.reliability:=reliable')
+LOCKSTEP = ('-p', 'mode:=lockstep')
+STEP_NS = SECOND // 50
+NAN = np.nan
+
+
+class Wheels(LiveSession):
+    """A session that commands wheels, and records their states and all logs."""
+
+    def _connect(self):
+        super()._connect()
+        everything = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.received |= {ACCEPTED: [], TORQUES[1]: [], 'wheel_states': []}
+        self._motors = self.node.create_publisher(JointState, 'wheel_command', 10_000)
+        self.node.create_subscription(JointState, ACCEPTED, self.received[ACCEPTED].append,
+                                      everything, raw=True)
+        self.node.create_subscription(JointState, 'wheel_states',
+                                      self.received['wheel_states'].append, 10_000, raw=True)
+        self.node.create_subscription(WrenchStamped, TORQUES[1],
+                                      self.received[TORQUES[1]].append, everything, raw=True)
+        self.wait_until(self._motors.get_subscription_count, 'the node to subscribe')
+
+    def turn(self, stamp_ns, efforts, frame_id=''):
+        """Publish efforts, N m, in the order of the wheels; NaN: not listed."""
+        self._motors.publish(COMMANDS.encode(stamp_ns, frame_id, efforts))
+
+    def send(self, data):
+        """Publish a serialized command."""
+        self._motors.publish(data)
+
+    def commands(self):
+        """Return the accepted commands, decoded, of all epochs."""
+        return decoded(self, ACCEPTED, COMMANDS)
+
+    def states(self):
+        """Return by stamp the speeds and the efforts that were published last."""
+        found = [messages.decoded_joints(data) for data in self.received['wheel_states']]
+        return {one.stamp_ns: (one.velocity, one.effort) for one in found}
+
+    def write(self, path):
+        """Write the logs and the committed states to a recording."""
+        with recording.Writer(path) as writer:
+            for topic, kind in KINDS.items():
+                writer.add_topic(topic, kind)
+                for data in self.received[topic]:
+                    writer.write(topic, kind.decode(data).stamp_ns, data)
+
+
+def checked(tmp_path, live, torques=TORQUES[:1]):
+    """Check that all epochs are replayed bit for bit; return the problem of the last, and it."""
+    path = tmp_path / 'live.mcap'
+    live.dump_parameters(tmp_path / 'live.yaml')
+    assert live.stop() == 0
+    live.write(path)
+    run = scene.load(tmp_path / 'live.yaml')
+    result = verify(path, run, path, recording.Topics(torques, wheel_command=ACCEPTED))
+    assert result.same.all()
+    assert not result.pending
+    assert result.epochs == result.compared_epochs
+    problem = read(path, run, topic=torques, wheel_command=ACCEPTED)
+    # The parameters are those of the epoch, too.
+    np.testing.assert_array_equal([wheel.initial_speed for wheel in run.named_wheels],
+                                  problem.start.wheel_speeds if problem.start.wheel_speeds.size
+                                  else [0.0, 0.0, 0.0, 100.0])
+    assert not run.start.rotor_momentum.any()
+    return problem, result
+
+
+def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
+    random = np.random.default_rng(38)
+    with Wheels(SCENE, domain, *SOURCES, *PATIENT, '-p', 'torque_timeout:=0.05') as live:
+        disturbance = live.node.create_publisher(WrenchStamped, 'disturbance', 1000)
+        live.wait_until(disturbance.get_subscription_count, 'the node to subscribe')
+        start_ns, plan = live.now_ns(), []
+        for k in range(600):
+            stamp_ns = start_ns + k * SECOND // 150 + int(random.integers(0, SECOND // 500))
+            delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
+            efforts = random.normal(size=4) * 0.006
+            efforts[random.random(4) < 0.4] = NAN
+            efforts[random.integers(4)] = 0.003
+            plan.append((stamp_ns + delay_ns, stamp_ns, efforts))
+        for k, (due_ns, stamp_ns, efforts) in enumerate(sorted(plan, key=lambda row: row[0])):
+            live.spin((due_ns - live.now_ns()) * 1e-9)
+            live.turn(stamp_ns, efforts, ('', 'base_link', 'elsewhere')[k % 3])
+            if k % 3 == 0:
+                live.publish(stamp_ns, 'base_link', 0.002 * random.normal(size=3))
+                disturbance.publish(messages.wrench(
+                    stamp_ns - 1, 'world', 0.001 * random.normal(size=3)))
+        live.wait_until(lambda: len(live.commands()) == 600, 'all commands')
+        live.wait_until(lambda: [len(decoded(live, topic, messages.WRENCH)) for topic in TORQUES]
+                        == [200, 200], 'all torques')
+        commit(live, 1 + 600 + 200)
+        counts, _, _ = live.diagnosis('wheel commands')
+        problem, result = checked(tmp_path, live, TORQUES)
+    stamps = [message.stamp_ns for message in live.commands()]
+    assert sorted(stamps) == sorted(stamp for _, stamp, _ in plan)
+    assert np.any(np.diff(stamps) < 0)
+    assert {*stamps} < {*result.stamps_ns.tolist()}
+    assert counts['applied'] == 600
+    given = np.array([efforts for *_, efforts in plan])
+    assert counts['clipped to max_torque'] == np.sum(np.abs(given) > 0.004)
+    # What was published is the motion, whatever came later.
+    last_ns = max(stamp for _, stamp, _ in plan)
+    found = {stamp: values for stamp, values in live.states().items()
+             if stamp > last_ns + SECOND // 2}
+    motion = problem.propagate(at=sorted(found))
+    np.testing.assert_array_equal(motion.wheel_speeds, [found[t][0] for t in sorted(found)])
+    np.testing.assert_array_equal(motion.wheel_efforts, [found[t][1] for t in sorted(found)])
+
+
+def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(tmp_path, domain):
+    run = scene.load(SCENE)
+    with Wheels(SCENE, domain, *LOCKSTEP, '-p', 'history:=0.1', '-p', 'max_future:=0.05',
+                '-p', 'rw_x.max_speed:=5.0') as live:
+        # Only the controller of wheels sends.
+        live.disconnect()
+        first, *others = run.named_wheels
+        judge = Propagator(run.body, replace(run.start, time_ns=SECOND), history=10.0,
+                           wheels=[replace(first, max_speed=5.0), *others])
+        for number in range(100):
+            stamp_ns = SECOND + number * STEP_NS
+            efforts = [0.003, 0.001 * np.sin(0.3 * number), NAN, -0.01 if number % 2 else NAN]
+            live.turn(stamp_ns, efforts)
+            live.wait_until(lambda: stamp_ns + STEP_NS in live.states(), 'a response')
+            judge.apply_efforts(stamp_ns, {name: effort for name, effort in zip(WHEELS, efforts)
+                                           if effort == effort})
+            state = judge.at(stamp_ns + STEP_NS)
+            speeds, acting = live.states()[stamp_ns + STEP_NS]
+            np.testing.assert_array_equal(speeds, state.wheel_speeds)
+            np.testing.assert_array_equal(acting, state.wheel_efforts)
+        assert 5.0 <= speeds[0] < 5.7
+        zeros = judge.refused_commands(0, stamp_ns)
+        live.wait_until(lambda: live.diagnosis('wheel commands')[0]['applied'] == 100, 'counts')
+        counts, _, _ = live.diagnosis('wheel commands')
+        # Of those that late commands cannot change any more.
+        assert 0 < counts['zero at max_speed'] <= zeros < 100
+        assert counts['clipped to max_torque'] == 50
+        _, result = checked(tmp_path, live)
+    assert len(result.stamps_ns) == 100
+
+
+def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, domain):
+    with Wheels(SCENE, domain, *LOCKSTEP) as live:
+        def ask(number):
+            live.publish(SECOND + number * STEP_NS, '', [0.0, 0.001, 0.0])
+            live.turn(SECOND + number * STEP_NS, [0.002, NAN, -0.003, 0.001])
+            live.wait_until(lambda: SECOND + (number + 1) * STEP_NS in live.states(), 'a response')
+        for number in range(20):
+            ask(number)
+        speeds, _ = live.states()[SECOND + 20 * STEP_NS]
+        begin_ns = SECOND + 20 * STEP_NS + 5
+        live.set_state(State(begin_ns, (0.0, 0.6, 0.0, 0.8), (0.1, 0.2, 0.3)))
+        live.wait_until(lambda: begin_ns in live.states(), 'the new epoch')
+        kept, acting = live.states()[begin_ns]
+        np.testing.assert_allclose(kept, speeds, rtol=1e-6)
+        assert acting.tolist() == [0.002, 0.0, -0.003, 0.001]
+        for number in range(21, 30):
+            ask(number)
+        live.reset()
+        for number in range(31, 40):
+            ask(number)
+        _, result = checked(tmp_path, live)
+    assert result.epochs == 3
+    starts = [messages.epoch_start(one.stamp_ns, one.frame_id) for one in (
+        COMMANDS.decode(data) for data in live.received[ACCEPTED])
+        if messages.is_epoch_marker(one.frame_id)]
+    assert [one.wheel_speeds.size for one in starts] == [0, 4, 0]
+    np.testing.assert_allclose(starts[1].wheel_speeds, kept, rtol=1e-13, atol=1e-13)
+
+
+def test_a_wrong_command_is_rejected_whole_and_counted(domain):
+    encoded = messages.encoded_joints
+    with Wheels(SCENE, domain, *SOURCES, *PATIENT) as live:
+        stamp_ns = live.now_ns()
+        wrong = [encoded(stamp_ns, '', ['rw_x', 'rw_w'], effort=[0.001, 0.001]),
+                 encoded(stamp_ns, '', ['rw_x', 'rw_x'], effort=[0.001, 0.001]),
+                 encoded(stamp_ns, '', ['rw_x', 'rw_y'], velocity=[1.0, 2.0]),
+                 encoded(stamp_ns, '', ['rw_x', 'rw_y'], effort=[0.001, NAN]),
+                 encoded(stamp_ns, '', [])]
+        for data in wrong:
+            live.send(data)
+        live.turn(stamp_ns, [1e300, 0.0, 0.0, 0.0])
+        live.send(messages.epoch_marker(State(stamp_ns), COMMANDS))
+        live.turn(stamp_ns, [0.001, NAN, NAN, NAN])
+        live.wait_until(lambda: live.diagnosis('wheel commands')[0].get('received') == 8,
+                        'all messages')
+        live.wait_until(live.commands, 'the right one')
+        counts, _, _ = live.diagnosis('wheel commands')
+        words = live.end()
+    found = {name.removeprefix('rejected: '): count for name, count in counts.items()
+             if name.startswith('rejected') and count}
+    assert found == {'malformed': 5, 'too large': 1, 'unknown frame': 1}
+    assert counts['applied'] == 1
+    assert ("command on wheel_command rejected (1 so far): malformed: name: expected some of "
+            "'rw_x', 'rw_y', 'rw_z', 'rw_skewed', found 'rw_w'") in words
+
+
+def test_a_node_that_is_killed_goes_on_with_the_speeds_of_the_wheels(tmp_path, domain):
+    checkpoint = tmp_path / 'checkpoint.json'
+    with Wheels(SCENE, domain, *LOCKSTEP, '-p', f'checkpoint:={checkpoint}') as live:
+        live.disconnect()
+        for number in range(10):
+            stamp_ns = SECOND + number * STEP_NS
+            live.turn(stamp_ns, [0.004, -0.004, 0.0, NAN])
+            live.wait_until(lambda: stamp_ns + STEP_NS in live.states(), 'a response')
+        before = live.states()[stamp_ns][0]
+        checked(tmp_path, live)
+    with Wheels(SCENE, domain, *LOCKSTEP, '-p', f'checkpoint:={checkpoint}') as live:
+        live.disconnect()
+        live.wait_until(lambda: stamp_ns in live.states(), 'the state of the checkpoint')
+        np.testing.assert_array_equal(live.states()[stamp_ns][0], before)
+        live.turn(stamp_ns + STEP_NS, [0.004, NAN, NAN, NAN])
+        live.wait_until(lambda: stamp_ns + 2 * STEP_NS in live.states(), 'a response')
+        checked(tmp_path, live)
+
+
+def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
+    path, out, run = tmp_path / 'commands.mcap', tmp_path / 'motion.mcap', scene.load(SCENE)
+    random = np.random.default_rng(5)
+    efforts = np.where(random.random((50, 4)) < 0.5, 0.003 * random.normal(size=(50, 4)), NAN)
+    efforts[:, 2] = 0.001
+    stamps = SECOND + STEP_NS * np.arange(50)
+    with recording.Writer(path) as writer:
+        writer.add_topic('/wheel_command', COMMANDS)
+        for row in random.permutation(50):
+            writer.write('/wheel_command', int(stamps[row]),
+                         COMMANDS.encode(int(stamps[row]), '', efforts[row]))
+    result = replay(path, run, out)
+    assert result.wheel_source == 'efforts on /wheel_command'
+    motion = read(path, run).propagate(at=stamps)
+    written = recording.read(out, '/wheel_states', STATES)
+    np.testing.assert_array_equal(written.stamps_ns, stamps)
+    np.testing.assert_array_equal(written.values[:, :4], motion.wheel_speeds)
+    np.testing.assert_array_equal(written.values[:, 5:], motion.wheel_efforts)
+    attitude = recording.read(out, '/attitude', messages.QUATERNION)
+    np.testing.assert_array_equal(attitude.values, motion.attitude)
+    drift = float(result.check.finding.rpartition(' ')[2])
+    assert drift < 1e-14
