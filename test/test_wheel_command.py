@@ -15,15 +15,18 @@
 """attitude_node with wheels that have names: the topics wheel_command and wheel_states."""
 
 from dataclasses import replace
+import sys
 
 from conftest import ROOT, SECOND
+import four_wheels
 from geometry_msgs.msg import WrenchStamped
-from live import commit, decoded, live_values, PATIENT
+from live import commit, decoded, PATIENT
 from live_session import COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, Propagator, read, recording, scene, State
+from rigid_body_ros import messages, Propagator, read, recording, regress, scene, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
 from sensor_msgs.msg import JointState
@@ -161,7 +164,8 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
             stamp_ns = SECOND + number * STEP_NS
             efforts = [0.003, 0.001 * np.sin(0.3 * number), NAN, -0.01 if number % 2 else NAN]
             live.turn(stamp_ns, efforts)
-            live.wait_until(lambda: stamp_ns + STEP_NS in live.states(), 'a response')
+            live.wait_until(lambda due_ns=stamp_ns + STEP_NS: due_ns in live.states(),
+                            'a response')
             judge.apply_efforts(stamp_ns, {name: effort for name, effort in zip(WHEELS, efforts)
                                            if effort == effort})
             state = judge.at(stamp_ns + STEP_NS)
@@ -242,7 +246,8 @@ def test_a_node_that_is_killed_goes_on_with_the_speeds_of_the_wheels(tmp_path, d
         for number in range(10):
             stamp_ns = SECOND + number * STEP_NS
             live.turn(stamp_ns, [0.004, -0.004, 0.0, NAN])
-            live.wait_until(lambda: stamp_ns + STEP_NS in live.states(), 'a response')
+            live.wait_until(lambda due_ns=stamp_ns + STEP_NS: due_ns in live.states(),
+                            'a response')
         before = live.states()[stamp_ns][0]
         checked(tmp_path, live)
     with Wheels(SCENE, domain, *LOCKSTEP, '-p', f'checkpoint:={checkpoint}') as live:
@@ -276,3 +281,25 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     np.testing.assert_array_equal(attitude.values, motion.attitude)
     drift = float(result.check.finding.rpartition(' ')[2])
     assert drift < 1e-14
+
+
+def test_a_loop_of_wheels_is_held_by_attitude_regress(tmp_path):
+    reference, page = tmp_path / 'reference.mcap', tmp_path / 'page.html'
+    arguments = [str(reference), '--scene', str(SCENE)]
+    controller = ['--', sys.executable, str(ROOT / 'examples' / 'four_wheels.py')]
+    assert main.attitude_regress([*arguments, '--update', '--duration', '4', *controller]) == 0
+    assert main.attitude_regress([*arguments, '--report', str(page), *controller]) == 0
+    loop, run = regress.read(reference), scene.load(SCENE)
+    commands = loop.torques['accepted_wheel_command']
+    assert (loop.wheels, commands.values.shape) == (WHEELS, (201, 4))
+    judge = Propagator(run.body, run.start, wheels=run.named_wheels)
+    for stamp_ns, found in zip(commands.times_ns.tolist(), commands.values):
+        state = judge.at(stamp_ns)
+        expected = four_wheels.efforts(state.attitude, state.angular_velocity)
+        np.testing.assert_array_equal(found, expected)
+        # Their sum is the torque of the law.
+        np.testing.assert_allclose(four_wheels.AXES @ found, np.copysign(
+            0.01, state.attitude[3]) * state.attitude[:3] + 0.04 * state.angular_velocity,
+            atol=1e-17)
+        judge.apply_efforts(stamp_ns, dict(zip(WHEELS, found.tolist())))
+    assert 'rw_skewed' in page.read_text()

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+import json
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +27,13 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import EffortLog, filled
 from rigid_body_ros.recording import Messages
 from rigid_body_ros.runtime.fingerprint import NAME
 
 COMMITTED = 'committed'
-INERTIA = 'accepted_inertia'
+INERTIA, COMMANDS = 'accepted_inertia', 'accepted_wheel_command'
 _TORQUE = 'accepted_'
-#: The types of the logs of torques and inertia.
-_KINDS = {kind.name: kind for kind in (messages.WRENCH, messages.INERTIA)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,8 @@ class Signal:
     times_ns : array of int64, shape (n,)
         Ascending, each once.
     values : array, shape (n, d)
-        Torques, N m, (n, 3); states, x y z w and body rates, rad/s, (n, 7); inertias, (n, 6).
+        Torques, N m, (n, 3); states, x y z w and body rates, rad/s, (n, 7); inertias, (n, 6);
+        commands in force of wheels with names, N m, (n, wheels).
     frames : array of str, shape (n,)
         The frame of each sample.
 
@@ -83,6 +84,8 @@ class Loop:
         The metadata of the recording: what determines its last bits.
     node : str
         The name of the node, which begins the names of its topics.
+    wheels : tuple of str
+        The names of the wheels.
 
     """
 
@@ -91,6 +94,7 @@ class Loop:
     states: Signal
     made_by: Mapping[str, str]
     node: str
+    wheels: tuple[str, ...] = ()
 
     @property
     def spans_ns(self) -> dict[str, int]:
@@ -115,8 +119,12 @@ def read(path: str | Path) -> Loop:
         raise InputError(f'{path}: expected the log of one node, with its topics accepted_torque '
                          f'and committed, found {listed(logs)}; write one with --update')
     node = logs[0].rpartition('/')[0]
+    with recording.Source(path, logs[0], [messages.ODOMETRY]) as source:
+        states = recording.joined(source.topic, source.kind, list(source), source.damage)
+        made_by = source.metadata(NAME)
+    wheels = tuple(json.loads(made_by.get('scene', '{}')).get('wheel_names', ()))
     torques, start = {}, None
-    for kind in _KINDS.values():
+    for kind in (messages.WRENCH, messages.INERTIA, messages.joint_commands(wheels)):
         for topic in recording.topics(path, [kind]):
             name = topic.removeprefix(f'{node}/')
             if name.startswith(_TORQUE):
@@ -125,19 +133,20 @@ def read(path: str | Path) -> Loop:
     if start is None or not any(map(len, torques.values())):
         raise InputError(f'{path}: expected torques that {node} accepted, found none; write a '
                          'reference with --update')
-    with recording.Source(path, logs[0], [messages.ODOMETRY]) as source:
-        states = recording.joined(source.topic, source.kind, list(source), source.damage)
-        made_by = source.metadata(NAME)
     begun = np.flatnonzero(states.stamps_ns == start.time_ns)
     if not begun.size:
         raise InputError(f'{path}: {logs[0]}: expected the start state at {start.time_ns} ns, '
                          'found none: a part of the recording is missing')
     # Of several states at the start time, the last one begins the last epoch.
     rows = states.rows(slice(int(begun[-1]), None))
-    return Loop(start, torques, _samples(rows, messages.ODOMETRY), made_by, node)
+    return Loop(start, torques, _samples(rows, messages.ODOMETRY), made_by, node, wheels)
 
 
 def _samples(found: Messages, kind: messages.MessageType) -> Signal:
+    if isinstance(kind, messages.JointCommands):
+        log = EffortLog(found.stamps_ns, found.values)
+        return Signal(log.times_ns, filled(log.efforts, np.zeros(kind.doubles)),
+                      np.full(len(log), ''))
     values = found.values[:, 3:] if kind is messages.WRENCH else \
         messages.inertia_entries(found.values) if kind is messages.INERTIA else \
         np.hstack([found.values[:, messages.ORIENTATION],

@@ -25,7 +25,7 @@ from rigid_body_ros import recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.regress.differences import Pair
-from rigid_body_ros.regress.loop import EMPTY, INERTIA, Loop, Signal
+from rigid_body_ros.regress.loop import COMMANDS, EMPTY, INERTIA, Loop, Signal
 from rigid_body_ros.regress.regression import Regression
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
@@ -33,6 +33,7 @@ from rigid_body_ros.report.page import Page
 from rigid_body_ros.scene import Scene
 
 _WHEELS = 'accepted_wheel_torque'
+_AXES = tuple(name.strip('|') for name in style.ERRORS[1:])
 
 
 def page(regression: Regression, name: str, scene: Scene, command: str) -> Page:
@@ -72,8 +73,10 @@ def _panels(regression: Regression) -> Iterator[Panel]:
     for name in sorted({*reference.torques, *loop.torques} - {INERTIA}):
         torques = (reference.torques.get(name, EMPTY), loop.torques.get(name, EMPTY))
         label, pair = name.removeprefix('accepted_').replace('_', ' '), Pair.of(*torques)
-        yield _panel(label, 'N m', torques, style.TORQUES, slice(3), start_ns, lines)
-        yield _difference(label, 'N m', pair, pair.found - pair.reference, start_ns, lines)
+        names = loop.wheels if name == COMMANDS else style.TORQUES
+        yield _panel(label, 'N m', torques, names, slice(len(names)), start_ns, lines)
+        yield _difference(label, 'N m', pair, pair.found - pair.reference, start_ns, lines,
+                          loop.wheels if name == COMMANDS else _AXES)
 
 
 def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str], columns: slice,
@@ -87,9 +90,8 @@ def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str],
 
 
 def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int,
-                lines: Mapping[str, float]) -> Panel:
+                lines: Mapping[str, float], names: Sequence[str] = _AXES) -> Panel:
     """Return a panel with the loop minus the reference, where both have a sample."""
-    names = [name.strip('|') for name in style.ERRORS[1:]]
     return Panel(f'difference: {label}', unit,
                  [Curves.thinned(pair.times_ns, errors, names, start_ns)] if len(errors) else [],
                  lines=lines)
@@ -110,8 +112,9 @@ def _topics(loop: Loop) -> recording.Topics:
     """Return the topics of the log of a loop."""
     def full(name: str) -> str | None:
         return f'{loop.node}/{name}' if name in loop.torques else None
-    others = _WHEELS, INERTIA
+    others = _WHEELS, INERTIA, COMMANDS
     torques = sorted((name for name in loop.torques if name not in others),
                      key=lambda name: (len(name), name))
     return recording.Topics(tuple(f'{loop.node}/{name}' for name in torques),
-                            full(_WHEELS), inertia=full(INERTIA))
+                            full(_WHEELS), inertia=full(INERTIA),
+                            wheel_command=full(COMMANDS))
