@@ -36,6 +36,7 @@ from rigid_body_ros.scene import fields, wheels
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 INERTIA = 'geometry_msgs/msg/InertiaStamped'
+JOINTS = 'sensor_msgs/msg/JointState'
 VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
 TORQUE = 'best effort, keep last 1000; in lockstep reliable'
 STATE, LOG = 'reliable, keep last 10', 'reliable, transient local, keep last 10 000'
@@ -62,7 +63,7 @@ SUBSCRIBED = [
     Topic('initial_state', ODOMETRY, STATE,
           'Attitude and body rates at its stamp, from which a new epoch begins. Position and '
           'linear velocity are ignored. The rotors keep the momentum that they have at that '
-          'time.'),
+          'time, and wheels with names their speeds.'),
 ]
 SUBSCRIBED_IF_ENABLED = [
     Topic('wheel_torque', WRENCH, TORQUE,
@@ -70,6 +71,11 @@ SUBSCRIBED_IF_ENABLED = [
           'from its stamp on; the body feels the opposite torque. `header.frame_id` empty or the '
           'body frame; any other is rejected. If `wheels` is false, the node does not subscribe '
           'to it.'),
+    Topic('wheel_command', JOINTS, TORQUE,
+          'If there are `wheel_names`: efforts, N m, of the wheels that `name` lists, each held '
+          'until the next one of its wheel; others keep theirs. `header.frame_id`, positions and '
+          'velocities have no meaning. A message with an unknown or repeated name, or without a '
+          'finite effort for each, is rejected as a whole.'),
     Topic('inertia', INERTIA, 'reliable, keep last 1000',
           'If `inertia_topic` is true: inertia about the centre of mass, kg m^2, body axes, of '
           'the body from its stamp on. The mass and `com` are ignored, logged once. '
@@ -116,11 +122,17 @@ OPTIONAL = [
     Topic('applied_torque', WRENCH, STATE,
           'If `actuator.topics` is not empty: N m, the sum of the torques that act, after delay, '
           'limit and lag; in the body frame.'),
+    Topic('wheel_states', JOINTS, STATE,
+          'If there are `wheel_names`: the speed of each wheel relative to the body, rad/s, and '
+          'the effort that acts on it, N m; no positions.'),
     Topic('~/accepted_torque_1', WRENCH, LOG,
           'As `~/accepted_torque`, for the second topic of `torque_topics`; `_2` for the third, '
           'and so on.'),
     Topic('~/accepted_wheel_torque', WRENCH, LOG,
           'If `wheels` is true: every accepted torque on the rotors.'),
+    Topic('~/accepted_wheel_command', JOINTS, LOG,
+          'If there are `wheel_names`: every accepted command, not clipped, with the markers of '
+          'epochs.'),
     Topic('~/accepted_inertia', INERTIA, LOG,
           'If `inertia_topic` is true: every accepted inertia, with the markers of epochs.'),
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
@@ -130,11 +142,14 @@ OPTIONAL = [
 ]
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
-    'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid.',
+    'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid; on `wheel_command`: '
+                 'a name is unknown or repeated, there is none, or an effort is missing or not '
+                 'finite.',
     'unknown frame': '`header.frame_id` is neither empty nor the body frame (`frame_prefix` and '
                      '`body_frame`) nor `space_frame`, nor a link fixed to the body or turned by '
                      'a continuous joint; or the wrench is not along the axis of that joint; on '
-                     '`wheel_torque`: neither empty nor the body frame.',
+                     '`wheel_torque`: neither empty nor the body frame; on `wheel_command`: the '
+                     'marker of an epoch.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
     'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
@@ -319,7 +334,7 @@ body. The log names the joint. [Conventions](conventions.md#force) has the formu
 
 ### Which torques add up?
 
-Each topic of `torque_topics`, and `wheel_torque`, is a source of its own. A source holds its last
+Each topic of `torque_topics`, `wheel_torque` and `wheel_command` is a source of its own. A source holds its last
 torque until the next one, and times out on its own. The torques of different sources add up, in
 the order of `torque_topics`. The order in which they arrive changes no bit of the committed
 states. Only torques of the same topic replace each other if their stamps are equal. So two
@@ -336,7 +351,24 @@ attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
 ```
 
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
-`torques_2` and so on for the others, and `wheel torques`.
+`torques_2` and so on for the others, `wheel torques` and `wheel commands`.
+
+### Wheels with names
+
+A scene with [`wheel_names`](satellite.md#wheels-with-names) has the topics `wheel_command` and
+`wheel_states`, which have the form of a `joint_state_broadcaster` and of an effort controller. A
+command is like a torque: it may come late, wait for the clock, and be replaced by one with the same
+stamp, wheel by wheel. A new epoch on `initial_state` and a jump of the clock keep the speeds of the
+wheels, as a checkpoint does; `~/reset` returns to their initial speeds. In lockstep a command gets a
+response, so a controller that only commands wheels closes a loop; of several messages with one stamp
+the first is used, so one message has to list all wheels that it commands.
+
+The status `wheel commands` on `/diagnostics` counts two things more, by wheel: `clipped to
+max_torque`, and `zero at max_speed`, a warning: commands that would have sped up a wheel which was
+too fast. These are counted when their states are committed, because a late torque may change
+whether the wheel is too fast.
+
+To replay such a run, add `--wheel-command /attitude_node/accepted_wheel_command`.
 
 ### An IMU with errors
 
@@ -430,7 +462,7 @@ each torque stamped t immediately, with the state at t + `step`. A controller th
 each state with a torque at the stamp of that state closes a loop. The loop is a single chain with
 one torque for each state.
 
-- If several topics have publishers, `wheel_torque` included, the response to a stamp waits until
+- If several topics have publishers, `wheel_torque` and `wheel_command` included, the response to a stamp waits until
   each of these topics has a torque with exactly this stamp. So the order in which the torques
   arrive does not change the response, and the loop has the same bits every time. A topic without a
   publisher is not waited for. Each publisher must therefore respond to every state; diagnostics

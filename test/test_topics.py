@@ -30,6 +30,11 @@ ROS = {'/parameter_events', '/rosout', '/clock'}
 #: s; a graph is discovered piece by piece.
 PATIENCE = 300
 
+#: A wheel with a name; the topics of such wheels, and of rotors.
+NAMED = ('-p', 'wheel_names:=[rw]', '-p', 'rw.axis.x:=1.0', '-p', 'rw.inertia:=0.001')
+OF_WHEELS = ('/wheel_command', '/wheel_states', f'/{NODE}/accepted_wheel_command')
+OF_ROTORS = ('/wheel_torque', '/rotor_momentum', f'/{NODE}/accepted_wheel_torque')
+
 
 def by_full_name(topics):
     return {f'/{topic.name}'.replace('/~', f'/{NODE}').replace('//', '/'): topic
@@ -66,13 +71,18 @@ def test_the_page_lists_every_cause_of_rejection():
 @pytest.mark.parametrize(('mode', 'arguments'), [
     ('realtime', ()), ('lockstep', ()),
     ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true',
+                  '-p', 'inertia_topic:=true', '-p', 'actuator.topics:=[torque]')),
+    ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', *NAMED,
                   '-p', 'inertia_topic:=true', '-p', 'actuator.topics:=[torque]'))])
 def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
     published, subscribed = by_full_name(nodes.PUBLISHED), by_full_name(nodes.SUBSCRIBED)
     if arguments:
         published |= by_full_name(nodes.OPTIONAL)
-        del published['/tf'], published['/clock']
         subscribed |= by_full_name(nodes.SUBSCRIBED_IF_ENABLED)
+        # A scene has rotors, or wheels with names.
+        for name in ('/tf', '/clock', *(OF_ROTORS if NAMED[1] in arguments else OF_WHEELS)):
+            published.pop(name, None)
+            subscribed.pop(name, None)
         subscribed['/disturbance'] = subscribed['/torque']
     with LiveSession(TUMBLER, domain, '-p', f'mode:={mode}', *arguments) as live:
         node = live.node
