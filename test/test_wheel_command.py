@@ -20,7 +20,7 @@ import sys
 from conftest import ROOT, SECOND
 import four_wheels
 from geometry_msgs.msg import WrenchStamped
-from live import commit, decoded, PATIENT
+from live import commit, decoded, PATIENT, run_clock
 from live_session import COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -210,6 +210,33 @@ def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, dom
         if messages.is_epoch_marker(one.frame_id)]
     assert [one.wheel_speeds.size for one in starts] == [0, 4, 0]
     np.testing.assert_allclose(starts[1].wheel_speeds, kept, rtol=1e-13, atol=1e-13)
+
+
+def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
+    start_ns, later_ns = 100 * SECOND, 500 * SECOND
+    with Wheels(SCENE, domain, *SOURCES, '-p', 'use_sim_time:=true', '-p', 'history:=2.0',
+                '-p', 'on_time_jump:=rebase', '-p', f'start_time:={start_ns}') as live:
+        run_clock(live, start_ns, until=lambda: live.received[COMMITTED])
+        live.turn(start_ns, [0.003, NAN, NAN, -0.002])
+        run_clock(live, start_ns, until=live.commands)
+        run_clock(live, start_ns, seconds=2)
+        # It comes into force after the jump, together with those from before.
+        run_clock(live, later_ns, until=lambda: len(live.received[COMMITTED]) > 2)
+        live.turn(later_ns + 1, [NAN, 0.001, NAN, NAN])
+        run_clock(live, later_ns, seconds=2)
+        live.wait_until(lambda: len(live.commands()) == 3, 'the commands of both epochs')
+        problem, result = checked(tmp_path, live)
+    assert result.epochs == 2
+    found = live.states()
+    before, after = (found[max(t for t in found if t < 200 * SECOND)],
+                     found[min(t for t in found if t >= later_ns)])
+    # 0.003 N m speed a wheel of 1e-4 kg m^2 up by 0.3 rad/s in 10 ms.
+    np.testing.assert_allclose(before[0], after[0], atol=2.0)
+    assert before[0][0] > 50.0
+    assert after[1].tolist() == [0.003, 0.0, 0.0, -0.002]
+    assert found[max(found)][1].tolist() == [0.003, 0.001, 0.0, -0.002]
+    np.testing.assert_array_equal(
+        problem.propagate(at=[max(found)]).wheel_speeds[0], found[max(found)][0])
 
 
 def test_a_wrong_command_is_rejected_whole_and_counted(domain):

@@ -156,17 +156,15 @@ class Epoch:
         """Return the stamps up to a time, ascending, whose states are not committed yet."""
         return self._propagator.stamps(self._committed_ns, until_ns)
 
-    def mark_committed(self, time_ns: int) -> int:
-        """
-        Record that the states at the stamps up to a time are committed.
+    def mark_committed(self, time_ns: int) -> None:
+        """Record that the states at the stamps up to a time are committed."""
+        self._committed_ns = time_ns
 
-        Return how many commands up to this time are now known to act as zero, because their wheels
-        are too fast.
-        """
-        self._committed_ns, begin_ns = time_ns, self._counted_ns
+    def refused(self, time_ns: int) -> int:
+        """Return how many more commands up to a committed state act as zero; see `Wheel`."""
         if not self._wheels.is_limited:
             return 0
-        self._counted_ns = time_ns
+        begin_ns, self._counted_ns = self._counted_ns, time_ns
         return self._propagator.refused_commands(begin_ns, time_ns)
 
     def clipped(self, torque: Torque) -> int:

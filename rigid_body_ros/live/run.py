@@ -255,10 +255,11 @@ class Run:
         """Compute the states up to a time, which no torque can change any more."""
         for stamp_ns in epoch.uncommitted(until_ns):
             state = self.state(stamp_ns, until)
-            if zeros := epoch.mark_committed(stamp_ns):
-                self._events.count(TOO_FAST, COMMANDS, zeros)
+            epoch.mark_committed(stamp_ns)
             if state is not None:
                 self._final.append(state)
+                if zeros := epoch.refused(stamp_ns):
+                    self._events.count(TOO_FAST, COMMANDS, zeros)
             if time.monotonic() > until:  # the next call continues from here
                 raise TimeoutError(f'the committed states are computed up to {stamp_ns} ns')
 
