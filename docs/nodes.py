@@ -334,12 +334,12 @@ body. The log names the joint. [Conventions](conventions.md#force) has the formu
 
 ### Which torques add up?
 
-Each topic of `torque_topics`, `wheel_torque` and `wheel_command` is a source of its own. A source holds its last
-torque until the next one, and times out on its own. The torques of different sources add up, in
-the order of `torque_topics`. The order in which they arrive changes no bit of the committed
-states. Only torques of the same topic replace each other if their stamps are equal. So two
-publishers on one topic overwrite each other, and diagnostics name both: give each publisher a
-topic of its own. `late` refers to the newest torque of all topics.
+Each topic of `torque_topics`, `wheel_torque` and `wheel_command` is a source of its own. A source
+holds its last torque until the next one, and times out on its own. The torques of different
+sources add up, in the order of `torque_topics`. The order in which they arrive changes no bit of
+the committed states. Only torques of the same topic replace each other if their stamps are equal.
+So two publishers on one topic overwrite each other, and diagnostics name both: give each publisher
+a topic of its own. `late` refers to the newest torque of all topics.
 
 To replay such a run, record all logs of accepted torques, and pass them in the order of
 `torque_topics`:
@@ -357,11 +357,11 @@ attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
 
 A scene with [`wheel_names`](satellite.md#wheels-with-names) has the topics `wheel_command` and
 `wheel_states`, which have the form of a `joint_state_broadcaster` and of an effort controller. A
-command is like a torque: it may come late, wait for the clock, and be replaced by one with the same
-stamp, wheel by wheel. A new epoch on `initial_state` and a jump of the clock keep the speeds of the
-wheels, as a checkpoint does; `~/reset` returns to their initial speeds. In lockstep a command gets a
-response, so a controller that only commands wheels closes a loop; of several messages with one stamp
-the first is used, so one message has to list all wheels that it commands.
+command is like a torque: it may come late, wait for the clock, and be replaced by one with the
+same stamp, wheel by wheel. A new epoch on `initial_state` and a jump of the clock keep the speeds
+of the wheels, as a checkpoint does; `~/reset` returns to their initial speeds. In lockstep a
+command gets a response, so a controller that only commands wheels closes a loop; of several
+messages with one stamp the first is used, so one message has to list all wheels that it commands.
 
 The status `wheel commands` on `/diagnostics` counts two things more, by wheel: `clipped to
 max_torque`, and `zero at max_speed`, a warning: commands that would have sped up a wheel which was
@@ -462,12 +462,12 @@ each torque stamped t immediately, with the state at t + `step`. A controller th
 each state with a torque at the stamp of that state closes a loop. The loop is a single chain with
 one torque for each state.
 
-- If several topics have publishers, `wheel_torque` and `wheel_command` included, the response to a stamp waits until
-  each of these topics has a torque with exactly this stamp. So the order in which the torques
-  arrive does not change the response, and the loop has the same bits every time. A topic without a
-  publisher is not waited for. Each publisher must therefore respond to every state; diagnostics
-  name a topic that does not. Start all publishers before the first torque, because the loop waits
-  for a publisher only from when it is connected.
+- If several topics have publishers, `wheel_torque` and `wheel_command` included, the response to a
+  stamp waits until each of these topics has a torque with exactly this stamp. So the order in
+  which the torques arrive does not change the response, and the loop has the same bits every time.
+  A topic without a publisher is not waited for. Each publisher must therefore respond to every
+  state; diagnostics name a topic that does not. Start all publishers before the first torque,
+  because the loop waits for a publisher only from when it is connected.
 - A message on `inertia` gets no response, and no response waits for it. For the same bits every
   time, publish it before the torque of its stamp, and wait until it is on `~/accepted_inertia`.
 - While no node publishes torques, the latest state is published again at 10 Hz. A controller that

@@ -15,6 +15,7 @@
 """attitude_node with wheels that have names: the topics wheel_command and wheel_states."""
 
 from dataclasses import replace
+import json
 import sys
 
 from conftest import ROOT, SECOND
@@ -25,7 +26,16 @@ from live_session import COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, Propagator, read, recording, regress, scene, State
+from rigid_body_ros import (
+    EffortLog,
+    messages,
+    Propagator,
+    read,
+    recording,
+    regress,
+    scene,
+    State,
+)
 from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
@@ -308,6 +318,33 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     np.testing.assert_array_equal(attitude.values, motion.attitude)
     drift = float(result.check.finding.rpartition(' ')[2])
     assert drift < 1e-14
+
+
+def test_compare_knows_the_wheels_and_other_commands_refuse_them(tmp_path, capsys):
+    path, run = tmp_path / 'flight.mcap', scene.load(SCENE)
+    random, stamps = np.random.default_rng(3), SECOND + STEP_NS * np.arange(300)
+    log = EffortLog(stamps, 0.003 * random.normal(size=(300, 4)))
+    motion = run.problem(replace(run.start, time_ns=SECOND)).replaced(efforts=log).propagate(
+        at=stamps)
+    with recording.Writer(path) as writer:
+        writer.add_topic('/wheel_command', COMMANDS)
+        writer.add_topic('/measured', messages.ODOMETRY)
+        for stamp_ns, efforts, *state in zip(stamps.tolist(), log.efforts, motion.attitude,
+                                             motion.angular_velocity):
+            writer.write('/wheel_command', stamp_ns, COMMANDS.encode(stamp_ns, '', efforts))
+            writer.write('/measured', stamp_ns,
+                         messages.odometry(State(stamp_ns, *state), 'world', 'base_link'))
+    arguments = [str(path), '--scene', str(SCENE)]
+    assert main.attitude_compare([*arguments, '--json', str(tmp_path / 'found.json')]) == 0
+    found = json.loads((tmp_path / 'found.json').read_text())
+    # A part of the motion begins with the momenta of the wheels, too.
+    assert found['attitude_error_rad']['max'] < 1e-15
+    assert found['horizons'][-1]['attitude_p95_rad'] < 1e-11
+    capsys.readouterr()
+    for command, options in ((main.attitude_identify, arguments),
+                             (main.attitude_tradeoff, ['--recording', *arguments])):
+        assert command(options) == 2
+        assert 'expected wheels without names, found rw_x, rw_y' in capsys.readouterr().err
 
 
 def test_a_loop_of_wheels_is_held_by_attitude_regress(tmp_path):
