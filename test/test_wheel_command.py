@@ -189,6 +189,11 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
         # Of those that late commands cannot change any more.
         assert 0 < counts['zero at max_speed'] <= zeros < 100
         assert counts['clipped to max_torque'] == 50
+        # A repeated command is the same, though NaN is not NaN.
+        live.turn(stamp_ns, efforts)
+        live.wait_until(lambda: live.diagnosis('wheel commands')[0]['received'] == 101, 'it')
+        counts, _, _ = live.diagnosis('wheel commands')
+        assert (counts['applied'], counts['rejected: duplicate, differs (same stamp)']) == (101, 0)
         _, result = checked(tmp_path, live)
     assert len(result.stamps_ns) == 100
 
@@ -272,7 +277,7 @@ def test_a_wrong_command_is_rejected_whole_and_counted(domain):
              if name.startswith('rejected') and count}
     assert found == {'malformed': 5, 'too large': 1, 'unknown frame': 1}
     assert counts['applied'] == 1
-    assert ("command on wheel_command rejected (1 so far): malformed: name: expected some of "
+    assert ('command on wheel_command rejected (1 so far): malformed: name: expected some of '
             "'rw_x', 'rw_y', 'rw_z', 'rw_skewed', found 'rw_w'") in words
 
 
