@@ -52,6 +52,9 @@ KINDS = {COMMITTED: messages.ODOMETRY, **dict.fromkeys(TORQUES, messages.WRENCH)
 SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', *RELIABLE,
            '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
            '-p', 'qos_overrides./wheel_command.subscription.reliability:=reliable')
+#: Of the torques of thrusters, beside the wheels.
+ACTUATOR = ('-p', 'actuator.topics:=[torque]', '-p', 'actuator.delay:=0.011',
+            '-p', 'actuator.time_constant:=0.03', '-p', 'actuator.limit.x:=0.002')
 LOCKSTEP = ('-p', 'mode:=lockstep')
 STEP_NS = SECOND // 50
 NAN = np.nan
@@ -121,7 +124,8 @@ def checked(tmp_path, live, torques=TORQUES[:1]):
 
 def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
     random = np.random.default_rng(38)
-    with Wheels(SCENE, domain, *SOURCES, *PATIENT, '-p', 'torque_timeout:=0.05') as live:
+    with Wheels(SCENE, domain, *SOURCES, *PATIENT, *ACTUATOR,
+                '-p', 'torque_timeout:=0.05') as live:
         disturbance = live.node.create_publisher(WrenchStamped, 'disturbance', 1000)
         live.wait_until(disturbance.get_subscription_count, 'the node to subscribe')
         start_ns, plan = live.now_ns(), []

@@ -25,7 +25,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, Actuators, time_constants
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.lags import command_of, first_of, Lagging
-from rigid_body_ros.propagation.segment import Sample, summed, WHEELS
+from rigid_body_ros.propagation.segment import COMMANDS, Sample, summed, WHEELS
 
 
 class ActingSamples:
@@ -55,7 +55,7 @@ class ActingSamples:
     def of(self, source: int) -> Actuator | None:
         """Return the actuator of a source; raise ValueError if there is no such source."""
         given = self._actuator
-        if source == WHEELS or given is None:
+        if source >= COMMANDS or given is None:
             return None
         if isinstance(given, Actuator):
             return given
