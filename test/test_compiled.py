@@ -58,8 +58,8 @@ print(*(x.hex() for x in motion.attitude.ravel().tolist()))
 LEVELS = [pytest.param(level, marks=pytest.mark.skipif(
     level not in _compiled.LEVELS, reason=f'this processor lacks {level}'))
     for level in _compiled.LANES]
-OFFLINE = ('replay', 'tradeoff', 'compare', 'identify', 'ensemble')
-NODES = ('node', 'lifecycle_node', 'controller')
+OFFLINE = ('replay', 'tradeoff', 'compare', 'identify', 'ensemble', 'regress')
+NODES = ('node', 'lifecycle_node', 'monitor', 'controller')
 
 
 def run(script, cwd='/', **environment):

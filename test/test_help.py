@@ -23,7 +23,7 @@ from conftest import ROOT
 import pytest
 from rigid_body_ros.commands import main
 
-NODES = 'node', 'lifecycle', 'controller'
+NODES = 'node', 'lifecycle', 'controller', 'monitor'
 COMMANDS = [name for name in vars(main) if name.startswith('attitude_')
             and name.split('_')[1] not in NODES]
 

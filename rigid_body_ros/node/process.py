@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import inspect
 import os
 from pathlib import Path
 import sys
@@ -43,18 +44,18 @@ def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode
 
     """
     try:
-        _initialize(sys.argv if arguments is None else [command, *arguments], command)
+        _initialize(sys.argv if arguments is None else [command, *arguments], command,
+                    inspect.getdoc(kind) or '')
         spin(executor_of(), kind())
     finally:
         rclpy.try_shutdown()
 
 
-def _initialize(command_line: Sequence[str], command: str) -> None:
+def _initialize(command_line: Sequence[str], command: str, described: str) -> None:
     try:
         others = remove_ros_args(command_line)[1:]
         argparse.ArgumentParser(
-            command,
-            description='Compute the attitude of a rigid body from torques on a topic.',
+            command, description=described.partition('\n')[0],
             epilog='Pass the scene as ROS parameters: --ros-args --params-file FILE',
         ).parse_args(others)
         # rclpy's own handlers would shut ROS down before the last states are published.
