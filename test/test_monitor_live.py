@@ -255,7 +255,8 @@ def test_a_wrong_torque_is_found_and_a_silent_sensor_is_said_to_be_silent(tmp_pa
 
 @pytest.mark.parametrize(('line', 'words'), [
     ('monitor.rate_noise:=0.0', 'monitor.rate_noise: expected the standard deviation'),
-    ('inertia_topic:=true', 'inertia_topic: expected false')])
+    ('inertia_topic:=true', 'inertia_topic: expected false'),
+    ('actuator.topics:=["torque"]', 'actuator.topics: expected none')])
 def test_a_scene_that_cannot_be_checked_is_an_error_of_one_line(tmp_path, domain, line, words):
     session = Session(tmp_path / 'scene.yaml', domain)
     result = subprocess.run([*session._command, '-p', line], env=session._environment, check=False,

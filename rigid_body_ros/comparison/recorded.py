@@ -34,7 +34,7 @@ from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.measured import Measured
-from rigid_body_ros.sensing.monitor import is_stated, monitored, settings_of
+from rigid_body_ros.sensing.monitor import is_checked, monitored, settings_of
 from rigid_body_ros.sensing.reading import read_measured
 from rigid_body_ros.sensing.recorded import Measurements, read_observed, Reading
 
@@ -88,7 +88,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         found = compare_motion(moved, sensors, align, horizons, track=track)
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error
-    if horizons and isinstance(moved, Problem) and is_stated(scene.values):
+    if horizons and isinstance(moved, Problem) and is_checked(moved, scene.values):
         found = replace(found, horizons=tuple(replace(one, judgements=tuple(monitored(
             moved, sensors, settings_of(scene.values)._replace(window=one.seconds))))
             for one in found.horizons))

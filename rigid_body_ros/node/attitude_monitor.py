@@ -45,7 +45,13 @@ from rigid_body_ros.live.events import (
 from rigid_body_ros.live.inputs import Inputs
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.attitude_node import one_line_errors
-from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockMonitor, JumpDetector
+from rigid_body_ros.node.clocks import (
+    ArrivalStamps,
+    check_stamp,
+    ClockMonitor,
+    ClockReading,
+    JumpDetector,
+)
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.drain import DrainCallback, subscription
 from rigid_body_ros.node.parameters import NodeParameters
@@ -64,6 +70,8 @@ _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
 #: s; how long to wait for a topic that is behind others by more than `history`. A reliable
 #: connection may take three seconds to send a lost message again.
 _PATIENCE = 5.0
+#: s; a reading of the clock, which takes as long as a message, counts for so long.
+_CLOCK_PERIOD = 0.005
 #: s; how far a stamp may be ahead of simulated time.
 _OVERTAKING = 60.0
 #: Number of the first measured topic as a source of diagnostics; torques have lower ones.
@@ -124,8 +132,9 @@ class AttitudeMonitor(Node):
         self._begin()
         for source in sources_of(self._scene):
             self._subscribe(source, source.kind, partial(self._on_torque, source.number))
-        #: s, monotonic clock; when the next report is due.
-        self._report_at = 0.0
+        #: s, monotonic clock; when the next report is due, and until when a reading counts.
+        self._report_at = self._read_until = 0.0
+        self._reading = ClockReading(0, 0)
         self.create_timer(_WATCH_PERIOD, self._watch,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -185,7 +194,7 @@ class AttitudeMonitor(Node):
             raise RejectedError(NOT_FINITE, 'expected a finite attitude or angular velocity, '
                                 'found neither')
         return message.stamp_ns, lambda stamp_ns: self._monitor.measure(
-            self.resolve_topic_name(self._sources[source].topic), stamp_ns, attitude, rate)
+            self._drains[source].subscription.topic_name, stamp_ns, attitude, rate)
 
     def _check_frame(self, kind: messages.MessageType, message: messages.Stamped) -> None:
         space, body = self._scene.space_frame, self._scene.body_frame
@@ -198,7 +207,10 @@ class AttitudeMonitor(Node):
 
     def _now_ns(self) -> int:
         """Return the time, ns, 0 if there is none yet; begin again if the clock has jumped."""
-        reading = self._jumps.read()
+        if self._reading.now_ns and time.monotonic() < self._read_until:
+            return self._reading.now_ns
+        reading = self._reading = self._jumps.read()
+        self._read_until = time.monotonic() + _CLOCK_PERIOD
         if reading.now_ns:
             self._arrivals.tick(reading.now_ns)
         if reading.jump_ns and self._scene.on_time_jump != IGNORE:
@@ -317,6 +329,13 @@ def _check(scene: Scene) -> None:
     if scene.inertia_topic:
         raise InputError('inertia_topic: expected false, because attitude_monitor checks one '
                          'inertia, found true')
+    if scene.named_wheels:
+        raise InputError('wheel_names: expected none, because attitude_monitor does not know the '
+                         f'speeds of wheels, found {listed(scene.values["wheel_names"])}')
+    if scene.values['actuator.topics']:
+        raise InputError('actuator.topics: expected none, because attitude_monitor takes torques '
+                         'as they act, such as those on applied_torque, found '
+                         f'{listed(scene.values["actuator.topics"])}')
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

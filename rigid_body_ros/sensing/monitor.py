@@ -57,9 +57,10 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
                     *(values[f'monitor.{name}'] for name in Settings._fields[2:]))
 
 
-def is_stated(values: Mapping[str, Any]) -> bool:
-    """Return whether the parameters of a scene state the noise of the measurements."""
-    return bool(values['monitor.attitude_noise'] and values['monitor.rate_noise'])
+def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
+    """Return whether a live check knows a body, and its scene states the noise."""
+    others = problem.named_wheels or problem.actuators or problem.changes
+    return bool(values['monitor.attitude_noise'] and values['monitor.rate_noise']) and not others
 
 
 class Monitor:
