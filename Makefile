@@ -42,25 +42,26 @@ lint: $(VENV)/done
 	$(BIN)/lint-imports --no-cache
 
 # An installation compiles the kernels; the first generates their code, which takes a minute or two.
-INSTALL = -m pip install --quiet --disable-pip-version-check --editable
+INSTALL = -m pip install --quiet --disable-pip-version-check
 KERNELS := $(wildcard rigid_body_ros/kernels/*.py rigid_body_ros/common/*.py build_kernels/*)
 
+# Python compiles what the demo imports; pip would compile all modules of all packages.
 $(VENV)/demo: setup.py package.xml pyproject.toml $(KERNELS)
 	@echo "Installing into $(VENV), and compiling the kernels (a few minutes, once)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python $(INSTALL) '.[ros]'
+	$(BIN)/python $(INSTALL) --no-compile --editable '.[ros]'
 	@touch $@
 
 $(VENV)/done: $(VENV)/demo
 	@echo "Installing what the tests need"
-	$(BIN)/python $(INSTALL) '.[ros,docs,test]'
+	$(BIN)/python $(INSTALL) --editable '.[ros,docs,test]'
 	@touch $@
 
 # It finds the compiled kernels of the other environment, which has the same Python.
 $(JAZZY)/done: $(VENV)/done
 	@echo "Installing into $(JAZZY)"
 	$(PYTHON) -m venv $(JAZZY)
-	$(JAZZY)/bin/python $(INSTALL) '.[jazzy,test]'
+	$(JAZZY)/bin/python $(INSTALL) --editable '.[jazzy,test]'
 	@touch $@
 
 arm: $(VENV)/done release ## compare every bit with an emulated 64-bit ARM machine
