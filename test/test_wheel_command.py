@@ -231,6 +231,7 @@ def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, dom
     np.testing.assert_allclose(starts[1].wheel_speeds, kept, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.nightly
 def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
     start_ns, later_ns = 100 * SECOND, 500 * SECOND
     with Wheels(SCENE, domain, *SOURCES, '-p', 'use_sim_time:=true', '-p', 'history:=2.0',
@@ -356,6 +357,7 @@ def test_compare_knows_the_wheels_and_other_commands_refuse_them(tmp_path, capsy
         assert 'expected wheels without names, found rw_x, rw_y' in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_a_loop_of_wheels_is_held_by_attitude_regress(tmp_path):
     reference, page = tmp_path / 'reference.mcap', tmp_path / 'page.html'
     arguments = [str(reference), '--scene', str(SCENE)]
