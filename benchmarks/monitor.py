@@ -72,8 +72,7 @@ def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.
     """
     random, memories = np.random.default_rng(seed), np.zeros((2, 1, 3))
     turned = Rotation.from_rotvec(mount)
-    body = RigidBody(INERTIA * (1.0 + np.asarray(inertia) * np.ones((3, 3))) if np.ndim(
-        inertia) == 0 else INERTIA * (1.0 + inertia), friction * np.eye(3) if friction else None)
+    body = RigidBody(INERTIA * (1.0 + inertia), friction * np.eye(3) if friction else None)
     state = State(0, (0.0, 0.0, 0.0, 1.0), random.normal(size=3) * 0.4)
     for begin_ns in range(0, seconds * SECOND, PIECE * SECOND):
         end_ns = begin_ns + PIECE * SECOND

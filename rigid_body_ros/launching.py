@@ -84,36 +84,23 @@ def attitude_node(context: LaunchContext, more: Mapping[str, Any] | None = None)
         is not a number, or `autostart` is given for a node without a life cycle.
 
     """
+    is_managed = context.launch_configurations['lifecycle'] == 'true'
+    return _node(context, 'attitude_lifecycle_node' if is_managed else 'attitude_node', more or {})
+
+
+def attitude_monitor(context: LaunchContext) -> Node:
+    """Return the action that starts the live check; see `attitude_node`."""
+    return _node(context, 'attitude_monitor', {})
+
+
+def _node(context: LaunchContext, executable: str, more: Mapping[str, Any]) -> Node:
     given = context.launch_configurations
-    executable = 'attitude_lifecycle_node' if given['lifecycle'] == 'true' else 'attitude_node'
-    parameters = {**(more or {}), **_parameters(given)}
+    parameters = {**more, **_parameters(given)}
     return Node(
         package=NAME, executable=executable, name=given['name'], namespace=given['namespace'],
         parameters=[str(scene(given['scene'])), *([parameters] if parameters else [])],
         remappings=[*remappings(given), *RELATIVE_TF],
         ros_arguments=['--log-level', given['log_level']],
-        respawn=given['respawn'] == 'true', respawn_delay=1.0, output='screen')
-
-
-def attitude_monitor(context: LaunchContext) -> Node:
-    """
-    Return the action that starts the live check of a scene.
-
-    Of the arguments, those that only `attitude_node` has are ignored.
-
-    Raises
-    ------
-    RuntimeError
-        The scene is neither a file nor the name of an example, or a remapping is malformed.
-
-    """
-    given = context.launch_configurations
-    flags = {'use_sim_time': given['use_sim_time'] == 'true'} if given['use_sim_time'] else {}
-    return Node(
-        package=NAME, executable='attitude_monitor', name=given['name'],
-        namespace=given['namespace'],
-        parameters=[str(scene(given['scene'])), *([flags] if flags else [])],
-        remappings=remappings(given), ros_arguments=['--log-level', given['log_level']],
         respawn=given['respawn'] == 'true', respawn_delay=1.0, output='screen')
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`AttitudeMonitor`: a node that checks, as torques and measurements come, the model."""
+"""`AttitudeMonitor`: a node that checks the model against measurements as they arrive."""
 
 from __future__ import annotations
 
@@ -25,10 +25,12 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.events import (
@@ -142,11 +144,14 @@ class AttitudeMonitor(Node):
         """Begin without any torque or measurement."""
         self._monitor = Monitor(self._scene.problem(), self._settings)
         self._last: Judgement | None = None
-        #: By number of the source: the newest stamp, ns, and when it was heard, s, monotonic.
+        #: By number of the source: the newest stamp, ns, and whether the topic has attitudes and
+        #: angular velocities.
         self._newest_ns: dict[int, int] = {}
+        self._measured: dict[int, tuple[bool, bool]] = {}
+        #: s, monotonic clock; when a message was accepted, and when the topic was last not behind
+        #: others by more than `history`.
         self._heard_at: dict[int, float] = {}
-        #: Since when a topic is behind others by more than `history`, s, monotonic clock.
-        self._behind_at: dict[int, float] = {}
+        self._abreast_at: dict[int, float] = {}
 
     def _subscribe(self, source: TorqueTopic, kind: type, on_message: Any) -> None:
         drain = DrainCallback(partial(self._on_message, source.number, on_message), lambda: None,
@@ -157,7 +162,6 @@ class AttitudeMonitor(Node):
 
     def _on_message(self, source: int, handle: Any, data: bytes, sender: Sender) -> None:
         self._diagnostics.count(RECEIVED, source)
-        self._heard_at[source] = time.monotonic()
         try:
             now_ns = self._now_ns()
             if not now_ns:
@@ -165,14 +169,16 @@ class AttitudeMonitor(Node):
             stamp_ns, put = handle(data)
             if not stamp_ns or self._scene.time_source == ARRIVAL:
                 stamp_ns = self._arrivals.stamp()
-            # A message may overtake the one on /clock that was sent before it.
-            check_stamp(stamp_ns, now_ns, _OVERTAKING if self._is_simulated
-                        else self._scene.max_future)
+            if self._is_simulated:  # a message may overtake the one on /clock sent before it
+                check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
+            else:
+                check_stamp(stamp_ns, now_ns, self._scene.max_future)
             if not put(stamp_ns):
                 raise RejectedError(LATE, f'stamped {stamp_ns} ns, in a window that was judged '
                                     f'when a message was newer than its end by history '
                                     f'({self._scene.history:g} s)')
             self._newest_ns[source] = max(self._newest_ns.get(source, 0), stamp_ns)
+            self._heard_at[source] = time.monotonic()
             self._diagnostics.count(APPLIED, source)
         except RejectedError as rejected:
             self._diagnostics.reject(rejected, source)
@@ -190,9 +196,11 @@ class AttitudeMonitor(Node):
             raise RejectedError(MALFORMED, str(error)) from error
         self._check_frame(kind, message)
         attitude, rate = sample(kind, message.values)
-        if attitude is None and rate is None:
-            raise RejectedError(NOT_FINITE, 'expected a finite attitude or angular velocity, '
-                                'found neither')
+        found = attitude is not None, rate is not None
+        # As in a recording, every message of a topic has what the first has.
+        if not any(found) or found != self._measured.setdefault(source, found):
+            raise RejectedError(NOT_FINITE, 'expected a finite attitude, angular velocity or '
+                                'both, as in the first message, found another')
         return message.stamp_ns, lambda stamp_ns: self._monitor.measure(
             self._drains[source].subscription.topic_name, stamp_ns, attitude, rate)
 
@@ -234,17 +242,18 @@ class AttitudeMonitor(Node):
         history_ns = duration_ns(self._scene.history, 'history')
         sending = []
         for number in self._drains:
-            if self._newest_ns.get(number, 0) >= newest_ns - history_ns:
-                self._behind_at.pop(number, None)
+            found_ns = self._newest_ns.get(number, 0)
+            if found_ns >= newest_ns - history_ns or number not in self._abreast_at:
+                self._abreast_at[number] = now
             # After a pause of the process, its messages may wait behind those of other topics.
-            behind_at = self._behind_at.setdefault(number, now)
-            if now < max(behind_at, self._heard_at.get(number, behind_at)) + _PATIENCE:
-                sending.append(self._newest_ns.get(number, 0))
+            if now < max(self._abreast_at[number], self._heard_at.get(number, 0.0)) + _PATIENCE:
+                sending.append(found_ns)
         return min(sending, default=newest_ns) - history_ns
 
     def _publish(self, judgement: Judgement) -> None:
         error, body = judgement.error, self._scene.body_frame
-        self._attitude.publish(messages.VECTOR3.encode(error.end_ns, body, error.attitude))
+        if not np.isnan(error.attitude[0]):
+            self._attitude.publish(messages.VECTOR3.encode(error.end_ns, body, error.attitude))
         self._rate.publish(messages.VECTOR3.encode(error.end_ns, body, error.rate))
         self._torque.publish(messages.wrench(error.end_ns, body, error.torque))
         before, self._last = self._last, judgement
@@ -300,7 +309,7 @@ class AttitudeMonitor(Node):
                 'largest component': last.axis, 'since (ns)': last.since_ns,
                 'end of the window (ns)': error.end_ns, 'outliers': error.outliers,
                 'windows skipped': self._monitor.skipped,
-                'attitude error (rad)': error.attitude.tolist(),
+                'attitude error (rad)': as_json(error.attitude),
                 'rate error (rad/s)': error.rate.tolist(),
                 'residual torque (N m)': error.torque.tolist(),
                 **{f'noise of {topic} ({unit})': f'{level.found:.3g} (stated {level.stated:g})'

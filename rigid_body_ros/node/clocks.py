@@ -39,13 +39,13 @@ _ADVICE = ('; if the messages come from a bag, play it with --clock and set use_
            'time_source:=arrival')
 
 
-def check_stamp(stamp_ns: int, now_ns: int, max_future: float) -> None:
-    """Raise RejectedError for a stamp more than `max_future`, s, ahead, or of another clock."""
+def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future') -> None:
+    """Raise RejectedError for a stamp more than a named lead, s, ahead, or of another clock."""
     ahead_ns = stamp_ns - now_ns
     advice = _ADVICE if abs(ahead_ns) > OTHER_CLOCK_NS else ''
-    if ahead_ns > duration_ns(max_future, 'max_future'):
+    if ahead_ns > duration_ns(lead, name):
         raise RejectedError(FUTURE, f'stamped {ahead_ns * 1e-9:.9g} s ahead of the clock, '
-                            f'expected at most max_future ({max_future:g} s){advice}')
+                            f'expected at most {name} ({lead:g} s){advice}')
     if advice:
         raise RejectedError(LATE, f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')
 

@@ -94,14 +94,13 @@ class NoiseLevel:
     #: Number of samples, sums of squares of their differences, and of products of successive ones.
     #: Differences about a line, because an error of the model is smooth.
     _sums: Floats = field(init=False)
+    #: Whether the topic measures this.
+    is_measured: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         change = 1.0 - _CAUTION
         self._sums = _EARLIER * self.stated ** 2 * np.array([
             1.0 / self.stated ** 2, 2.0 * change, -change ** 2])
-
-    #: Whether the topic measures this.
-    is_measured: bool = field(default=False, init=False)
 
     def add(self, errors: Floats | None) -> None:
         """Add the errors of a window, shape (n, 3); None adds none."""

@@ -129,6 +129,10 @@ class Measured:
                 raise ValueError(f'{self.topic}: attitude: expected unit quaternions, found norms '
                                  f'from {norms.min():.6g} to {norms.max():.6g}')
 
+    def between(self, begin_ns: int, end_ns: int) -> Measured:
+        """Return the samples from a time on, and before another, ns."""
+        return self.rows(slice(*np.searchsorted(self.stamps_ns, [begin_ns, end_ns]).tolist()))
+
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Measured:
         """Return a selection of the samples."""
         def of(values: Floats | None) -> Floats | None:

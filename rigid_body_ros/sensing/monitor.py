@@ -17,11 +17,11 @@
 from __future__ import annotations
 
 from bisect import bisect_left, insort
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics.state import State
@@ -58,9 +58,11 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
 
 
 def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
-    """Return whether a live check knows a body, and its scene states the noise."""
+    """Return whether a live check would accept a problem, and its scene states the noise."""
     others = problem.named_wheels or problem.actuators or problem.changes
-    return bool(values['monitor.attitude_noise'] and values['monitor.rate_noise']) and not others
+    is_held = all(log.interpolation == 'hold' for log in problem.sources)
+    is_stated = values['monitor.attitude_noise'] and values['monitor.rate_noise']
+    return bool(is_stated and is_held and not others)
 
 
 class Monitor:
@@ -91,8 +93,8 @@ class Monitor:
         self._problem, self._settings = problem, settings
         self._window_ns = duration_ns(settings.window, 'window')
         self._history_ns = duration_ns(settings.history, 'history')
-        self._torques: dict[int, _Rows] = {}
-        self._sensors: dict[str, _Rows] = {}
+        self._torques = defaultdict[int, _Rows](_Rows)
+        self._sensors = defaultdict[str, _Rows](_Rows)
         self.noises: dict[str, tuple[NoiseLevel, NoiseLevel]] = {}
         self._alarms = Alarms(settings.window, settings.false_alarms)
         #: The next window begins here, and the momentum of the rotors then.
@@ -105,7 +107,7 @@ class Monitor:
 
         Return False if its window has been judged.
         """
-        return self._put(self._torques.setdefault(source, _Rows()), time_ns, torque, frame)
+        return self._put(self._torques[source], time_ns, torque, frame)
 
     def measure(self, topic: str, time_ns: int, attitude: Floats | None,
                 angular_velocity: Floats | None) -> bool:
@@ -114,7 +116,7 @@ class Monitor:
 
         Return False if its window has been judged.
         """
-        return self._put(self._sensors.setdefault(topic, _Rows()), time_ns, np.concatenate([
+        return self._put(self._sensors[topic], time_ns, np.concatenate([
             _NO_ATTITUDE if attitude is None else attitude,
             _NO_RATE if angular_velocity is None else angular_velocity]), '')
 
@@ -201,22 +203,18 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
     last_ns = max(int(sensor.stamps_ns[-1]) for sensor in sensors)
     for end_ns in range(first_ns + _PIECE_NS, last_ns + _PIECE_NS + 1, _PIECE_NS):
         for source, log in logs.items():
-            rows = _between(log.times_ns, begin_ns, end_ns)
+            rows = slice(*np.searchsorted(log.times_ns, [begin_ns, end_ns]).tolist())
             for time_ns, torque, in_space in zip(log.times_ns[rows].tolist(), log.torques[rows],
                                                  log.in_space[rows]):
                 monitor.apply(time_ns, torque, 'space' if in_space else 'body', source)
         for sensor in sensors:
-            part = sensor.rows(_between(sensor.stamps_ns, begin_ns, end_ns))
+            part = sensor.between(begin_ns, end_ns)
             for row, time_ns in enumerate(part.stamps_ns.tolist()):
                 monitor.measure(sensor.topic, time_ns, *(
                     None if values is None else values[row]
                     for values in (part.attitude, part.angular_velocity)))
         begin_ns = end_ns
         yield from monitor.judgements(end_ns)
-
-
-def _between(times_ns: NDArray[np.int64], begin_ns: int, end_ns: int) -> slice:
-    return slice(*np.searchsorted(times_ns, [begin_ns, end_ns]).tolist())
 
 
 class _Rows:

@@ -147,40 +147,36 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
 
     """
     turn_ns = end_ns - (end_ns - begin_ns) // _PART
-    inside = [_between(sensor, begin_ns, end_ns) for sensor in sensors]
-    first = [_between(sensor, begin_ns, begin_ns + end_ns - turn_ns) for sensor in inside]
-    last = [_between(sensor, turn_ns, end_ns) for sensor in inside]
-    is_turned = all(_count(part, 'attitude') >= FEWEST for part in (first, last))
+    inside = [sensor.between(begin_ns, end_ns) for sensor in sensors]
+    first = [sensor.between(begin_ns, begin_ns + end_ns - turn_ns) for sensor in inside]
+    last = [sensor.between(turn_ns, end_ns) for sensor in inside]
+    has_attitude = all(_count(part, 'attitude') >= FEWEST for part in (first, last))
     has_rates = all(_count(part, 'angular_velocity') >= FEWEST for part in (first, last))
-    if not is_turned and (not has_rates or _needs_attitude(problem)):
+    if not has_attitude and (not has_rates or _needs_attitude(problem)):
         return None
-    guess = State(begin_ns, *_guess(first, begin_ns, is_turned), _momentum(problem, begin_ns))
-    start, estimate, _ = _Samples(first, noises, is_turned).estimated(problem, guess, begin_ns)
+    guess = State(begin_ns, *_guess(first, begin_ns, has_attitude), _momentum(problem, begin_ns))
+    start, estimate, _ = _Samples(first, noises, has_attitude).estimated(problem, guess, begin_ns)
     times_ns = np.unique(np.concatenate(
         [[turn_ns, end_ns], *(sensor.stamps_ns for sensor in inside)]))
     model = problem.between(start, end_ns)
-    motions = _motions(model, times_ns, is_turned)
+    motions = _motions(model, times_ns, has_attitude)
     row = int(np.searchsorted(times_ns, turn_ns))
     later = State(turn_ns, motions.attitude[row], motions.rates[row], _momentum(problem, turn_ns))
-    _, found, ahead = _Samples(last, noises, is_turned).estimated(problem, later, end_ns)
+    _, found, ahead = _Samples(last, noises, has_attitude).estimated(problem, later, end_ns)
     to_end, sent = ahead.derivatives[-1], motions.derivatives[-1]
     change = motions.change_to(ahead.attitude[-1], ahead.rates[-1])[-1] + to_end @ found.change
     covariance = to_end @ found.covariance @ to_end.T + sent @ estimate.covariance @ sent.T
     by_torque = _by_torque(model, motions, times_ns, estimate, found)
-    torque, torque_covariance = _explained(change, covariance, to_end @ by_torque, is_turned)
+    torque, torque_covariance = _explained(change, covariance, to_end @ by_torque, has_attitude)
     residuals = tuple(_residuals(sensor, motions, np.searchsorted(times_ns, sensor.stamps_ns))
                       for sensor in inside)
-    attitude = change[:3] if is_turned else np.full(3, np.nan)
+    attitude = change[:3] if has_attitude else np.full(3, np.nan)
     return WindowError(begin_ns, end_ns, attitude, change[3:], covariance, torque,
                        torque_covariance, estimate.outliers + found.outliers, residuals)
 
 
 def _momentum(problem: Problem, time_ns: int) -> Floats:
     return problem.rotor_momentum(np.array([time_ns]))[0]
-
-
-def _between(sensor: Measured, begin_ns: int, end_ns: int) -> Measured:
-    return sensor.rows(slice(*np.searchsorted(sensor.stamps_ns, [begin_ns, end_ns]).tolist()))
 
 
 def _count(sensors: Sequence[Measured], name: str) -> int:
@@ -193,11 +189,12 @@ def _needs_attitude(problem: Problem) -> bool:
     return bool(problem.fields) or any(log.in_space.any() for log in problem.logs)
 
 
-def _guess(sensors: Sequence[Measured], begin_ns: int, is_turned: bool) -> tuple[Floats, Floats]:
+def _guess(sensors: Sequence[Measured], begin_ns: int,
+           has_attitude: bool) -> tuple[Floats, Floats]:
     """Return about the attitude and the angular velocity at the begin of samples."""
     name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
     rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
-    if not is_turned:
+    if not has_attitude:
         return np.array([0.0, 0.0, 0.0, 1.0]), rates
     turned = _longest(sensors, 'attitude')
     assert turned.attitude is not None
@@ -216,9 +213,9 @@ def _corrected(start: State, change: Floats) -> State:
                  start.rotor_momentum)
 
 
-def _motions(problem: Problem, times_ns: NDArray[np.int64], is_turned: bool) -> _Motions:
+def _motions(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _Motions:
     """Return a motion, and its derivatives by the attitude, if it is estimated, and the rates."""
-    changes = _CHANGE * np.eye(6)[0 if is_turned else 3:]
+    changes = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
     starts = [problem.start, *(_corrected(problem.start, change) for change in changes)]
     found = [problem.replaced(start=start).propagate(at=times_ns) for start in starts]
     base, *others = found
@@ -243,8 +240,8 @@ class _Samples(NamedTuple):
 
     sensors: Sequence[Measured]
     noises: Sequence[SensorNoise]
-    #: Whether the attitude is estimated, too.
-    is_turned: bool
+    #: Whether the attitude is estimated, not the rates alone.
+    has_attitude: bool
 
     def estimated(self, problem: Problem, start: State,
                   until_ns: int) -> tuple[State, _Estimate, _Motions]:
@@ -252,7 +249,8 @@ class _Samples(NamedTuple):
         times_ns = np.unique(np.concatenate(
             [*(sensor.stamps_ns for sensor in self.sensors), [until_ns]]))
         for _ in range(_CORRECTIONS):
-            motions = _motions(problem.between(start, int(times_ns[-1])), times_ns, self.is_turned)
+            model = problem.between(start, int(times_ns[-1]))
+            motions = _motions(model, times_ns, self.has_attitude)
             estimate = self._solved(times_ns, motions)
             start, change = _corrected(start, estimate.change), estimate.change
             if change @ np.linalg.solve(estimate.covariance, change) < _NEGLIGIBLE:
@@ -266,9 +264,11 @@ class _Samples(NamedTuple):
         for sensor, noise in zip(self.sensors, self.noises):
             rows = np.searchsorted(times_ns, sensor.stamps_ns)
             found = _residuals(sensor, motions, rows)
+            if not self.has_attitude:
+                found = None, found[1]
             for errors, part, sigma, factor in zip(
                     found, (slice(0, 3), slice(3, 6)), noise[:2], noise[2:]):
-                if errors is None or not len(errors) or (part.start == 0 and not self.is_turned):
+                if errors is None or not len(errors):
                     continue
                 kept = _usual(errors, sigma)
                 outliers += int(np.sum(~kept))
@@ -304,10 +304,10 @@ def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
     return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 
 
-def _explained(change: Floats, covariance: Floats, by_torque: Floats, is_turned: bool
+def _explained(change: Floats, covariance: Floats, by_torque: Floats, has_attitude: bool
                ) -> tuple[Floats, Floats]:
     """Return the torque that explains a change of the end best, and its covariance."""
-    first = 0 if is_turned else 3
+    first = 0 if has_attitude else 3
     weight = np.linalg.solve(covariance[first:, first:], by_torque[first:])
     spread = np.linalg.inv(by_torque[first:].T @ weight)
     return spread @ (weight.T @ change[first:]), spread
