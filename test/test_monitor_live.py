@@ -258,6 +258,8 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
 @pytest.mark.parametrize(('line', 'words'), [
     ('monitor.rate_noise:=0.0', 'monitor.rate_noise: expected the standard deviation'),
     ('inertia_topic:=true', 'inertia_topic: expected false'),
+    ('monitor.measured:=["a b"]', 'monitor.measured: expected names of topics'),
+    ('monitor.measured:=["/imu", "/imu"]', 'monitor.measured: expected each topic once'),
     ('actuator.topics:=["torque"]', 'actuator.topics: expected none')])
 def test_a_scene_that_cannot_be_checked_is_an_error_of_one_line(tmp_path, domain, line, words):
     session = Session(tmp_path / 'scene.yaml', domain)

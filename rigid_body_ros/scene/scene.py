@@ -245,7 +245,10 @@ class Scene:
         if self.checkpoint and self.values['orbit.mean_motion'] and not self.start.time_ns:
             raise InputError('start_time: expected the time of orbit.position, ns, because a '
                              'checkpoint does not keep it, found 0')
-        _check_topics(self.torque_topics)
+        if not self.torque_topics:
+            raise InputError('torque_topics: expected at least one topic, found an empty list')
+        for name in ('torque_topics', 'monitor.measured'):
+            _check_topics(name, self.values[name])
         actuators_of(self.values)
         euler.check_sequence(self.euler_sequence)
         for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):
@@ -370,15 +373,13 @@ def _check_text(name: str, text: str) -> None:
                          f'{quoted(text)}')
 
 
-def _check_topics(names: Sequence[Any]) -> None:
-    if not names:
-        raise InputError('torque_topics: expected at least one topic, found an empty list')
+def _check_topics(key: str, names: Sequence[Any]) -> None:
     for number, name in enumerate(names):
         if not isinstance(name, str) or not _TOPIC.fullmatch(name):
-            raise InputError('torque_topics: expected names of topics (letters, digits, _ and /), '
+            raise InputError(f'{key}: expected names of topics (letters, digits, _ and /), '
                              f'found {quoted(name)}')
         if name in names[:number]:
-            raise InputError(f'torque_topics: expected each topic once, found {name!r} twice')
+            raise InputError(f'{key}: expected each topic once, found {name!r} twice')
 
 
 def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
