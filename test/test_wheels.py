@@ -411,6 +411,19 @@ def test_the_check_of_a_motion_knows_its_wheels(log):
     assert np.array_equal(other.angular_velocity, motion.angular_velocity)
 
 
+@pytest.mark.parametrize('timeout', [0.0, 0.03])
+@pytest.mark.parametrize('keep', ['rate', 'momentum'])
+def test_rotors_that_do_what_the_wheels_do_move_a_changing_body_alike(monkeypatch, keep, timeout):
+    monkeypatch.setattr(integration, '_SPAN', 7)  # many timelines
+    changes = BodyLog([-SECOND, SECOND, 2 * SECOND], [SMALLER, BODY, DAMPED], keep)
+    problem = Problem(DAMPED, START, wheels=LIMITED, changes=changes, torque_timeout=timeout,
+                      efforts=commands(np.random.default_rng(13), 100))
+    at = np.arange(0, 4 * SECOND, 12_345_678)
+    motion, other = problem.propagate(at=at), problem.carried().propagate(at=at)
+    assert np.array_equal(other.attitude, motion.attitude)
+    assert np.array_equal(other.angular_velocity, motion.angular_velocity)
+
+
 def test_an_ensemble_of_a_scene_with_wheels_has_their_motions(tmp_path):
     lines = [f'    {name}: {value}' for name, value in SCENE.items()]
     (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters:\n' + '\n'.join(lines))

@@ -36,7 +36,7 @@ from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import rest_ns_of, without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
-from rigid_body_ros.propagation.wheels import check_named
+from rigid_body_ros.propagation.wheels import check_named, joined_log
 
 
 class Problem:
@@ -293,21 +293,22 @@ class Problem:
 
     def carried(self) -> Problem:
         """
-        Return the problem of a body whose rotors do what the wheels with names do.
+        Return the problem of bodies whose rotors do what the wheels with names do.
 
-        It is the same motion of a body without the axial inertia of the wheels, up to the first
-        change of the body; the problem itself if there are no such wheels.
+        It is the same motion of bodies without the axial inertia of the wheels; the problem itself
+        if there are no such wheels.
         """
         if not self.named_wheels:
             return self
+        carrier, changes = self.named_wheels.carrier, self.changes
+        start, _ = self.named_wheels.begun(self.start)
         end_ns = self.efforts.times_ns.max(initial=self.start.time_ns) if self.efforts else \
             self.start.time_ns
-        motion = self.with_first_body().propagate(at=[end_ns])
-        wheels = motion._parts[0].wheels
-        start, _ = self.named_wheels.begun(self.start)
-        return self.replaced(body=self.named_wheels.carrier(self.body),
-                             start=without_origin(start),
-                             wheels=(wheels and wheels.log) or TorqueLog([], []))
+        timelines = [part.wheels for part in self.propagate(at=[end_ns])._parts if part.wheels]
+        return self.replaced(
+            body=carrier(self.body), start=without_origin(start), wheels=joined_log(timelines),
+            changes=changes and BodyLog(changes.times_ns, [*map(carrier, changes.bodies)],
+                                        changes.keep))
 
     def torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """

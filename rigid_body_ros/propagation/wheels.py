@@ -28,6 +28,8 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.mechanics.wheels import Axial, EffortLog, filled, Wheels
 from rigid_body_ros.propagation.timeline import momentum_at, Timeline
 
+_NO_TIMES = np.empty(0, np.int64)
+
 
 class WheelTimeline:
     """
@@ -59,7 +61,7 @@ class WheelTimeline:
                  start_ns: int) -> None:
         self.wheels, self._axial, self._timeout_ns = wheels, axial, timeout_ns
         later = slice(log.times_ns.searchsorted(start_ns, 'right') if log else 0, None)
-        self.times_ns = log.times_ns[later] if log else np.empty(0, np.int64)
+        self.times_ns = log.times_ns[later] if log else _NO_TIMES
         commands = log.efforts[later] if log else np.empty((0, len(wheels)))
         self._given = ~np.isnan(commands)
         self._commanded = filled(wheels.clipped(commands), axial.commanded)
@@ -144,6 +146,14 @@ class WheelTimeline:
             since_ns = max(since_ns, stamp_ns + self._timeout_ns)
         momenta = self.momenta(np.array([since_ns]))[0]
         return Axial(since_ns, stamp_ns, momenta, commanded, acting, refused, is_silent)
+
+
+def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
+    """Return the torque of the motors on the wheels through timelines that follow each other."""
+    logs = [log for each in timelines if (log := each.log)]
+    # At equal stamps TorqueLog uses the later timeline, which knows whether the command acts.
+    return TorqueLog(np.concatenate([_NO_TIMES, *(log.times_ns for log in logs)]),
+                     np.concatenate([np.empty((0, 3)), *(log.torques for log in logs)]))
 
 
 def check_named(wheels: Wheels | None, efforts: EffortLog | None,
