@@ -274,6 +274,13 @@ def test_a_part_of_a_motion_begins_with_what_the_actuator_has_reached():
                                rtol=1e-13)
 
 
+def test_the_actuator_of_every_log_is_that_of_other_logs_too():
+    logs = commands(np.random.default_rng(13))
+    problem = Problem(BODY, START, logs[0], actuator=Actuator(0.03, 0.1))
+    assert same(problem.replaced(log=logs).propagate(at=[SECOND]),
+                propagate(BODY, START, logs, at=[SECOND], actuator=Actuator(0.03, 0.1)))
+
+
 def test_a_torque_of_the_actuators_is_what_the_residual_is_measured_against():
     rng = np.random.default_rng(10)
     log = TorqueLog(np.arange(60) * 50_000_000, rng.normal(size=(60, 3)), rng.random(60) < 0.5)

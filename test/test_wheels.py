@@ -290,6 +290,7 @@ def test_a_state_of_public_numbers_restarts_to_rounding():
     # Without named wheels, the rotors keep their momentum relative to the body.
     held = propagate(BODY, middle, at=[2 * SECOND])
     assert np.array_equal(held.rotor_momentum[0], middle.rotor_momentum)
+    assert np.array_equal(Propagator(BODY, middle).at(2 * SECOND).attitude, held.attitude[0])
 
 
 def test_wheels_of_a_heavy_body_turn_it_as_ideal_motors_do():

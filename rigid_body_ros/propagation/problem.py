@@ -36,7 +36,7 @@ from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import rest_ns_of, without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
-from rigid_body_ros.propagation.wheels import check_named, joined_log
+from rigid_body_ros.propagation.wheels import check_named, joined_log, without_wheels
 
 
 class Problem:
@@ -159,9 +159,8 @@ class Problem:
                                  'axes')
         elif wheels:
             self.named_wheels = Wheels(wheels)
-        if start._axial is not None and not self.named_wheels:  # its rotors are those of a carrier
-            self.start = State(start.time_ns, start.attitude, start.angular_velocity,
-                               start.rotor_momentum)
+        if not self.named_wheels:
+            self.start = without_wheels(start)
         if self.named_wheels or self.efforts:
             check_named(self.named_wheels, self.efforts, self.fields)
         bodies = (body, *self.changes.bodies) if self.changes else (body,)
@@ -173,7 +172,9 @@ class Problem:
 
     def _set_actuators(self, given: Sequence[TorqueLog]) -> None:
         found = actuators_of(self._actuator, len(given))
-        self._actuator = kept = tuple([each for each, log in zip(found, given) if len(log)])
+        kept = tuple([each for each, log in zip(found, given) if len(log)])
+        if not isinstance(self._actuator, Actuator):
+            self._actuator = kept
         if any(kept):
             self.actuators = kept
             self.acting_logs = tuple([each.acting(log) if each else log

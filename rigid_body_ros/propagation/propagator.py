@@ -38,7 +38,7 @@ from rigid_body_ros.propagation.history import History
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import with_rest
 from rigid_body_ros.propagation.segment import COMMANDS, NewBody, Sample, WHEELS
-from rigid_body_ros.propagation.wheels import check_named, momenta_at
+from rigid_body_ros.propagation.wheels import check_named, momenta_at, without_wheels
 
 
 class Propagator:
@@ -83,6 +83,8 @@ class Propagator:
         self._start_ns = start.time_ns
         if self._wheels:
             check_named(self._wheels, None, fields)
+        else:
+            start = without_wheels(start)
         self._acting = ActingSamples(actuator, self._options.timeout_ns, start.time_ns)
         self._history = History(body, start, self._options, self._acting, self._wheels,
                                 packed(beginning_at(fields, start.time_ns)), self.history_ns)

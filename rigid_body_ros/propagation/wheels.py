@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.mechanics.fields import Field, GravityGradient
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.mechanics.wheels import Axial, EffortLog, filled, Wheels
 from rigid_body_ros.propagation.timeline import momentum_at, Timeline
@@ -154,6 +155,13 @@ def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
     # At equal stamps TorqueLog uses the later timeline, which knows whether the command acts.
     return TorqueLog(np.concatenate([_NO_TIMES, *(log.times_ns for log in logs)]),
                      np.concatenate([np.empty((0, 3)), *(log.torques for log in logs)]))
+
+
+def without_wheels(start: State) -> State:
+    """Return a start of rotors without names, which have the momentum of all of its wheels."""
+    if start._axial is None:
+        return start
+    return State(start.time_ns, start.attitude, start.angular_velocity, start.rotor_momentum)
 
 
 def check_named(wheels: Wheels | None, efforts: EffortLog | None,
