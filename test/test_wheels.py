@@ -41,9 +41,12 @@ from rigid_body_ros import (
 )
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.ensemble.dispersions import Dispersion
+from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.propagation import Integration, integration
+from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
 from terms import bound
@@ -437,6 +440,15 @@ def test_an_ensemble_of_a_scene_with_wheels_has_their_motions(tmp_path):
         {**SCENE, 'initial_angular_velocity.x': row['initial_angular_velocity.x']}).problem()
     found = [row[f'attitude.{name}'] for name in 'xyzw']
     assert found == problem.propagate(at=[2 * SECOND]).attitude[0].tolist()
+
+
+def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
+    start = replace(START, wheel_speeds=(50.0, -20.0, 0.0, 70.0))
+    problem = Problem(BODY, start, wheels=PYRAMID)
+    runs = Ensemble(problem, SECOND, (Dispersion('inertia.ixx', 'normal', (0.0,)),), 1).rows(0, 1)
+    assert [runs[f'attitude.{axis}'][0] for axis in 'xyzw'] == problem.propagate(
+        at=[SECOND]).attitude[0].tolist()
+    assert last_digit_effect(problem, [SECOND]) < 1e-13
 
 
 def test_many_motions_refuse_wheels_with_names():

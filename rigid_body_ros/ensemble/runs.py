@@ -390,8 +390,9 @@ class Ensemble:
         """Return the motion of a run, shape (m, 7), and its problem, with the loop's log last."""
         logs, wheels = self.torques.recorded(applied, row)
         actuators = self.problem.actuators  # and none of a bias
+        start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
         problem = self.problem.replaced(
-            body=applied.bodies[row], start=applied.starts[row], log=logs, wheels=wheels,
+            body=applied.bodies[row], start=start, log=logs, wheels=wheels,
             actuator=[*actuators, None][:len(logs)] if actuators else None,
             fields=applied.fields.of_each[row])
         if self.controller:

@@ -104,7 +104,8 @@ def _changed_start(start: State, random: np.random.Generator) -> State:
     attitude, rates = (_changed(start.attitude, random), _changed(start.angular_velocity, random))
     rotors = start.rotor_momentum
     return State(start.time_ns, attitude, rates,
-                 _changed(rotors, random) if rotors.any() else rotors)
+                 _changed(rotors, random) if rotors.any() else rotors,
+                 _changed(start.wheel_speeds, random))
 
 
 def _changed_tensor(tensor: Floats, random: np.random.Generator) -> Floats:
