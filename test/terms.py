@@ -82,9 +82,7 @@ class Reference:
     @cached_property
     def bound(self):
         """Return the bound on the errors at each time, rad or relative, shape (m,)."""
-        fine = np.union1d(self.times_ns, np.linspace(
-            self.times_ns[0], self.times_ns[-1], 20_001).astype(np.int64))
-        return bound(self.propagate(fine))[np.searchsorted(fine, self.times_ns)]
+        return bound_at(self.times_ns, self.propagate, self.start.time_ns)
 
 
 def bound(motion):
@@ -92,6 +90,36 @@ def bound(motion):
     speed = np.linalg.norm(motion.angular_velocity, axis=1)
     turned = 0.5 * (speed[1:] + speed[:-1]) * np.diff(motion.times_ns) / 1e9
     return 1e-15 * (10.0 + np.append(0.0, np.cumsum(turned)))
+
+
+def bound_at(times_ns, run, start_ns, count=20_001):
+    """Return `bound` at ascending times for the motion that `run` returns at times."""
+    fine = np.union1d(times_ns, np.linspace(start_ns, times_ns[-1], count).astype(np.int64))
+    return bound(run(fine))[np.searchsorted(fine, times_ns)]
+
+
+def reference(name):
+    """Return body, start and all values of a motion of wheels, actuators or changing bodies."""
+    values = json.loads((_HERE / 'truth_loop' / f'{name}.json').read_text())
+    return (RigidBody(_tensor(values['inertia_ixx_iyy_izz_ixy_ixz_iyz'])),
+            State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity'],
+                  values.get('rotor_momentum', (0, 0, 0))), values)
+
+
+def assert_agrees(problem, values):
+    """Assert that a motion is that of a `reference`, to rounding as the motion magnifies it."""
+    rows = values['truth']
+    times_ns = np.array([row['t_ns'] for row in rows])
+    limits = values['magnification'] * bound_at(
+        times_ns, lambda at: problem.propagate(at=at), problem.start.time_ns)
+    motion = problem.propagate(at=times_ns)
+    for k, (row, limit) in enumerate(zip(rows, limits)):
+        assert truth.chord(truth.exact(row['q']), motion.attitude[k]) <= limit
+        assert np.max(abs(truth.exact(row['w']) - motion.angular_velocity[k])) <= limit
+        if problem.named_wheels:
+            speeds = motion.wheel_speeds[k]
+            assert np.max(abs(truth.exact(row['wheel_speeds']) - speeds)) <= limit * max(
+                1.0, np.max(abs(speeds)))
 
 
 def arrivals(logs, wheels):

@@ -14,8 +14,6 @@
 
 """Actuators: what becomes of commands, to rounding, and the same bits in any order of arrival."""
 
-import json
-from pathlib import Path
 import re
 
 import mpmath
@@ -41,10 +39,8 @@ from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import load
 from rigid_body_ros.tradeoff.problem import Case
-from terms import bound
-import truth
+import terms
 
-TRUTH = Path(__file__).resolve().parent / 'truth_loop'
 SECOND = 10 ** 9
 BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
 START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2))
@@ -60,21 +56,10 @@ def of_source(given):
 
 @pytest.mark.parametrize('solver', ['auto', 'taylor'])
 @pytest.mark.parametrize('name', ['actuator_lag', 'actuator_delay_limit'])
-def test_motions_agree_with_fifty_digits(name, solver):
-    values = json.loads((TRUTH / f'{name}.json').read_text())
+def test_motions_agree_with_fifty_digits(name, solver, fifty_digits):
+    body, start, values = terms.reference(name)
     logs, actuators = zip(*map(of_source, values['sources']))
-    body = RigidBody.from_moments(*values['inertia_ixx_iyy_izz_ixy_ixz_iyz'])
-    start = State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity'])
-    times_ns = np.array([row['t_ns'] for row in values['truth']])
-    fine = np.union1d(times_ns, np.linspace(0, times_ns[-1], 20_001).astype(np.int64))
-    options = {'actuator': actuators, 'solver': solver}
-    limits = bound(propagate(body, start, logs, at=fine, **options))[
-        np.searchsorted(fine, times_ns)] * values['magnification']
-    motion = propagate(body, start, logs, at=times_ns, **options)
-    for row, attitude, rates, limit in zip(values['truth'], motion.attitude,
-                                           motion.angular_velocity, limits):
-        assert truth.chord(truth.exact(row['q']), attitude) <= limit
-        assert np.max(abs(truth.exact(row['w']) - rates)) <= limit
+    terms.assert_agrees(Problem(body, start, logs, actuator=actuators, solver=solver), values)
 
 
 ACTUATORS = {

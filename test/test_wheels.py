@@ -15,8 +15,6 @@
 """Wheels with names: exact to rounding, and the same bits in any order of arrival."""
 
 from dataclasses import replace
-import json
-from pathlib import Path
 import re
 
 import numpy as np
@@ -49,10 +47,8 @@ from rigid_body_ros.propagation import Integration, integration
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
-from terms import bound
-import truth
+import terms
 
-TRUTH = Path(__file__).resolve().parent / 'truth_loop'
 SECOND = 10 ** 9
 BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
 SMALLER = RigidBody.from_moments(1.5, 2.2, 2.6, 0.05, -0.1)
@@ -86,26 +82,12 @@ def arrivals(log, wheels=PYRAMID):
 
 
 @pytest.mark.parametrize('name', ['wheels_spin_up'])
-def test_motions_agree_with_fifty_digits(name):
-    values = json.loads((TRUTH / f'{name}.json').read_text())
+def test_motions_agree_with_fifty_digits(name, fifty_digits):
+    body, start, values = terms.reference(name)
     rows = values['efforts_t_ns_each']
-    problem = Problem(
-        RigidBody.from_moments(*values['inertia_ixx_iyy_izz_ixy_ixz_iyz']),
-        State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity']),
-        wheels=[Wheel(**wheel) for wheel in values['wheels']],
-        efforts=EffortLog([row[0] for row in rows], [row[1:] for row in rows]))
-    times_ns = np.array([row['t_ns'] for row in values['truth']])
-    fine = np.union1d(times_ns, np.linspace(0, times_ns[-1], 20_001).astype(np.int64))
-    limits = bound(problem.propagate(at=fine))[
-        np.searchsorted(fine, times_ns)] * values['magnification']
-    motion = problem.propagate(at=times_ns)
-    for row, attitude, rates, speeds, limit in zip(
-            values['truth'], motion.attitude, motion.angular_velocity, motion.wheel_speeds,
-            limits):
-        assert truth.chord(truth.exact(row['q']), attitude) <= limit
-        assert np.max(abs(truth.exact(row['w']) - rates)) <= limit
-        assert np.max(abs(truth.exact(row['wheel_speeds']) - speeds)) <= limit * max(
-            1.0, np.max(abs(speeds)))
+    terms.assert_agrees(Problem(
+        body, start, wheels=[Wheel(**wheel) for wheel in values['wheels']],
+        efforts=EffortLog([row[0] for row in rows], [row[1:] for row in rows])), values)
 
 
 @pytest.mark.parametrize('wheels', [PYRAMID, LIMITED])
