@@ -182,10 +182,10 @@ class Propagator:
         Raises
         ------
         ValueError
-            The torque is not finite, the frame is unknown, the source is negative, the time does
-            not fit int64 or lies 292 years or more from the start, the solver is 'exact' and the
-            torque is not zero, or earlier torques accelerate the body beyond 1e9 rad/s. The torque
-            is not applied.
+            The torque is not finite, the frame is unknown, the source is negative or has
+            no place among the actuators, the time does not fit int64 or lies 292 years or more
+            from the start, the solver is 'exact' and the torque is not zero, or earlier torques
+            accelerate the body beyond 1e9 rad/s. The torque is not applied.
         TypeError
             The time is not an integer.
 

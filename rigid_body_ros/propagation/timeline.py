@@ -71,7 +71,7 @@ class Timeline:
     times_ns : array of int64, shape (n,)
         When each row comes into force.
     has_rotors, has_terms : bool
-        Whether there are rotors; and whether there are rotors, damping, fields or lags.
+        Whether there are rotors; and whether there are rotors, damping or fields.
 
     """
 
