@@ -362,6 +362,17 @@ def test_a_restart_keeps_the_speeds_of_wheels():
     assert found['horizons'][0]['attitude_p95_rad'] < 1e-8
 
 
+def test_what_an_inertia_lacks_is_named_beside_wheels_with_names():
+    motion, wheels = truth(), [Wheel('x', (1, 0, 0), inertia=0.2 * INERTIA[0, 0])]
+    exact = propagate(motion.body, motion.start, motion.log, at=motion.stamps_ns, wheels=wheels)
+    measured = Measured('/mocap', motion.stamps_ns, exact.attitude, exact.angular_velocity)
+    wrong = RigidBody(INERTIA + np.diag([2e-3, 0.0, 0.0]))
+    cause, = compare(wrong, motion.start, motion.log, measured=measured, wheels=wheels).causes
+    assert cause.name == 'inertia'
+    lacking = cause.text.split('iyz = (')[1].split(')')[0].split(', ')
+    np.testing.assert_allclose([*map(float, lacking)], [-2e-3, *[0.0] * 5], atol=2e-5)
+
+
 @pytest.mark.parametrize(('change', 'message'), [
     ({'align': ['colour']}, "align: expected some of start, clock, mount, or .*, found 'colour'"),
     ({'horizons': [0.0]}, 'horizons: expected positive seconds, found 0.0'),
