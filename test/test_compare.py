@@ -22,13 +22,17 @@ from measurements import free, INERTIA, truth
 import numpy as np
 import pytest
 from rigid_body_ros import (
+    BodyLog,
     compare,
+    EffortLog,
     GravityGradient,
     Measured,
+    propagate,
     RigidBody,
     State,
     TorqueLog,
     UniformField,
+    Wheel,
 )
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.horizons import horizon
@@ -347,9 +351,33 @@ def test_nothing_is_named_without_a_mix_up(seed):
     assert not compare(motion.body, motion.start, motion.log, measured=sensor).causes
 
 
+def test_a_restart_keeps_the_speeds_of_wheels():
+    wheels = {'wheels': [Wheel('x', (1, 0, 0), inertia=5e-4, initial_speed=50.0)],
+              'efforts': EffortLog([0, 4 * 10 ** 9], [[2e-3], [-2e-3]])}
+    motion, times = truth(), truth().stamps_ns
+    exact = propagate(motion.body, motion.start, motion.log, at=times, **wheels)
+    measured = Measured('/mocap', times, exact.attitude, exact.angular_velocity)
+    found = compared(measured, horizons=[1.0], **wheels).as_dict()
+    assert found['attitude_error_rad']['max'] < 1e-12
+    assert found['horizons'][0]['attitude_p95_rad'] < 1e-8
+
+
+def test_what_an_inertia_lacks_is_named_beside_wheels_with_names():
+    motion, wheels = truth(), [Wheel('x', (1, 0, 0), inertia=0.2 * INERTIA[0, 0])]
+    exact = propagate(motion.body, motion.start, motion.log, at=motion.stamps_ns, wheels=wheels)
+    measured = Measured('/mocap', motion.stamps_ns, exact.attitude, exact.angular_velocity)
+    wrong = RigidBody(INERTIA + np.diag([2e-3, 0.0, 0.0]))
+    cause, = compare(wrong, motion.start, motion.log, measured=measured, wheels=wheels).causes
+    assert cause.name == 'inertia'
+    lacking = cause.text.split('iyz = (')[1].split(')')[0].split(', ')
+    np.testing.assert_allclose([*map(float, lacking)], [-2e-3, *[0.0] * 5], atol=2e-5)
+
+
 @pytest.mark.parametrize(('change', 'message'), [
     ({'align': ['colour']}, "align: expected some of start, clock, mount, or .*, found 'colour'"),
-    ({'horizons': [0.0]}, 'horizons: expected positive seconds, found 0.0')])
+    ({'horizons': [0.0]}, 'horizons: expected positive seconds, found 0.0'),
+    ({'changes': BodyLog([10 ** 9], [RigidBody(INERTIA)])},
+     'changes: expected a body that does not change, found 1')])
 def test_invalid_arguments_are_rejected(change, message):
     with pytest.raises(ValueError, match=message):
         compared(noisy(), **change)

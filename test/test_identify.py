@@ -462,6 +462,8 @@ def bad(**changes):
      'weight: expected a scene without a field of that name, found one; estimate weight.moment'),
     (bad, {'estimate': ['weight'], 'gravity': (0.0, 0.0, 0.0)}, 'gravity: expected a field other'),
     (bad, {'estimate': ['pivot.field']}, "NAME.moment of a field, found 'pivot.field'"),
+    *((bad, {'estimate': [name]}, f'expected @TOPIC after the parameter of a sensor .*{name}')
+      for name in ('start@/pose', 'inertia@', 'mount@')),
     (bad, {'estimate': []}, 'at least one name'),
     (bad, {'estimate': ['start', 'start']}, 'each name once'),
     (bad, {'attitude_noise': 0.0}, 'attitude_noise: expected a number greater than zero'),

@@ -116,6 +116,19 @@ def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys)
     assert '<title>inertia.ixx and inertia.iyy: ' in text
 
 
+def test_a_page_of_a_sensor_that_ends_before_the_validation(tmp_path):
+    truth = measurements.truth()
+    sensor, report = truth.measured(2e-3, 5e-3), tmp_path / 'page.html'
+    early = sensor.rows(np.arange(600))
+    record(tmp_path / 'in.mcap', truth, sensor, pose=messages_of('PoseStamped', early))
+    measurements.write_scene(tmp_path / 'guess.yaml', truth)
+    assert identify(tmp_path, '--measured', '/imu', '--measured', '/pose', '--estimate', 'start',
+                    '--validate', 0.3, '--report', report) == 0
+    panels = {panel['label']: panel for panel in data_of(report.read_text('utf-8'))['panels']}
+    assert '/pose: attitude quaternion, axes of the sensor' in panels
+    assert not panels['/pose: attitude quaternion, axes of the sensor']['lines']
+
+
 def test_measured_and_computed_curves_are_over_each_other_and_outliers_are_marks(tmp_path):
     truth = measurements.truth()
     clean = truth.measured(2e-3, 5e-3)

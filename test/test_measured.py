@@ -324,6 +324,16 @@ def test_the_page_has_the_errors_the_summary_and_names_as_text(run, tmp_path, ba
     assert len(array(data['body']['times'])) == 2000
 
 
+def test_the_measured_curve_has_the_sign_of_the_computed_one(run, tmp_path):
+    sensor, report = truth().measured(1e-3, 2e-3), tmp_path / 'page.html'
+    path = write(tmp_path / 'flight.mcap', torque=torque_messages(truth()),
+                 odom=messages_of('Odometry', replace(sensor, attitude=-sensor.attitude)))
+    assert run('--report', report, path=path)[0] == 0
+    for curves in data_of(report.read_text(encoding='utf-8'))['panels'][0]['curves']:
+        drawn = array(curves['low'], '<f4').reshape(4, -1) + np.array(curves['offsets'])[:, None]
+        np.testing.assert_allclose(drawn[:, 0], truth().start.attitude, atol=0.02)
+
+
 def test_the_command_aligns(run, tmp_path):
     mount = Rotation.from_rotvec([0.1, 0.1, -0.1])
     sensor = truth().measured(1e-3, 2e-3, clock=0.035, mount=mount)

@@ -64,7 +64,8 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     causes : bool
         Whether to look for likely causes of the errors, which takes about ten further motions.
     others
-        The keyword arguments of `Problem`: the wheels, the solver and its options.
+        The keyword arguments of `Problem` other than `changes`: the wheels, the solver and its
+        options.
 
     Returns
     -------
@@ -75,14 +76,18 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     InputError
         No sample lies within the motion, or a name in `align` is unknown.
     ValueError
-        As for `propagate` or `Measured.check`, or a horizon is not positive.
+        As for `propagate` or `Measured.check`, or a horizon is not positive, or the body changes.
 
     """
     sensors = [measured] if isinstance(measured, Measured) else measured
     for sensor in sensors:
         sensor.check()
     problem = Problem(body, start, log, **others)
-    return compare_motion(problem, sensors, align, horizons, causes)
+    if problem.changes:
+        raise ValueError(f'changes: expected a body that does not change, found '
+                         f'{len(problem.changes)} changes, which only `propagate` computes')
+    # A restart begins with the momentum of the rotors, not with speeds of wheels.
+    return compare_motion(problem.carried(), sensors, align, horizons, causes)
 
 
 def compare_motion(motion: Motion, measured: Sequence[Measured],

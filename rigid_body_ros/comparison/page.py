@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.errors import Comparison, Errors, QUANTITIES
+from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.comparison.summary import rows
-from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
@@ -79,10 +79,10 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
 def _panels(comparison: Comparison, aligned: Sequence[Measured],
             stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
     start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
+    motion = comparison.motion
     for errors, sensor in zip(comparison.errors, aligned):
         if len(sensor):
-            yield from _of_sensor(errors, sensor, start_ns)
-    motion = comparison.motion
+            yield from _of_sensor(errors, sensor, motion, start_ns)
     if isinstance(motion, Problem):
         yield from torque_panels(motion.logs, start_ns, end_ns, motion.options.timeout_ns)
         yield from field_panels(motion, stamps_ns, start_ns)
@@ -90,19 +90,17 @@ def _panels(comparison: Comparison, aligned: Sequence[Measured],
         yield from residual_panels(comparison.residual_torque, aligned, start_ns)
 
 
-def _of_sensor(errors: Errors, sensor: Measured, start_ns: int) -> Iterator[Panel]:
+def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
+               start_ns: int) -> Iterator[Panel]:
     """Generate what a sensor measured over what was computed, and the errors."""
     samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
-    pairs = []
-    if sensor.attitude is not None and errors.rotation_vectors is not None:
-        pairs.append((sensor.attitude, so3.multiply(sensor.attitude,
-                                                    so3.exp(-errors.rotation_vectors))))
-    if sensor.angular_velocity is not None and errors.rates is not None:
-        pairs.append((sensor.angular_velocity, sensor.angular_velocity - errors.rates))
-    names = {4: ('attitude quaternion', '', *QUANTITIES[0]),
-             3: ('angular velocity', 'rad/s', *QUANTITIES[1])}
-    for measured, computed in pairs:
-        name, unit, label, error_unit, attribute = names[measured.shape[1]]
+    states = motion.propagate(at=errors.times_ns)
+    for name, unit, measured, computed, (label, error_unit, attribute) in (
+            ('attitude quaternion', '', sensor.attitude, states.attitude, QUANTITIES[0]),
+            ('angular velocity', 'rad/s', sensor.angular_velocity, states.angular_velocity,
+             QUANTITIES[1])):
+        if measured is None:
+            continue
         yield overlay_panel(f'{errors.topic}: {name}, body axes', unit, samples, measured,
                             computed, start_ns)
         values = getattr(errors, attribute)

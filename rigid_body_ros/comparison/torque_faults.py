@@ -27,7 +27,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from rigid_body_ros.common.arrays import entries, Floats, symmetric, written
+from rigid_body_ros.common.arrays import Floats, symmetric, written
 from rigid_body_ros.comparison.channels import Channel
 from rigid_body_ros.comparison.sensor_faults import axes_text, slope
 from rigid_body_ros.mechanics import so3
@@ -204,11 +204,12 @@ def _of_inertia(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
     problem, columns = windows.problem, -windows.of_inertia
     known = windows.logged.any() or any(isinstance(one, UniformField) for one in problem.fields)
     turn = np.eye(6) if known else _SHAPES  # without a known torque only ratios are determined
+    # The change of a tensor: that of a body with named wheels lacks their axial inertia here.
+    words = 'ixx iyy izz ixy ixz iyz = {} kg m^2'
     found, left = windows.fitted(columns @ turn)
-    tensor = symmetric(entries(problem.body.inertia) + turn @ found)
-    if _is_possible(tensor):
-        yield 'inertia', f'the inertia: ixx iyy izz ixy ixz iyz = {written(entries(tensor))} ' \
-            'kg m^2; attitude_identify fits it', left, len(found)
+    if _is_possible(problem.body, turn @ found):
+        yield 'inertia', f'the inertia is off: add {words.format(written(turn @ found))}; ' \
+            'attitude_identify fits it', left, len(found)
     best = None
     for time in np.linspace(windows.seconds[0], windows.seconds[-1], _PIECES + 1)[2:-2]:
         late = (windows.seconds > time)[:, None, None]
@@ -217,16 +218,14 @@ def _of_inertia(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
         if best is None or size < best[0]:
             best = size, time, found, left
     assert best is not None
-    tensor = symmetric(entries(problem.body.inertia) + turn @ best[2])
-    if _is_possible(tensor):
-        yield 'inertia_change', f'the inertia changes about {best[1]:.4g} s after the start, to ' \
-            f'ixx iyy izz ixy ixz iyz = {written(entries(tensor))} kg m^2', best[3], \
-            len(best[2]) + 1
+    if _is_possible(problem.body, turn @ best[2]):
+        yield 'inertia_change', f'the inertia changes about {best[1]:.4g} s after the start, by ' \
+            f'{words.format(written(turn @ best[2]))}', best[3], len(best[2]) + 1
 
 
-def _is_possible(tensor: Floats) -> bool:
+def _is_possible(body: RigidBody, change: Floats) -> bool:
     try:
-        RigidBody(tensor)
+        RigidBody(body.inertia + symmetric(change))
     except ValueError:
         return False
     return True

@@ -112,7 +112,7 @@ def checked_names(names: Sequence[str]) -> tuple[str, ...]:
         if kind not in NAMES and not field_of(name):
             raise InputError(f'estimate: expected names among {", ".join(NAMES)}, and '
                              f'NAME.{MOMENT} of a field, found {name!r}')
-        if topic and not KINDS[kind].is_of_sensor:
+        if kind != name and not (topic and kind in of_sensors()):
             raise InputError(f'estimate: expected @TOPIC after the parameter of a sensor '
                              f'({", ".join(of_sensors())}), found {name!r}')
         if list(names).count(name) > 1:

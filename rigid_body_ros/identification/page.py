@@ -21,6 +21,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.residuals import correlations, Residuals
@@ -100,7 +101,7 @@ def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
     quantities = fit.first_errors()
     if not quantities:
         return
-    start_ns = _first_ns(fit)
+    start_ns = int(_stamps_ns(fit)[0])
     for parts in quantities:
         lines = _lines(fit, parts, start_ns)
         yield from (replace(panel, lines=lines) for panel in _of_channel(parts, start_ns))
@@ -111,9 +112,10 @@ def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
         yield from _correlations(parts[0])
 
 
-def _first_ns(fit: Identification) -> int:
-    """Return the first stamp of the first recording."""
-    return min(int(part.stamps_ns[0]) for part in fit.residuals if not part.recording)
+def _stamps_ns(fit: Identification) -> NDArray[np.int64]:
+    """Return the stamps of the first recording; a sensor may have none in the validation."""
+    return np.unique(np.concatenate([
+        part.stamps_ns for part in fit.residuals if not part.recording]))
 
 
 def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
@@ -173,8 +175,7 @@ def _correlations(errors: Residuals) -> Iterator[Panel]:
 
 def _body(fit: Identification) -> dict[str, Any]:
     """Return the motion with all estimates, and the measured attitudes as its ghost."""
-    stamps_ns = np.unique(np.concatenate([
-        part.stamps_ns for part in fit.residuals if not part.recording]))
+    stamps_ns = _stamps_ns(fit)
     body = moving_body.of_motion(fit.motion, stamps_ns)
     ghosts = [one for one in fit.aligned if one.attitude is not None]
     return body if not ghosts else {**body, 'ghost': moving_body.ghost(
