@@ -15,6 +15,7 @@
 """attitude_regress: the same bits from the same controller, and one line from one that fails."""
 
 from contextlib import suppress
+from dataclasses import replace
 import json
 import math
 import os
@@ -30,9 +31,10 @@ import numpy as np
 import psutil
 import pytest
 import rclpy
-from rigid_body_ros import Propagator, scene
+from rigid_body_ros import messages, Propagator, recording, scene
 from rigid_body_ros.commands import main
-from rigid_body_ros.regress import differences, read
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.regress import differences, read, Signal
 from rigid_body_ros.regress.domain import private_domain
 import unload_wheels
 
@@ -403,6 +405,29 @@ def test_a_loop_that_lacks_a_torque_differs_at_its_stamp(folder):
     assert found.torques == 100
 
 
+def test_a_log_that_only_one_loop_has_lacks_its_stamps(folder):
+    reference = read(folder / 'reference.mcap')
+    commands = Signal(np.array([STEP_NS]), np.zeros((1, 4)), np.array(['']))
+    for torques, missing in (({'accepted_wheel_command': commands}, 1),
+                             ({'accepted_inertia': commands.until(0)}, 0)):
+        other = replace(reference, torques={**reference.torques, **torques})
+        for found in (differences(reference, other), differences(other, reference)):
+            assert (found.torques, found.missing) == (101, missing)
+            assert found.first_ns == (STEP_NS if missing else None)
+
+
+def test_a_reference_of_other_wheels_is_one_line(tmp_path):
+    kind, path = messages.joint_commands(('rw_x', 'rw_y')), tmp_path / 'reference.mcap'
+    with recording.Writer(path) as writer:
+        writer.add_topic('/node/committed', messages.ODOMETRY)
+        writer.add_topic('/node/accepted_wheel_command', kind)
+        writer.write('/node/accepted_wheel_command', 1, kind.encode(1, '', [0.1, 0.2]))
+    with pytest.raises(InputError, match='expected wheel_names in the scene, found none'):
+        read(path)
+    with pytest.raises(InputError, match="expected some of 'rw_x', 'rw_z', found 'rw_y'"):
+        read(path, ('rw_x', 'rw_z'))
+
+
 @pytest.mark.parametrize(('options', 'line'), [
     (['a.mcap', '--scene', 'b', '--update'], "expected the command of a controller after '--'"),
     (['a.mcap', '--scene', 'b', '--duration', '1', '--', 'c'], '--duration: expected --update'),
@@ -424,6 +449,9 @@ def test_what_is_no_reference(folder, tmp_path, capsys):
     assert run(tmp_path) == 2
     assert 'expected the log of one node, with its topics accepted_torque and committed' \
         in capsys.readouterr().err
+    assert run(tmp_path, '--update', '--duration', '1') == 2
+    assert 'expected the log of one node' in capsys.readouterr().err
+    assert path.read_bytes() == (ROOT / 'test' / 'recordings' / 'tumbler.mcap').read_bytes()
     path.unlink()
     assert run(tmp_path, '--update') == 2
     assert '--duration, found neither' in capsys.readouterr().err

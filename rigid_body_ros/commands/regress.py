@@ -80,7 +80,7 @@ def attitude_regress(arguments: Sequence[str] | None) -> int:
 
 
 def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
-    """Raise InputError if the options contradict each other."""
+    """Raise InputError if the options contradict each other, or would replace another file."""
     if not command:
         raise InputError("expected the command of a controller after '--', found none")
     if options.duration and not options.update:
@@ -88,16 +88,20 @@ def _check(options: argparse.Namespace, command: Sequence[str]) -> None:
     if options.update:
         with files.protected('scene', options.scene):
             files.check((options.reference, _SUFFIX))
+        if Path(options.reference).exists():
+            from rigid_body_ros.regress.loop import committed
+            committed(options.reference)  # nothing but a reference is replaced
 
 
 def _run(options: argparse.Namespace, scene: Scene, command: list[str],
          folder: Path) -> Regression:
     from rigid_body_ros.regress import compare, Session, update
     from rigid_body_ros.regress.domain import private_domain
-    session = Session(command, partial(_node, options.command, scene), options.timeout)
+    wheels = tuple(wheel.name for wheel in scene.named_wheels)
+    session = Session(command, partial(_node, options.command, scene), options.timeout, wheels)
     with private_domain():
         if options.update:
-            return update(session, _span(options), folder, options.tolerance)
+            return update(session, _span(options, wheels), folder, options.tolerance)
         return compare(session, options.reference, folder, options.tolerance)
 
 
@@ -109,7 +113,7 @@ def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:
         raise InputError(reason(error)) from error
 
 
-def _span(options: argparse.Namespace) -> Span:
+def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
     """Return how long the loop of a new reference runs."""
     from rigid_body_ros.regress import read, Span
     if options.duration:
@@ -117,7 +121,7 @@ def _span(options: argparse.Namespace) -> Span:
     if not Path(options.reference).exists():
         raise InputError(f'{options.reference}: expected a reference, over whose time the loop '
                          'runs, or --duration, found neither')
-    return Span.of(read(options.reference))
+    return Span.of(read(options.reference, wheels))
 
 
 def regress_parser() -> argparse.ArgumentParser:

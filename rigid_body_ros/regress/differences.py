@@ -166,6 +166,8 @@ class Pair:
             reference.times_ns, found.times_ns, assume_unique=True, return_indices=True)
         values, other_values = (np.ascontiguousarray(samples.values[chosen]) for samples, chosen
                                 in ((reference, rows), (found, others)))
+        if not times_ns.size:  # of the two, `EMPTY` may have another number of columns
+            other_values = values
         same = (values.view(np.int64) == other_values.view(np.int64)).all(axis=1) \
             & (reference.frames[rows] == found.frames[others])
         missing_ns = np.setxor1d(reference.times_ns, found.times_ns, assume_unique=True)

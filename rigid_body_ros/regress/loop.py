@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-import json
 from pathlib import Path
 
 import numpy as np
@@ -103,30 +102,34 @@ class Loop:
                 for name, samples in self.torques.items() if len(samples) and name != INERTIA}
 
 
-def read(path: str | Path) -> Loop:
+def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
     """
     Read the last epoch of a loop.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    wheels : tuple of str
+        The names of the wheels of the scene.
 
     Raises
     ------
     InputError
-        The recording cannot be read, or is not the whole log of one node.
+        The recording cannot be read, is not the whole log of one node, or has other wheels.
 
     """
-    logs = [topic for topic in recording.topics(path, [messages.ODOMETRY])
-            if topic.rpartition('/')[2] == COMMITTED]
-    if len(logs) != 1:
-        raise InputError(f'{path}: expected the log of one node, with its topics accepted_torque '
-                         f'and committed, found {listed(logs)}; write one with --update')
-    node = logs[0].rpartition('/')[0]
-    with recording.Source(path, logs[0], [messages.ODOMETRY]) as source:
+    log = committed(path)
+    node = log.rpartition('/')[0]
+    with recording.Source(path, log, [messages.ODOMETRY]) as source:
         states = recording.joined(source.topic, source.kind, list(source), source.damage)
         made_by = source.metadata(NAME)
-    wheels = tuple(json.loads(made_by.get('scene', '{}')).get('wheel_names', ()))
     torques, start = {}, None
     for kind in (messages.WRENCH, messages.INERTIA, messages.joint_commands(wheels)):
         for topic in recording.topics(path, [kind]):
             name = topic.removeprefix(f'{node}/')
+            if name == COMMANDS and not wheels:
+                raise InputError(f'{path}: {topic}: expected wheel_names in the scene, found none')
             if name.startswith(_TORQUE):
                 last = recording.epochs(path, recording.read(path, topic, kind))[-1]
                 torques[name], start = _samples(last, kind), last.start or start
@@ -135,11 +138,21 @@ def read(path: str | Path) -> Loop:
                          'reference with --update')
     begun = np.flatnonzero(states.stamps_ns == start.time_ns)
     if not begun.size:
-        raise InputError(f'{path}: {logs[0]}: expected the start state at {start.time_ns} ns, '
+        raise InputError(f'{path}: {log}: expected the start state at {start.time_ns} ns, '
                          'found none: a part of the recording is missing')
     # Of several states at the start time, the last one begins the last epoch.
     rows = states.rows(slice(int(begun[-1]), None))
     return Loop(start, torques, _samples(rows, messages.ODOMETRY), made_by, node, wheels)
+
+
+def committed(path: str | Path) -> str:
+    """Return the topic of the states; raise InputError if a recording is not that of one node."""
+    logs = [topic for topic in recording.topics(path, [messages.ODOMETRY])
+            if topic.rpartition('/')[2] == COMMITTED]
+    if len(logs) != 1:
+        raise InputError(f'{path}: expected the log of one node, with its topics accepted_torque '
+                         f'and committed, found {listed(logs)}; --update writes one to a new file')
+    return logs[0]
 
 
 def _samples(found: Messages, kind: messages.MessageType) -> Signal:

@@ -140,7 +140,8 @@ class NodeProcess:
             The node cannot write it, or does not end.
 
         """
-        self._connection.send((path, last_ns))
+        with suppress(OSError):  # it has ended, and what it has sent says why
+            self._connection.send((path, last_ns))
         while isinstance(found := self._received(_PATIENCE), Status):
             self.status = found  # sent before
         if found != _WRITTEN:

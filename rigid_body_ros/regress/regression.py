@@ -111,7 +111,7 @@ def compare(session: Session, path: str | Path, folder: Path,
         The reference cannot be read, or as for `Session.record`.
 
     """
-    reference = read(path)
+    reference = read(path, session.wheels)
     span, first = Span.of(reference), folder / 'first.mcap'
     loop = _recorded(session, first, span)
     found, again = differences(reference, loop), None
@@ -137,4 +137,4 @@ def update(session: Session, span: Span, folder: Path,
 
 def _recorded(session: Session, path: Path, span: Span, may_end: bool = False) -> Loop:
     session.record(path, span, may_end)
-    return read(path)
+    return read(path, session.wheels)

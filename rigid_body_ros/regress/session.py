@@ -76,12 +76,15 @@ class Session:
         Returns a context with a node, in a process of its own.
     timeout : float, s
         The longest wall time of a loop.
+    wheels : tuple of str
+        The names of the wheels of the scene.
 
     """
 
     command: list[str]
     start: Start
     timeout: float
+    wheels: tuple[str, ...] = ()
 
     def record(self, path: str | Path, span: Span, may_end: bool = False) -> None:
         """
