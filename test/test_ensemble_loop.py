@@ -16,13 +16,16 @@
 
 from dataclasses import asdict, replace
 import json
+import os
 import re
 import shlex
 import shutil
+import sys
 
 from conftest import ROOT, SECOND
 from controllers import Pid
 import numpy as np
+import psutil
 from pyarrow import parquet
 import pytest
 from rigid_body_ros import (
@@ -46,6 +49,7 @@ from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.scene import Scene
 from scipy.stats import binomtest
 from test_ensemble import contents
+from test_ensemble_folder import wait_for
 
 STEP_NS, END_NS = SECOND // 10, 2 * SECOND
 TIMES = np.array([0, 1, STEP_NS, SECOND // 3, SECOND, END_NS - 5, END_NS])
@@ -132,6 +136,30 @@ def test_what_is_written_of_a_run_gives_it_again(tmp_path, everything, name):
         np.testing.assert_array_equal(motion[:, 4:], motion_again.angular_velocity)
 
 
+@pytest.mark.parametrize('recorded', [True, False])
+def test_what_is_written_of_a_run_with_actuators_gives_it_again(tmp_path, recorded):
+    scene = Scene.from_values({
+        **SCENE, 'torque_topics': ['of_motors', 'of_wind'], 'actuator.topics': ['of_motors'],
+        'actuator.delay': 0.02, 'actuator.time_constant': 0.05, 'actuator.limit.x': 0.004,
+        'torque_timeout': 0.13})
+    stamps = np.arange(20) * 90_000_000
+    torques = 0.01 * np.sin(np.arange(60.0)).reshape(20, 3)
+    problem = scene.problem()
+    if recorded:
+        problem = problem.replaced(log=[TorqueLog(stamps, torques), TorqueLog(stamps, torques)])
+    vary = RATE, Dispersion('torque_bias.x', 'normal', (1e-3,)), \
+        *([GAIN, Dispersion('clock_offset', 'normal', (0.01,))] if recorded else ())
+    found = replace(ensemble('damp', *vary, problem=problem), controller=None)
+    columns = found.rows(3, 5)
+    worst.write(tmp_path / 'worst', found, scene, [3, 4])
+    for row, run in enumerate((3, 4)):
+        again = read(tmp_path / 'worst' / f'{run}.mcap', tmp_path / 'worst' / f'{run}.yaml')
+        assert bool(again.actuators) == recorded
+        motion = again.propagate(at=[again.start.time_ns + END_NS])
+        assert motion.attitude[0].tolist() == [columns[f'attitude.{axis}'][row]
+                                               for axis in 'xyzw']
+
+
 def test_a_body_that_changes_does_not_vary(everything):
     _, problem = everything
     for vary in (Dispersion('inertia', 'relative', (0.05,)),
@@ -211,6 +239,28 @@ def test_a_worker_that_dies_is_one_line(tmp_path, capsys):
     error = error_of(capsys, given(tmp_path, 'controllers:killed'))
     assert re.search('cannot compute runs . to .: worker process exited with status 3; the same '
                      'command goes on', error)
+
+
+def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tmp_path):
+    (tmp_path / 'endless.py').write_text('from pathlib import Path\n\n\ndef law(state, time):\n'
+                                         '    while Path("go").exists():\n'
+                                         '        Path("begun").touch()\n'
+                                         '    return [0.0, 0.0, 0.0]\n')
+    code = ('import sys\nfrom pathlib import Path\nfrom rigid_body_ros.commands import main\n'
+            'from rigid_body_ros.ensemble import driver\nprocesses = driver.processes\n'
+            'driver.processes = lambda workers: Path("go").touch() or processes(workers)\n'
+            'main.attitude_ensemble(sys.argv[1:])')
+    command = psutil.Popen([sys.executable, '-c', code, *given(tmp_path, 'endless:law')],
+                           cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    wait_for((tmp_path / 'begun').exists)
+    children = command.children()
+    assert children
+    command.kill()
+    command.wait()
+    _, alive = psutil.wait_procs(children, timeout=20.0)
+    for process in alive:
+        process.kill()
+    assert not alive
 
 
 @pytest.fixture(scope='module')

@@ -389,15 +389,16 @@ class Ensemble:
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
         """Return the motion of a run, shape (m, 7), and its problem, with the loop's log last."""
         logs, wheels = self.torques.recorded(applied, row)
-        actuators = self.problem.actuators  # and none of a bias
+        # Neither a bias nor a controller has an actuator, whatever the topics of the scene have.
+        actuators = [*(self.problem.actuators or [None] * len(self.problem.logs)), None]
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
         problem = self.problem.replaced(
             body=applied.bodies[row], start=start, log=logs, wheels=wheels,
-            actuator=[*actuators, None][:len(logs)] if actuators else None,
-            fields=applied.fields.of_each[row])
+            actuator=actuators[:len(logs)], fields=applied.fields.of_each[row])
         if self.controller:
             motion, log = closed_loop(problem, self.controller, self._at,
                                       self.torques.actuated(applied, row))
-            return motion, problem.replaced(log=[*problem.logs, log])
+            return motion, problem.replaced(log=[*logs, log],
+                                            actuator=[*actuators[:len(logs)], None])
         found = problem.propagate(at=self._at)
         return np.concatenate([found.attitude, found.angular_velocity], axis=-1), problem

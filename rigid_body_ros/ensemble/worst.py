@@ -16,11 +16,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import re
 import shlex
+from typing import Any
 
 import numpy as np
 from rigid_body_ros import recording
@@ -30,7 +31,7 @@ from rigid_body_ros.messages import INERTIA, inertia, WRENCH
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Column
 from rigid_body_ros.runtime import files
-from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene import actuator, Scene
 from rigid_body_ros.scene.text import text_of
 
 #: The folder of the worst runs, in that of the ensemble, and the files in it.
@@ -60,7 +61,7 @@ def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -
         topics = [f'torque_{source}' for source in range(len(problem.logs) or 1)]
         later_ns = _later_ns(problem)
         changed = {**values, 'start_time': problem.start.time_ns + later_ns,
-                   'torque_topics': topics}
+                   'torque_topics': topics, **_actuated(problem, scene, topics)}
         with files.atomic_output(path / f'{run}.yaml', '.yaml') as part:
             part.write_text(f'# Run {run} of an ensemble.\n{text_of(scene, changed)}',
                             encoding='utf-8')
@@ -75,6 +76,16 @@ def command(ensemble: Ensemble, path: str | Path, run: int) -> str:
     return shlex.join(['attitude_replay', f'{files_of}.mcap', '--scene', f'{files_of}.yaml',
                        '--until', f'{seconds:.9f}'.rstrip('0').rstrip('.'), '-o',
                        f'run_{run}.mcap'])
+
+
+def _actuated(problem: Problem, scene: Scene, topics: Sequence[str]) -> dict[str, Any]:
+    """Return which topics have the commands of actuators, as parameters of a scene with some."""
+    if not scene.actuators:
+        return {}
+    found = [topic for topic, one in zip(topics, problem.actuators) if one]
+    # A scene that describes an actuator has to name its topics.
+    none = {} if found else {one.name: one.default for one in actuator.PARAMETERS}
+    return {**none, 'actuator.topics': found}
 
 
 def _later_ns(problem: Problem) -> int:

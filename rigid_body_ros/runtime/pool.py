@@ -23,6 +23,7 @@ from itertools import islice
 import multiprocessing
 from multiprocessing.connection import Connection
 import os
+from threading import Thread
 from typing import Any
 
 from rigid_body_ros.runtime import interrupts
@@ -182,11 +183,19 @@ class _Process:
 
 
 def _serve(connection: Connection) -> None:
+    Thread(target=_end_with_parent, daemon=True).start()
     with suppress(KeyboardInterrupt), interrupts.deferred(until_exit=True):
         for function, item in _received(connection):
             result = function(item)
             with suppress(OSError):  # the parent process has exited
                 connection.send(result)
+
+
+def _end_with_parent() -> None:
+    """End this process once its parent has, even if a function of the user does not return."""
+    if parent := multiprocessing.parent_process():
+        parent.join()
+        os._exit(1)
 
 
 def _received(connection: Connection) -> Iterator[Any]:
