@@ -15,7 +15,7 @@
 """
 The node of config/robot_stack.yaml, which goes on from its checkpoint after a restart.
 
-Copy this file and the scene into your package.
+Copy this file and the scene into the folders launch and config of your package.
 """
 
 from pathlib import Path
@@ -23,10 +23,12 @@ from pathlib import Path
 from launch import LaunchDescription
 from rigid_body_ros import launching
 
+#: Found beside this file, so that a copy starts with the scene of its own package.
+SCENE = Path(__file__).absolute().parents[1] / 'config' / 'robot_stack.yaml'
 CHECKPOINT = Path.home() / '.ros' / 'robot_stack.json'
 
 
 def generate_launch_description():
     return LaunchDescription([launching.scoped(
         lambda context: [launching.attitude_node(context)],
-        scene='robot_stack', checkpoint=str(CHECKPOINT), respawn='true')])
+        scene=str(SCENE), checkpoint=str(CHECKPOINT), respawn='true')])

@@ -160,4 +160,9 @@ def test_a_log_is_replayed_and_compared(tmp_path, capsys):
     assert len(read_measured(motion, '/attitude')) == 1001
     assert main.attitude_compare([str(path), '--scene', str(fitted), *measured, '--motion',
                                   str(motion)]) == 0
-    assert capsys.readouterr().err.count('normalized') == 4
+    vary = tmp_path / 'vary.yaml'
+    vary.write_text('torque_gain: {normal: 0.03}')
+    assert main.attitude_ensemble(['--scene', str(fitted), *topics, '--recording', str(path),
+                                   '--vary', str(vary), '--runs', '1', '-o',
+                                   str(tmp_path / 'runs')]) == 0
+    assert capsys.readouterr().err.count('normalized') == 5

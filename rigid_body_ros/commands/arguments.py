@@ -149,6 +149,7 @@ def topics_of(options: argparse.Namespace) -> Topics:
 def read_torques(options: argparse.Namespace, scene: Scene) -> Logged:
     """Return the problem that the recording and a scene state."""
     from rigid_body_ros import recording
+    warn_of_units(options, [options.recording])
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
     epochs = recording.read_epochs(path, scene, topics, track=progress('reading', size=len))
     return recording.chosen(path, scene, epochs)
