@@ -25,12 +25,12 @@ import argparse
 from typing import NamedTuple
 
 from rigid_body_ros import scene
-from rigid_body_ros.commands.compare import compare_parser
-from rigid_body_ros.commands.ensemble import ensemble_parser
-from rigid_body_ros.commands.identify import identify_parser
-from rigid_body_ros.commands.regress import regress_parser
-from rigid_body_ros.commands.replay import replay_parser
-from rigid_body_ros.commands.tradeoff import tradeoff_parser
+from rigid_body_ros.commands.compare import attitude_compare
+from rigid_body_ros.commands.ensemble import attitude_ensemble
+from rigid_body_ros.commands.identify import attitude_identify
+from rigid_body_ros.commands.regress import attitude_regress
+from rigid_body_ros.commands.replay import attitude_replay
+from rigid_body_ros.commands.tradeoff import attitude_tradeoff
 from rigid_body_ros.runtime.parameters import limits
 from rigid_body_ros.scene import fields, wheels
 
@@ -640,12 +640,12 @@ def main():
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
              parameter.description) for parameter in parameters()]),
-        replay=options(replay_parser()),
-        compare=options(compare_parser()),
-        tradeoff=options(tradeoff_parser()),
-        identify=options(identify_parser()),
-        ensemble=options(ensemble_parser()),
-        regress=options(regress_parser()),
+        replay=options(attitude_replay.parser()),
+        compare=options(attitude_compare.parser()),
+        tradeoff=options(attitude_tradeoff.parser()),
+        identify=options(attitude_identify.parser()),
+        ensemble=options(attitude_ensemble.parser()),
+        regress=options(attitude_regress.parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
 
 
