@@ -27,12 +27,12 @@ import sys
 from typing import NamedTuple
 
 from rigid_body_ros import scene
-from rigid_body_ros.commands.compare import compare_parser
-from rigid_body_ros.commands.ensemble import ensemble_parser
-from rigid_body_ros.commands.identify import identify_parser
-from rigid_body_ros.commands.regress import regress_parser
-from rigid_body_ros.commands.replay import replay_parser
-from rigid_body_ros.commands.tradeoff import tradeoff_parser
+from rigid_body_ros.commands.compare import attitude_compare
+from rigid_body_ros.commands.ensemble import attitude_ensemble
+from rigid_body_ros.commands.identify import attitude_identify
+from rigid_body_ros.commands.regress import attitude_regress
+from rigid_body_ros.commands.replay import attitude_replay
+from rigid_body_ros.commands.tradeoff import attitude_tradeoff
 from rigid_body_ros.runtime.parameters import limits
 from rigid_body_ros.scene import fields, wheels
 
@@ -182,8 +182,8 @@ ros2 run rigid_body_ros attitude_node --ros-args --params-file config/tumbler.ya
 ```
 
 Without the `ros2` command, as after `pip install '.[ros]'`, type
-`attitude_node --ros-args --params-file config/tumbler.yaml`. `attitude_lifecycle_node` is [the same
-as a managed node](node_howto.md#attitude_lifecycle_node).
+`attitude_node --ros-args --params-file config/tumbler.yaml`. `attitude_lifecycle_node` is
+[the same as a managed node](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative: they take the namespace of the node, and can be
 remapped (`-r torque:=/wrench`). Quality of service can be overridden
@@ -234,18 +234,18 @@ The node and every command (`--scene`) read the same file. In a running node all
 {parameters}
 
 Either the three moments or a `robot_description` are required, but a node can
-[wait for the latter](node_howto.md#inertia-from-robot_state_publisher). The inertia is checked as one
-tensor: positive definite, no principal moment greater than the sum of the other two by more than 3 %.
-The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at least one topic,
-each of them once. The solvers `exact` and `strang` take neither rotors nor damping,
+[wait for the latter](node_howto.md#inertia-from-robot_state_publisher). The inertia is checked as
+one tensor: positive definite, no principal moment greater than the sum of the other two by more than
+3 %. The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at
+least one topic, each of them once. The solvers `exact` and `strang` take neither rotors nor damping,
 and `exact` takes no fields.
 """
 COMMANDS = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Commands: options and exit status
 
-The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends with
-two examples that run in a clone of the repository. [The scene file](scene.md) says which command
+The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends
+with two examples that run in a clone of the repository. [The scene file](scene.md) says which command
 takes which scene. To print this page again: `python docs/nodes.py commands > docs/commands.md`.
 
 ## attitude_replay
@@ -357,12 +357,12 @@ def nodes():
 def commands():
     """Return the page of the commands."""
     return COMMANDS.format(
-        replay=options(replay_parser()),
-        compare=options(compare_parser()),
-        tradeoff=options(tradeoff_parser()),
-        identify=options(identify_parser()),
-        ensemble=options(ensemble_parser()),
-        regress=options(regress_parser()),
+        replay=options(attitude_replay.parser()),
+        compare=options(attitude_compare.parser()),
+        tradeoff=options(attitude_tradeoff.parser()),
+        identify=options(attitude_identify.parser()),
+        ensemble=options(attitude_ensemble.parser()),
+        regress=options(attitude_regress.parser()),
         exits=table(('status', 'meaning'), EXITS))
 
 

@@ -45,7 +45,6 @@ from rigid_body_ros.identification.recorded import read_experiment
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
-from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
 from rigid_body_ros.sensing.recorded import Reading
@@ -209,7 +208,7 @@ def test_an_epoch_may_have_no_torques(run, tmp_path, options):
         motion = node_logs.motion_of(run, start, {}, [start.time_ns + round(seconds * SECOND)])
         np.testing.assert_array_equal(found.last.attitude, motion.attitude[0])
         assert found.last.time_ns == motion.times_ns[0]
-    assert 'torques       0 on /node/accepted_torque, over 0 s\n' in summary(result)
+    assert 'torques       0 on /node/accepted_torque, over 0 s\n' in result.text()
     assert verify(log, run, log, until=options.get('until')).same.tolist() == [True, True]
     assert verify(log, run, tmp_path / 'out.mcap').same.all()
 

@@ -31,7 +31,8 @@ from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.replay.batches import Collector
-from rigid_body_ros.replay.single import Replay, replay
+from rigid_body_ros.replay.result import Replay
+from rigid_body_ros.replay.single import replay
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.cluster import connected
@@ -98,7 +99,7 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         A signal was received; its last argument names the partial outputs, if there are any.
 
     """
-    with files.reading(*paths), files.protected('scene', scene.path):
+    with files.reading(*paths, scene=scene.path):
         outputs = outputs_in(folder, paths)
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)

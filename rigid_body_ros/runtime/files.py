@@ -22,7 +22,7 @@ replaces an existing output only with --overwrite.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, ExitStack, suppress
+from contextlib import contextmanager, ExitStack, suppress
 from contextvars import ContextVar
 import errno
 import itertools
@@ -98,10 +98,26 @@ def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
         _protected.reset(token)
 
 
-def reading(*recordings: str | Path | None) -> AbstractContextManager[None]:
-    """Protect recordings: files, and whole bags, even if the path names one file of a bag."""
-    return protected('input', *(member for path in recordings if path is not None
-                                for member in _paths_of_recording(os.fspath(path))))
+@contextmanager
+def reading(*recordings: str | Path | None, **others: str | Path | None) -> Iterator[None]:
+    """
+    Protect the inputs of a command.
+
+    Parameters
+    ----------
+    recordings : str or Path or None
+        Files, and whole bags, even if the path names one file of a bag.
+    others : str or Path or None
+        By role, see `protected`.
+
+    """
+    with ExitStack() as stack:
+        stack.enter_context(protected('input', *(
+            member for path in recordings if path is not None
+            for member in _paths_of_recording(os.fspath(path)))))
+        for role, path in others.items():
+            stack.enter_context(protected(role, path))
+        yield
 
 
 def check_apart(path: str | Path) -> None:
