@@ -235,18 +235,18 @@ The node and every command (`--scene`) read the same file. In a running node all
 
 Either the three moments or a `robot_description` are required, but a node can
 [wait for the latter](node_howto.md#inertia-from-robot_state_publisher). The inertia is checked as
-one tensor: positive definite, no principal moment greater than the sum of the other two by more than
-3 %. The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at
-least one topic, each of them once. The solvers `exact` and `strang` take neither rotors nor damping,
-and `exact` takes no fields.
+one tensor: positive definite, no principal moment greater than the sum of the other two by more
+than 3 %. The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names
+at least one topic, each of them once. The solvers `exact` and `strang` take neither rotors nor
+damping, and `exact` takes no fields.
 """
 COMMANDS = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Commands: options and exit status
 
 The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends
-with two examples that run in a clone of the repository. [The scene file](scene.md) says which command
-takes which scene. To print this page again: `python docs/nodes.py commands > docs/commands.md`.
+with two examples that run in a clone of the repository. [The scene file](scene.md) says which
+command takes which scene. To print this page again: `python docs/nodes.py commands > docs/commands.md`.
 
 ## attitude_replay
 
