@@ -165,7 +165,8 @@ CAUSES = {
     'duplicate, differs (same stamp)': 'In lockstep: a different torque was accepted before for '
                                        'the same state.',
     'before the reset': 'In lockstep: the torque responds to a state from before the reset.',
-    'no body has this inertia': 'The tensor on `inertia` is not finite or not that of a body.',
+    'no body has this inertia': 'The tensor on `inertia` is not finite, not that of a body, or '
+                                'less than that of the wheels with names.',
 }
 PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->

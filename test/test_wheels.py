@@ -44,8 +44,11 @@ from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.epoch import Epoch
+from rigid_body_ros.live.events import IMPOSSIBLE, RejectedError
+from rigid_body_ros.live.inputs import Inputs
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.propagation import Integration, integration
+from rigid_body_ros.propagation.segment import BODY as SOURCE
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
@@ -370,6 +373,13 @@ def test_mistakes_in_a_scene_are_reported_in_one_line(values, message):
     with pytest.raises(InputError, match=f'^{re.escape(message)}') as error:
         Scene.from_values({**SCENE, **values})
     assert '\n' not in str(error.value)
+
+
+def test_an_inertia_that_the_wheels_do_not_leave_is_rejected_as_one():
+    inputs = Inputs(Scene.from_values({**SCENE, 'inertia_topic': True}), None)
+    with pytest.raises(RejectedError, match='^wheels: expected axial inertia that the') as error:
+        inputs.torque(messages.inertia(SECOND, '', (0.05, 0.07, 0.07, 0.0, 0.0, 0.0)), SOURCE)
+    assert error.value.cause == IMPOSSIBLE
 
 
 def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
