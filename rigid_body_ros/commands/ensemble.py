@@ -142,15 +142,13 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
 def _controller(options: argparse.Namespace, scene: Scene, problem: Problem) -> Controller | None:
     if not options.controller:
         return None
-    if scene.actuators:
-        raise InputError('--controller: expected a scene without actuators, found '
-                         f'actuator.topics: {listed(scene.values["actuator.topics"])}')
     from rigid_body_ros.ensemble.controller import Controller
     for log in problem.logs:
         if log.interpolation != 'hold':
             raise InputError(f"{options.scene}: interpolation: expected 'hold', as in lockstep, "
                              f'with a controller, found {log.interpolation!r}')
-    return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')))
+    actuator = next(filter(None, scene.actuators or ()), None)  # all topics with one have the same
+    return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')), actuator)
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:

@@ -389,7 +389,7 @@ class Ensemble:
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
         """Return the motion of a run, shape (m, 7), and its problem, with the loop's log last."""
         logs, wheels = self.torques.recorded(applied, row)
-        # Neither a bias nor a controller has an actuator, whatever the topics of the scene have.
+        # A bias has no actuator, whatever the topics of the scene have.
         actuators = [*(self.problem.actuators or [None] * len(self.problem.logs)), None]
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
         problem = self.problem.replaced(
@@ -398,7 +398,7 @@ class Ensemble:
         if self.controller:
             motion, log = closed_loop(problem, self.controller, self._at,
                                       self.torques.actuated(applied, row))
-            return motion, problem.replaced(log=[*logs, log],
-                                            actuator=[*actuators[:len(logs)], None])
+            return motion, problem.replaced(log=[*logs, log], actuator=[
+                *actuators[:len(logs)], self.controller.actuator])
         found = problem.propagate(at=self._at)
         return np.concatenate([found.attitude, found.angular_velocity], axis=-1), problem

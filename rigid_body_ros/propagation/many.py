@@ -292,7 +292,7 @@ class _Runs:
         timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
                             int(begins_ns[0]), momentum, OtherTorques(self._fields))
         self._progress['row'][which] = timeline.times_ns.searchsorted(begins_ns, 'right') - 1
-        for begin, end, rows in timeline.chunks(int(self._progress['row'][which].min()),
+        for begin, end, rows in timeline.chunks(self._progress['row'][which],
                                                 len(timeline.times_ns)):
             self._progress['row'][which] -= begin
             going = which[self._progress['stop'][which] != layout.FAILED]

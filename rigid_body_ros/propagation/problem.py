@@ -113,13 +113,6 @@ class Problem:
 
     """
 
-    # Most problems have none of these, and to set them takes a hundredth of a short run.
-    wheels: TorqueLog | None = None
-    named_wheels: Wheels | None = None
-    efforts: EffortLog | None = None
-    actuators: tuple[Actuator | None, ...] = ()
-    #: As given: of all logs, or of each.
-    _actuator: Actuators = None
     #: The time at which torques that lag are zero, if it is not that of the start.
     _rest_ns: int | None = None
 
@@ -131,23 +124,24 @@ class Problem:
                  solver: str = Options.solver, tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout) -> None:
+        self.fields: tuple[Field, ...] = ()
         #: The fields for the kernels; None without.
         self._fields: NDArray[Any] | None = None
-        self.fields: tuple[Field, ...] = ()
         if fields:
             self.fields = beginning_at(fields, start.time_ns)
             self._fields = packed(self.fields)
-        self.changes = changes if changes else None
-        if efforts:
-            self.efforts = efforts
-        if actuator is not None:
-            self._actuator = actuator
+        self.changes, self.efforts = changes or None, efforts or None
+        self.named_wheels: Wheels | None = None
+        #: As given: of all logs, or of each.
+        self._actuator = actuator
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
 
     def _set(self, body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None,
              wheels: TorqueLog | Sequence[Wheel] | None, options: Options) -> None:
         self.body, self.start, self.options = body, start, options
+        self.wheels: TorqueLog | None = None
+        self.actuators: tuple[Actuator | None, ...] = ()
         given = torque_logs(log)
         self.logs = self.acting_logs = tuple([each for each in given if len(each)])
         if self._actuator and given:
@@ -159,13 +153,13 @@ class Problem:
                                  'axes')
         elif wheels:
             self.named_wheels = Wheels(wheels)
-        if not self.named_wheels:
+        if start._axial is not None and not self.named_wheels:
             self.start = without_wheels(start)
         if self.named_wheels or self.efforts:
             check_named(self.named_wheels, self.efforts, self.fields)
-        bodies = (body, *self.changes.bodies) if self.changes else (body,)
-        options.check_terms(any(each.is_damped for each in bodies), self.has_rotors,
-                            bool(self.fields))
+        is_damped = body.is_damped or (
+            self.changes is not None and any(each.is_damped for each in self.changes.bodies))
+        options.check_terms(is_damped, self.has_rotors, bool(self.fields))
         if not options.record.takes_torque:
             for each in self.sources:
                 options.check_torque_free(each)
