@@ -56,7 +56,7 @@ from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
-from rigid_body_ros.propagation.many import Logs
+from rigid_body_ros.propagation.many import LogsOfRuns
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene.fields import ORBIT, values_of
 
@@ -360,7 +360,7 @@ class Ensemble:
     def _together(self, applied: Applied) -> _Found:
         count = len(applied.runs)
         shared = self.problem.logs
-        logs: Logs = [shared] * count if len(shared) > 1 else next(iter(shared), None)
+        logs: LogsOfRuns = [shared] * count if len(shared) > 1 else next(iter(shared), None)
         wheels: Sequence[TorqueLog] | TorqueLog | None = self.problem.wheels
         gains = applied.torque_gain if 'torque_gain' in self.columns else None
         if self._have_own_logs:
