@@ -159,11 +159,6 @@ class Ensemble:
         """
         return self._nominal[0]
 
-    @property
-    def nominal_attitude(self) -> Floats:
-        """Return the final attitude without any dispersion, with the errors of `propagate`."""
-        return self.nominal_motion[-1, :4]
-
     def check(self) -> None:
         """
         Check that the nominal motion can be computed, and that a controller repeats it.
@@ -309,7 +304,7 @@ class Ensemble:
             motions, messages = self._motions(applied)
         failed = np.array([bool(message) for message in messages])
         end, angle = motions[:, -1], np.full(len(runs), np.nan)
-        angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_attitude)
+        angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_motion[-1, :4])
         found = {**applied.columns(), **components('attitude', end[:, :4]),
                  **components('angular_velocity', end[:, 4:]), ANGLE: angle}
         return {'run': runs, 'status': np.where(failed, 'failed', 'ok'),
