@@ -73,17 +73,12 @@ def _run(options: argparse.Namespace) -> int:
 def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
     """Return whether the model explains the measurements, from some start."""
     from rigid_body_ros.comparison.align import is_asked
-    from rigid_body_ros.identification import identify
-    from rigid_body_ros.identification.recorded import read_experiment
+    from rigid_body_ros.identification.recorded import identified, read_experiment
     experiment = read_experiment(options.recording, scene, reading_of(options))
     names = ['start', *(f'{estimated}@{one.topic}' for kind, estimated in _FITTED.items()
                         for one in experiment.measured
                         if is_asked(options.align, kind, one.topic))]
-    try:
-        return identify(scene.body, experiment, estimate=names,
-                        torque_timeout=scene.torque_timeout).verdict
-    except ValueError as error:
-        raise InputError(f'{options.recording}: {error}') from error
+    return identified([options.recording], scene, [experiment], estimate=names).verdict
 
 
 def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:

@@ -63,21 +63,17 @@ def _status(found: Identification) -> tuple[int, str]:
 def _identified(options: argparse.Namespace,
                 scene: Scene) -> tuple[Identification, Experiment]:
     """Return the result, and the first recording."""
-    from rigid_body_ros.identification import identify
-    from rigid_body_ros.identification.recorded import read_experiments
+    from rigid_body_ros.identification.recorded import identified, read_experiments
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
         warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, reading_of(options))
     for path, experiment in zip(options.recording, experiments):
         warn_of_frames(options, path, experiment.measured)
-    try:
-        found = identify(scene.body, experiments, estimate=options.estimate,
-                         attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
-                         validate=options.validate, priors=dict(options.prior),
-                         gravity=options.gravity, accept=options.accept,
-                         torque_timeout=scene.torque_timeout)
-    except ValueError as error:
-        raise InputError(f'{options.recording[0]}: {error}') from error
+    found = identified(
+        options.recording, scene, experiments, estimate=options.estimate,
+        attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
+        validate=options.validate, priors=dict(options.prior), gravity=options.gravity,
+        accept=options.accept)
     return found, experiments[0]
 
 

@@ -26,7 +26,7 @@ import shlex
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.common.errors import printable
-from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def checked(options: argparse.Namespace,
         As for `files.check`.
 
     """
-    with files.reading(*_given(options, *_INPUTS), *_measured_files(options),
+    with protection.reading(*_given(options, *_INPUTS), *_measured_files(options),
                        scene=options.scene, ensemble=getattr(options, 'ensemble', None)):
         yield Outputs(options, *outputs)
 
@@ -84,7 +84,7 @@ class Outputs:
     @contextmanager
     def writing(self, name: str | None = None) -> Iterator[None]:
         """Protect, in the context, all outputs but one, which may replace a file if allowed."""
-        with files.protected('output', *(other for other in self.names if other != name)), \
+        with protection.protected('output', *(other for other in self.names if other != name)), \
                 files.overwriting(self._options.overwrite):
             yield
 

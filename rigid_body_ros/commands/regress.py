@@ -29,7 +29,7 @@ from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.nodes import imported
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, reason
-from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def _run(options: argparse.Namespace) -> int:
                                 page=lambda line: page(result, name, scene, line))
         written = options.update and result.is_same
         if written:
-            with files.protected('scene', options.scene), \
+            with protection.protected('scene', options.scene), \
                     files.atomic_output(options.reference, _SUFFIX) as path:
                 shutil.copyfile(result.path, path)
     outputs.show(result.text(), 14, [*([options.reference] if written else []), *outputs.names])
@@ -70,7 +70,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.duration and not options.update:
         raise InputError('--duration: expected --update, found none')
     if options.update:
-        with files.protected('scene', options.scene):
+        with protection.protected('scene', options.scene):
             files.check((options.reference, _SUFFIX))
         if Path(options.reference).exists():
             from rigid_body_ros.regress.loop import committed

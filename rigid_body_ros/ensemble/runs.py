@@ -56,7 +56,7 @@ from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
-from rigid_body_ros.propagation.many import Logs
+from rigid_body_ros.propagation.many import LogsOfRuns
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene.fields import ORBIT, values_of
 
@@ -158,11 +158,6 @@ class Ensemble:
 
         """
         return self._nominal[0]
-
-    @property
-    def nominal_attitude(self) -> Floats:
-        """Return the final attitude without any dispersion, with the errors of `propagate`."""
-        return self.nominal_motion[-1, :4]
 
     def check(self) -> None:
         """
@@ -309,7 +304,7 @@ class Ensemble:
             motions, messages = self._motions(applied)
         failed = np.array([bool(message) for message in messages])
         end, angle = motions[:, -1], np.full(len(runs), np.nan)
-        angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_attitude)
+        angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_motion[-1, :4])
         found = {**applied.columns(), **components('attitude', end[:, :4]),
                  **components('angular_velocity', end[:, 4:]), ANGLE: angle}
         return {'run': runs, 'status': np.where(failed, 'failed', 'ok'),
@@ -360,7 +355,7 @@ class Ensemble:
     def _together(self, applied: Applied) -> _Found:
         count = len(applied.runs)
         shared = self.problem.logs
-        logs: Logs = [shared] * count if len(shared) > 1 else next(iter(shared), None)
+        logs: LogsOfRuns = [shared] * count if len(shared) > 1 else next(iter(shared), None)
         wheels: Sequence[TorqueLog] | TorqueLog | None = self.problem.wheels
         gains = applied.torque_gain if 'torque_gain' in self.columns else None
         if self._have_own_logs:

@@ -29,7 +29,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import stamps_of, torque_logs, TorqueLog
+from rigid_body_ros.mechanics.torque import Logs, stamps_of, torque_logs, TorqueLog
 from rigid_body_ros.mechanics.wheels import EffortLog, Wheel, Wheels
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.lags import LaggingSources
@@ -37,6 +37,9 @@ from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import rest_ns_of, without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.propagation.wheels import check_named, joined_log, without_wheels
+
+#: The torque on the rotors, or wheels with names.
+Rotors = TorqueLog | Sequence[Wheel] | None
 
 
 class Problem:
@@ -116,10 +119,9 @@ class Problem:
     #: The time at which torques that lag are zero, if it is not that of the start.
     _rest_ns: int | None = None
 
-    def __init__(self, body: RigidBody, start: State,
-                 log: TorqueLog | Sequence[TorqueLog] | None = None, *,
-                 wheels: TorqueLog | Sequence[Wheel] | None = None,
-                 efforts: EffortLog | None = None, fields: Sequence[Field] = (),
+    def __init__(self, body: RigidBody, start: State, log: Logs = None, *,
+                 wheels: Rotors = None, efforts: EffortLog | None = None,
+                 fields: Sequence[Field] = (),
                  changes: BodyLog | None = None, actuator: Actuators = None,
                  solver: str = Options.solver, tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
@@ -137,8 +139,8 @@ class Problem:
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
 
-    def _set(self, body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None,
-             wheels: TorqueLog | Sequence[Wheel] | None, options: Options) -> None:
+    def _set(self, body: RigidBody, start: State, log: Logs, wheels: Rotors,
+             options: Options) -> None:
         self.body, self.start, self.options = body, start, options
         self.wheels: TorqueLog | None = None
         self.actuators: tuple[Actuator | None, ...] = ()
@@ -218,9 +220,8 @@ class Problem:
         return stamps_ns
 
     def replaced(self, *, body: RigidBody | None = None, start: State | None = None,
-                 log: TorqueLog | Sequence[TorqueLog] | None = None,
-                 wheels: TorqueLog | Sequence[Wheel] | None = None,
-                 efforts: EffortLog | None = None, fields: Sequence[Field] | None = None,
+                 log: Logs = None, wheels: Rotors = None, efforts: EffortLog | None = None,
+                 fields: Sequence[Field] | None = None,
                  changes: BodyLog | None = None, actuator: Actuators = None,
                  options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
@@ -244,8 +245,8 @@ class Problem:
 
     def solved_by(self, **options: Any) -> Problem:
         """Return the same problem with other `Options`, except for the timeout of the torques."""
-        timeout = self.options.torque_timeout
-        return self.replaced(options=Options(torque_timeout=timeout, **options))
+        return self.replaced(options=Options(torque_timeout=self.options.torque_timeout,
+                                             **options))
 
     def between(self, start: State, end_ns: int, memory_ns: int = 0) -> Problem:
         """
@@ -374,10 +375,10 @@ class Problem:
         return Integration(self).advance(at)
 
 
-def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None,
-              *, at: ArrayLike, wheels: TorqueLog | Sequence[Wheel] | None = None,
-              efforts: EffortLog | None = None, fields: Sequence[Field] = (),
-              changes: BodyLog | None = None, actuator: Actuators = None,
+def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
+              wheels: Rotors = None, efforts: EffortLog | None = None,
+              fields: Sequence[Field] = (), changes: BodyLog | None = None,
+              actuator: Actuators = None,
               solver: str = Options.solver, tolerance: float = Options.tolerance,
               max_step: float | None = Options.max_step,
               torque_timeout: float = Options.torque_timeout) -> Trajectory:
@@ -386,12 +387,12 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
 
     Parameters
     ----------
+    at : array of int, shape (m,), ns
+        Times to return, in any order, none before the start.
     body, start, log, wheels, efforts, fields, changes, actuator
         As for `Problem`.
     solver, tolerance, max_step, torque_timeout
         As for `Problem`.
-    at : array of int, shape (m,), ns
-        Times to return, in any order, none before the start.
 
     Returns
     -------
@@ -405,7 +406,7 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
         1e9 rad/s.
 
     """
-    return Integration(Problem(
-        body, start, log, wheels=wheels, solver=solver, tolerance=tolerance, max_step=max_step,
-        torque_timeout=torque_timeout, fields=fields, changes=changes,
-        efforts=efforts, actuator=actuator)).advance(at)
+    return Problem(
+        body, start, log, wheels=wheels, efforts=efforts, fields=fields, changes=changes,
+        actuator=actuator, solver=solver, tolerance=tolerance, max_step=max_step,
+        torque_timeout=torque_timeout).propagate(at=at)

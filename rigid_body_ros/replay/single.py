@@ -47,7 +47,7 @@ from rigid_body_ros.replay import outputs
 from rigid_body_ros.replay.batches import Batch, Batches, Collector, INPUT, Request
 from rigid_body_ros.replay.check import drift, last_digits
 from rigid_body_ros.replay.result import Replay
-from rigid_body_ros.runtime import files, interrupts
+from rigid_body_ros.runtime import files, interrupts, protection
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
@@ -138,7 +138,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     keep = output is None if keep is None else keep
     request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
                       collect)
-    with files.reading(path, scene=scene.path), ExitStack() as stack:
+    with protection.reading(path, scene=scene.path), ExitStack() as stack:
         if output is not None:
             files.check((output, suffix_of(output)))
         topics = given.found_in(path, scene)
