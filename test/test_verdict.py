@@ -68,6 +68,9 @@ def test_the_suspect_is_what_is_wrong(name, suspects):
     assert result.verdict.reasons
     assert suspects <= {one.name for one in result.verdict.suspects[:2]}
     assert result.verdict.level == 'rejected' or covered(result) >= 5
+    # Even a known motion leaves the mean of the noise of all attitudes.
+    for axis in 'xyz':
+        assert result.estimates[f'initial_attitude.{axis}'].sigma > 0.95 * 2e-3 / np.sqrt(1200)
 
 
 @pytest.mark.slow
