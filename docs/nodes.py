@@ -163,7 +163,8 @@ CAUSES = {
     'duplicate, differs (same stamp)': 'In lockstep: a different torque was accepted before for '
                                        'the same state.',
     'before the reset': 'In lockstep: the torque responds to a state from before the reset.',
-    'no body has this inertia': 'The tensor on `inertia` is not finite or not that of a body.',
+    'no body has this inertia': 'The tensor on `inertia` is not finite, not that of a body, or '
+                                'less than that of the wheels with names.',
 }
 PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
@@ -341,13 +342,12 @@ the committed states. Only torques of the same topic replace each other if their
 So two publishers on one topic overwrite each other, and diagnostics name both: give each publisher
 a topic of its own. `late` refers to the newest torque of all topics.
 
-To replay such a run, record all logs of accepted torques, and pass them in the order of
-`torque_topics`:
+To replay such a run, record all logs of what the node accepts, and pass those of torques in the
+order of `torque_topics`; those of rotors, wheels and inertia are found beside them:
 
 ```
 attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
-    --topic /attitude_node/accepted_torque_1 \\
-    --wheel-torque /attitude_node/accepted_wheel_torque --inertia /attitude_node/accepted_inertia
+    --topic /attitude_node/accepted_torque_1
 ```
 
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
@@ -367,8 +367,6 @@ The status `wheel commands` on `/diagnostics` counts two things more, by wheel: 
 max_torque`, and `zero at max_speed`, a warning: commands that would have sped up a wheel which was
 too fast. These are counted when their states are committed, because a late torque may change
 whether the wheel is too fast.
-
-To replay such a run, add `--wheel-command /attitude_node/accepted_wheel_command`.
 
 ### An IMU with errors
 
