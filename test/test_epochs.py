@@ -315,6 +315,23 @@ def test_what_a_node_has_logged_is_found_beside_its_torques(tmp_path, torque, ra
     assert len(problem.logs) == 1
 
 
+@pytest.mark.parametrize('killed', [1, 2])
+def test_a_process_may_be_killed_before_it_marks_inertia_and_wheels(tmp_path, killed):
+    run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')
+    run = scene.Scene.from_values({**run.values, 'inertia_topic': True})
+    kinds = {ACCEPTED: messages.WRENCH, '/node/accepted_inertia': messages.INERTIA,
+             '/node/accepted_wheel_command': messages.joint_commands(
+                 [wheel.name for wheel in run.named_wheels])}
+    with recording.Writer(tmp_path / 'log.mcap') as writer:
+        for number, (topic, kind) in enumerate(kinds.items()):
+            writer.add_topic(topic, kind)
+            for start in (FIRST, SECOND_START)[:1 + (number < killed)]:
+                writer.write(topic, SECOND, messages.epoch_marker(start, kind))
+    result = replay(tmp_path / 'log.mcap', run)
+    assert [one.last.time_ns for one in (*result.earlier, result)] \
+        == [FIRST.time_ns, SECOND_START.time_ns]
+
+
 def with_rotors(start):
     return State(start.time_ns, start.attitude, start.angular_velocity, (0.01, -0.02, 0.03))
 

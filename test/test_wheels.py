@@ -45,10 +45,11 @@ from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import IMPOSSIBLE, RejectedError
-from rigid_body_ros.live.inputs import Inputs
+from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.propagation import Integration, integration
 from rigid_body_ros.propagation.segment import BODY as SOURCE
+from rigid_body_ros.propagation.segment import COMMANDS
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
@@ -373,6 +374,14 @@ def test_mistakes_in_a_scene_are_reported_in_one_line(values, message):
     with pytest.raises(InputError, match=f'^{re.escape(message)}') as error:
         Scene.from_values({**SCENE, **values})
     assert '\n' not in str(error.value)
+
+
+def test_commands_with_one_stamp_replace_each_other_wheel_by_wheel():
+    scene = Scene.from_values(SCENE)
+    epoch = Epoch(scene, scene.start)
+    replaced = [epoch.apply(Torque(SECOND, np.array(efforts), 'body', COMMANDS)) for efforts in (
+        (0.1, np.nan), (np.nan, 0.1), (0.2, np.nan), (0.2, 0.1))]
+    assert replaced == [False, False, True, True]
 
 
 def test_an_inertia_that_the_wheels_do_not_leave_is_rejected_as_one():

@@ -86,8 +86,7 @@ class Epoch:
 
         """
         key = torque.source, torque.stamp_ns
-        is_replacement = self.has_torque_at(torque.stamp_ns, torque.source) \
-            and key not in self._carried
+        is_replacement = self._replaces(torque) and key not in self._carried
         self._put(torque)
         self._carried.discard(key)
         return is_replacement
@@ -113,6 +112,13 @@ class Epoch:
             return stamp_ns in self._propagator.commands_at(stamp_ns).stamps_ns
         held = self._held(stamp_ns, source)
         return held is not None and held.stamp_ns == stamp_ns
+
+    def _replaces(self, torque: Torque) -> bool:
+        if torque.source != COMMANDS:
+            return self.has_torque_at(torque.stamp_ns, torque.source)
+        stamps_ns = self._propagator.commands_at(torque.stamp_ns).stamps_ns
+        return any(stamp_ns == torque.stamp_ns and effort == effort
+                   for stamp_ns, effort in zip(stamps_ns, torque.values.tolist()))
 
     def newest_of(self, source: int) -> Torque | None:
         """Return the torque of a source with the newest stamp, or None before its first."""

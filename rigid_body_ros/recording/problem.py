@@ -250,7 +250,7 @@ def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
         for part, expected in zip(parts, longest):
             _check_same_start(path, part, expected, has_stamps)
     return [tuple(parts[k] if k < len(parts) else
-                  replace(expected.rows(slice(0)), topic=parts[0].topic) for parts in topics)
+                  replace(parts[0].rows(slice(0)), start=expected.start) for parts in topics)
             for k, expected in enumerate(longest)]
 
 
