@@ -182,8 +182,8 @@ ros2 run rigid_body_ros attitude_node --ros-args --params-file config/tumbler.ya
 ```
 
 Without the `ros2` command, as after `pip install '.[ros]'`, type
-`attitude_node --ros-args --params-file config/tumbler.yaml`. `attitude_lifecycle_node` is [the same
-as a managed node](node_howto.md#attitude_lifecycle_node).
+`attitude_node --ros-args --params-file config/tumbler.yaml`. `attitude_lifecycle_node` is
+[the same as a managed node](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative: they take the namespace of the node, and can be
 remapped (`-r torque:=/wrench`). Quality of service can be overridden
@@ -234,19 +234,19 @@ The node and every command (`--scene`) read the same file. In a running node all
 {parameters}
 
 Either the three moments or a `robot_description` are required, but a node can
-[wait for the latter](node_howto.md#inertia-from-robot_state_publisher). The inertia is checked as one
-tensor: positive definite, no principal moment greater than the sum of the other two by more than 3 %.
-The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at least one topic,
-each of them once. The solvers `exact` and `strang` take neither rotors nor damping,
-and `exact` takes no fields.
+[wait for the latter](node_howto.md#inertia-from-robot_state_publisher). The inertia is checked as
+one tensor: positive definite, no principal moment greater than the sum of the other two by more
+than 3 %. The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names
+at least one topic, each of them once. The solvers `exact` and `strang` take neither rotors nor
+damping, and `exact` takes no fields.
 """
 COMMANDS = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Commands: options and exit status
 
-The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends with
-two examples that run in a clone of the repository. [The scene file](scene.md) says which command
-takes which scene. To print this page again: `python docs/nodes.py commands > docs/commands.md`.
+The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends
+with two examples that run in a clone of the repository. [The scene file](scene.md) says which
+command takes which scene. To print this page again: `python docs/nodes.py commands > docs/commands.md`.
 
 ## attitude_replay
 
@@ -291,8 +291,8 @@ usage: attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPI
 ## attitude_ensemble
 
 ```text
-usage: attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] [--controller MODULE:FUNCTION]
-    [--require EXPRESSION] -o FOLDER
+usage: attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN]
+    [--controller MODULE:FUNCTION] [--require EXPRESSION] -o FOLDER
 ```
 
 {ensemble}
