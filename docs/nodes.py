@@ -246,7 +246,8 @@ COMMANDS = """\
 
 The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends
 with two examples that run in a clone of the repository. [The scene file](scene.md) says which
-command takes which scene. To print this page again: `python docs/nodes.py commands > docs/commands.md`.
+command takes which scene. To print this page again:
+`python docs/nodes.py commands > docs/commands.md`.
 
 ## attitude_replay
 

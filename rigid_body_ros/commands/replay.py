@@ -44,7 +44,7 @@ from rigid_body_ros.runtime.terminal import show
 if TYPE_CHECKING:
     from rigid_body_ros.replay.many import Pool
 
-#: Exit statuses; docs/nodes.md has their meaning.
+#: Exit statuses; docs/commands.md has their meaning.
 OK, DIFFERENT = 0, 1
 
 
