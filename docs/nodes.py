@@ -253,7 +253,7 @@ command takes which scene. To print this page again:
 ## attitude_replay
 
 ```text
-attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--plot PNG]
+usage: attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--plot PNG]
 ```
 
 {replay}
@@ -263,7 +263,7 @@ attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--
 ## attitude_compare
 
 ```text
-attitude_compare RECORDING --scene FILE [--measured TOPIC]... [--align NAMES] [-o RESIDUALS]
+usage: attitude_compare RECORDING --scene FILE [--measured TOPIC]... [--align NAMES] [-o RESIDUALS]
 ```
 
 {compare}
@@ -273,7 +273,7 @@ attitude_compare RECORDING --scene FILE [--measured TOPIC]... [--align NAMES] [-
 ## attitude_tradeoff
 
 ```text
-attitude_tradeoff --scene FILE
+usage: attitude_tradeoff --scene FILE
 ```
 
 {tradeoff}
@@ -283,7 +283,7 @@ attitude_tradeoff --scene FILE
 ## attitude_identify
 
 ```text
-attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o FITTED]
+usage: attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o FITTED]
 ```
 
 {identify}
@@ -293,8 +293,8 @@ attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o 
 ## attitude_ensemble
 
 ```text
-attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] [--controller MODULE:FUNCTION]
-    [--require EXPRESSION] -o FOLDER
+usage: attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN]
+    [--controller MODULE:FUNCTION] [--require EXPRESSION] -o FOLDER
 ```
 
 {ensemble}
@@ -304,7 +304,7 @@ attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] [--controll
 ## attitude_regress
 
 ```text
-attitude_regress REFERENCE --scene FILE [--update] -- COMMAND [ARGUMENT ...]
+usage: attitude_regress REFERENCE --scene FILE [--update] -- COMMAND [ARGUMENT ...]
 ```
 
 {regress}

@@ -44,9 +44,9 @@ def set_state(node: Node) -> DiagnosticStatus:
     turn.x, turn.y, turn.z, turn.w = ATTITUDE
     rates.x, rates.y, rates.z = RATES
     state.header.stamp = node.get_clock().now().to_msg()
-    publisher.publish(state)
-    while not answers:
-        rclpy.spin_once(node, timeout_sec=0.1)
+    while not answers:  # the node may not know this publisher yet
+        publisher.publish(state)
+        rclpy.spin_once(node, timeout_sec=1.0)
     return answers[0]
 
 

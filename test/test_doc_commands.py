@@ -32,10 +32,13 @@ import sys
 from conftest import ROOT
 import pytest
 from rigid_body_ros.commands import main
-from test_docs import _FENCE, PAGES
+import test_docs
 
+#: The commands of the live check need a robot.
+PAGES = [page for page in test_docs.PAGES if page.name != 'monitor.md']
 #: Parts of the output that differ from run to run.
 _TIMED = re.compile(r'^speed +\d.*\n|^\* .*\n', re.MULTILINE)
+_SHOWN = re.compile(r'^```bash\n(.*?)^```$(?:\n\n```text\n(.*?)^```$)?', re.DOTALL | re.MULTILINE)
 _STATUS = re.compile(r'# exit status (\d)')
 _COMMAND = re.compile(r'^(?:attitude_\w+ |ros2 |python3? |pip |make |\$ )', re.MULTILINE)
 _FOLDERS = 'config', 'docs', 'examples', 'launch', 'test'
@@ -44,8 +47,15 @@ PATIENCE = 300
 
 
 def blocks(page):
-    """Return the language and the text of each fenced block of a page."""
-    return [(match[2], match[3]) for match in _FENCE.finditer(page.read_text(encoding='utf-8'))]
+    """Return the language and the text of each fenced block of a page; not those of Sphinx."""
+    found = test_docs._FENCE.finditer(page.read_text(encoding='utf-8'))
+    return [(match[2], match[3]) for match in found if not match[0].startswith('```{')]
+
+
+def outputs(page):
+    """Return the blocks of commands, and the text that follows immediately or None."""
+    text = page.read_text(encoding='utf-8')
+    return [(match[1], match[2]) for match in _SHOWN.finditer(text)]
 
 
 def commands(text):
@@ -104,15 +114,12 @@ def test_every_block_has_a_language_and_commands_are_bash(page):
 @pytest.mark.nightly
 @of('')
 def test_the_commands_of_a_page_run_and_print_what_it_shows(page, clone):
-    printed = None
-    for language, text in blocks(page):
-        if language == 'bash':
-            printed = None if needs(text) else [run(line) for line in commands(text)][-1]
-        elif language == 'text' and printed is not None:
-            shown, found = (_TIMED.sub('', each) for each in (text, printed))
+    for text, shown in outputs(page):
+        if not needs(text):
+            printed = [run(line) for line in commands(text)][-1]
+            expected, found = (_TIMED.sub('', each) for each in (shown or '...', printed))
             flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-            assert doctest.OutputChecker().check_output(shown, found, flags), printed
-            printed = None
+            assert doctest.OutputChecker().check_output(expected, found, flags), printed
 
 
 @pytest.mark.ros

@@ -152,6 +152,17 @@ def test_the_python_interface_has_every_public_name_and_those_of_examples():
     assert [name for name in [*public, *names_in_examples()] if not described(name, listed)] == []
 
 
+def test_the_python_interface_has_an_example_of_every_public_name():
+    shown = ' '.join(code for code, _ in blocks(ROOT / 'docs' / 'api.md'))
+    functions = [f'{module}.{name}' for module in ('so3', 'euler') for name, found in vars(
+        getattr(rigid_body_ros, module)).items() if getattr(found, '__module__', '').endswith(
+            f'mechanics.{module}') and not name.startswith('_')]
+    names = [*rigid_body_ros.__all__, *functions]
+    # The results of functions have names that nobody types.
+    assert [name for name in names if not re.search(rf'\b{re.escape(name)}\b', shown)] == [
+        'Trajectories', 'Trajectory']
+
+
 def names_in_examples():
     """Return what the examples use of the package, by full name; commands are elsewhere."""
     found = set()

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.identification import Experiment, Identification
     from rigid_body_ros.scene import Scene
 
-#: Exit statuses; docs/nodes.md has their meaning.
+#: Exit statuses; docs/commands.md has their meaning.
 OK, PARTIAL, REJECTED = 0, 3, 4
 
 

@@ -33,7 +33,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import report, show
 
-#: Exit status after a mistake of the user; docs/nodes.md has the meaning of all.
+#: Exit status after a mistake of the user; docs/commands.md has the meaning of all.
 USER_ERROR = 2
 #: A command that a signal ended exits with this plus the number of the signal.
 SIGNALLED = 128

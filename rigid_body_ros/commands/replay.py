@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.replay.many import Pool
     from rigid_body_ros.report.page import Page
 
-#: Exit statuses; docs/nodes.md has their meaning.
+#: Exit statuses; docs/commands.md has their meaning.
 OK, DIFFERENT = 0, 1
 
 

@@ -115,7 +115,7 @@ def is_asked(names: Collection[str], kind: str, topic: str) -> bool:
 
 
 class _Column(NamedTuple):
-    """What is fitted: its name, the number of its sensor, or -1 if it is common, and its size."""
+    """A fitted quantity: its name, the number of its sensor (-1: of all), and its size."""
 
     name: str
     sensor: int = -1

@@ -185,7 +185,7 @@ class Comparison:
 
 def compared(motion: Motion, measured: Sequence[Measured],
              align: Collection[str], most: int | None = None) -> Comparison:
-    """Return the errors after alignment with at most so many samples, without anything else."""
+    """Return only the errors after alignment, of at most this many samples."""
     alignments = aligned_by(motion, measured, align, most)
     if START in align and isinstance(motion, Problem):
         motion = motion.replaced(start=alignments[0].start)

@@ -193,7 +193,7 @@ def _largest(*scores: Iterable[Score]) -> list[Score]:
 
 
 def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Iterator[Score]:
-    """Generate what an inertia explains that changes from one piece to the next."""
+    """Generate what an inertia that changes from piece to piece explains."""
     from scipy.special import chdtrc
     inertia = given.columns([name for name in known if name.startswith('inertia')])
     matrix, errors = given.stacked()

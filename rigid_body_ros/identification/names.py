@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The names of the parameters of a fit, their components and units, and whose they are."""
+"""The names of the parameters of a fit, with their components, units and sensors."""
 
 from __future__ import annotations
 

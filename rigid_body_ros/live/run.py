@@ -251,7 +251,7 @@ class Run:
         return None if arrived_ns is None else max(0.0, (now_ns - arrived_ns) * 1e-9)
 
     def silent(self, now_ns: int) -> list[Torque]:
-        """Return the torques that act though their sources have sent none for `stale_after`."""
+        """Return the torques that still act, of sources that are silent for `stale_after`."""
         longest = self._scene.stale_after
         if self.epoch is None or not longest:
             return []

@@ -124,7 +124,7 @@ class TorqueQueue:
         self._waiting.insert(place, queued)
 
     def end(self, kept: str) -> None:
-        """Reject all torques at the end of an epoch, but those that are early for one cause."""
+        """Reject all torques at the end of an epoch, except those early for one cause."""
         unmet = {FUTURE: 'the clock reached the stamp of this torque',
                  LATE: 'the clock was set back to the stamp of this torque'}
         ended = [(self._waiting, 'this torque was applied'), *(

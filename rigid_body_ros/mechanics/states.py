@@ -38,7 +38,7 @@ class Poses(NamedTuple):
     angular_velocity: Floats
 
     def rows(self, chosen: Sequence[int] | slice) -> Poses:
-        """Return some of them."""
+        """Return the states of some rows."""
         return Poses(self.attitude[chosen], self.angular_velocity[chosen])
 
 

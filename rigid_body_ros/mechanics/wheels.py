@@ -271,7 +271,7 @@ class Wheels:
         return np.clip(efforts, -self._max_torque, self._max_torque)
 
     def count_clipped(self, efforts: Floats) -> int:
-        """Return how many commands are beyond the limits of the motors; NaN is none."""
+        """Return how many commands are beyond the limits of the motors; NaN does not count."""
         return int((np.abs(efforts) > self._max_torque).sum())
 
     def torque(self, efforts: Floats) -> Floats:

@@ -104,7 +104,7 @@ class Topics:
 
     def found_in(self, path: str | Path, scene: Scene) -> Topics:
         """
-        Return the topics with those of the scene where none are given.
+        Return the topics, which are those of the scene if none are given.
 
         Raises
         ------

@@ -69,7 +69,7 @@ class Curves:
     @classmethod
     def thinned(cls, times_ns: NDArray[np.int64], values: Floats, names: Sequence[str],
                 start_ns: int, style: str = 'line') -> Curves:
-        """Return the curves of samples over seconds from the start, of any number."""
+        """Return the curves of any number of samples over the seconds from the start."""
         extremes = Extremes(values.shape[1])
         extremes.add(times_ns, values)
         found = cls.of(extremes, names, start_ns, style=style)

@@ -131,7 +131,7 @@ class Names(NamedTuple):
 
 
 def parameters_with(names: Names) -> dict[str, Parameter]:
-    """Return all parameters by full name, those of what has these names included."""
+    """Return all parameters by full name, including those of named fields and wheels."""
     return {**PARAMETERS, **wheels.of_names(names.wheels), **fields.of_names(names.fields)}
 
 

@@ -157,7 +157,7 @@ def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
 
 
 def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
-    """Return the columns that a heading names; those of something else are ignored."""
+    """Return the columns that a heading names; other columns are ignored."""
     found: _Columns = {}
     for position, text in enumerate(heading):
         name, scale = _meaning(where, text.lstrip('#').strip())

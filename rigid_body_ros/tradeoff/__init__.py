@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Speed against accuracy: every solver over a ladder of settings, on the user's own motion.
+Speed against accuracy: every solver over a series of settings, on the user's own motion.
 
 All settings run over a *stretch*: the motion, or its beginning of up to about ten thousand radians
 or samples. They are compared with a reference there: the Taylor series at its tightest tolerance

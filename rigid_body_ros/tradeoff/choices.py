@@ -170,7 +170,7 @@ class OnWhole:
 
     @property
     def least(self) -> float | None:
-        """Return the smallest error that was measured, rad; None if none was."""
+        """Return the smallest measured error, rad, or None if there is none."""
         return min(self._found.values(), default=None)
 
     def _measured(self, measurement: Measurement) -> float:

@@ -1,0 +1,80 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The nodes in examples/ that connect others: a relay, and one that sets the initial state."""
+
+import os
+import subprocess
+import sys
+import time
+
+from conftest import ROOT
+import pytest
+
+pytestmark = pytest.mark.ros
+#: s.
+PATIENCE = 300
+
+
+@pytest.fixture
+def executor(context):
+    from rclpy.executors import SingleThreadedExecutor
+    executor = SingleThreadedExecutor(context=context)
+    yield executor
+    executor.shutdown()
+
+
+def spun_until(executor, condition):
+    """Spin until something holds; return whether it does."""
+    end = time.monotonic() + PATIENCE
+    while not condition() and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.1)
+    return condition()
+
+
+def test_the_relay_publishes_the_torque_of_the_thrusts(context, executor):
+    rclpy = pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+    from geometry_msgs.msg import WrenchStamped
+    from relay import Relay
+    from std_msgs.msg import Float64MultiArray
+    relay, other, torques = Relay(context=context), rclpy.create_node('o', context=context), []
+    executor.add_node(relay)
+    executor.add_node(other)
+    other.create_subscription(WrenchStamped, 'torque', torques.append, 10)
+    thrusts = other.create_publisher(Float64MultiArray, 'thrusts', 10)
+    assert spun_until(executor, lambda: thrusts.get_subscription_count()
+                      and relay.count_subscribers('torque'))
+    thrusts.publish(Float64MultiArray(data=[3.0, 1.0, 2.0, 1.0]))
+    assert spun_until(executor, lambda: torques)
+    found = torques[0].wrench.torque
+    # Lever arms of 0.1 m: left minus right, rear minus front, and the drag of each.
+    assert (found.x, found.y, found.z) == pytest.approx((0.3, -0.1, 0.01), abs=1e-15)
+    assert torques[0].header.frame_id == 'base_link'
+
+
+def test_the_initial_state_is_that_of_the_example(context, domain, executor):
+    from rclpy.parameter import Parameter
+    from rigid_body_ros.node import AttitudeNode
+    node = AttitudeNode(context=context, parameter_overrides=[
+        Parameter(f'inertia.{name}', value=1.0) for name in ('ixx', 'iyy', 'izz')])
+    executor.add_node(node)
+    with subprocess.Popen([sys.executable, ROOT / 'examples' / 'set_state.py'], text=True,
+                          stdout=subprocess.PIPE, env={
+                              **os.environ, 'ROS_DOMAIN_ID': str(domain)}) as process:
+        try:
+            assert spun_until(executor, lambda: process.poll() is not None)
+        finally:
+            process.kill()
+        assert process.stdout.read().startswith('initial_state received')
+    node.destroy_node()
