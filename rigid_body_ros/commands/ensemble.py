@@ -17,12 +17,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping
 from functools import partial
-import hashlib
-from importlib.metadata import version
-import json
 import os
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -40,7 +36,6 @@ if TYPE_CHECKING:
     from rigid_body_ros.ensemble.driver import Pool
     from rigid_body_ros.ensemble.requirements import Requirement
     from rigid_body_ros.ensemble.runs import Ensemble
-    from rigid_body_ros.mechanics.torque import TorqueLog
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
 
@@ -51,12 +46,13 @@ FINAL = 'final'
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.ensemble import driver, summary, worst
     from rigid_body_ros.ensemble.folder import opened
+    from rigid_body_ros.ensemble.identity import identity_of
     from rigid_body_ros.ensemble.page import page
     requirements = _requirements(options)
     with checked(options) as outputs:
         scene = load_scene(options)
         ensemble = _ensemble(options, scene)
-        identity = _identity(ensemble, scene, options.times)
+        identity = identity_of(ensemble, scene, options.times)
         with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
                     note=partial(note, options)) as folder:
             driver.compute(ensemble, folder, _pool(options), progress(
@@ -164,39 +160,6 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
         raise InputError('--until: expected the end of the motion, or a --recording, found '
                          'neither')
     return problem, max(end_ns, start_ns)
-
-
-def _identity(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
-    """Return what the runs depend on, as JSON: folders with the same have the same runs."""
-    from rigid_body_ros.runtime.fingerprint import fingerprint
-    values, controller = json.dumps(dict(scene.values), sort_keys=True), ensemble.controller
-    # Through JSON, so that what is compared is what is read from a file.
-    return dict(json.loads(json.dumps({
-        'seed': ensemble.seed, **_varied(ensemble),
-        'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
-        'recording': recording_hash(ensemble.problem.sources),
-        'start_ns': ensemble.problem.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
-        **({'controller': f'{controller.name} {controller.digest}'} if controller else {}),
-        'versions': {**fingerprint(), 'scipy': version('scipy')}})))
-
-
-def recording_hash(logs: Sequence[TorqueLog]) -> str:
-    """Return a hash of the torques of a recording, those on rotors last."""
-    torques = hashlib.sha256()
-    for log in logs:
-        for array in (log.times_ns, log.torques, log.in_space):
-            torques.update(array.tobytes())
-        torques.update(log.interpolation.encode())
-    return f'sha256:{torques.hexdigest()}'
-
-
-def _varied(ensemble: Ensemble) -> dict[str, Any]:
-    fitted = ensemble.fitted
-    if fitted is None:
-        return {'vary': [asdict(one) for one in ensemble.dispersions]}
-    distribution = fitted.covariance.tobytes() + fitted.guess_attitude.tobytes()
-    return {'vary': dict(fitted.estimates),
-            'covariance': f'sha256:{hashlib.sha256(distribution).hexdigest()}'}
 
 
 def _add_arguments(parser: Parser) -> None:

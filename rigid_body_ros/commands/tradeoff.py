@@ -82,7 +82,7 @@ def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
     """Return the spread of the ensemble, if one is given; it must be of the motion to measure."""
     if not options.ensemble:
         return None
-    from rigid_body_ros.commands.ensemble import recording_hash
+    from rigid_body_ros.ensemble.identity import recording_hash
     from rigid_body_ros.tradeoff import ensemble
     spread, start_ns = ensemble.read(options.ensemble), problem.start.time_ns
     if spread.recording != recording_hash(problem.sources):
