@@ -168,13 +168,16 @@ def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed()
 
 
 def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
-    monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=0.0))
-    monitor.skip(EPOCH_NS + 31 * SECOND, EPOCH_NS + 32 * SECOND, 'lost')
-    for message in messages(60):
-        if message[1] != 'torque' or message[0] >= EPOCH_NS + 12 * SECOND:
-            put(monitor, *message)
-    assert windows([*monitor.judgements()]) == [1, 2, 4, 5, 6, *range(8, 13)]
-    assert monitor.skipped == {'lost': 1, 'torque not known yet': 1}
+    # Before the first torque there is none, or it is not known.
+    for awaited, judged_first in ((), [1, 2]), ({0}, []):
+        monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=0.0))
+        monitor.awaited.update(awaited)
+        monitor.skip(EPOCH_NS + 31 * SECOND, EPOCH_NS + 32 * SECOND, 'lost')
+        for message in messages(60):
+            if message[1] != 'torque' or message[0] >= EPOCH_NS + 12 * SECOND:
+                put(monitor, *message)
+        assert windows([*monitor.judgements()]) == [*judged_first, 4, 5, 6, *range(8, 13)]
+        assert monitor.skipped == {'lost': 1, 'torque not known yet': 3 - len(judged_first)}
 
 
 def lagging(actuator, seconds=60):

@@ -51,7 +51,7 @@ from rigid_body_ros.node.drain import DrainCallback, subscription
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
-from rigid_body_ros.sensing.monitor import BEGINS, Monitor, settings_of
+from rigid_body_ros.sensing.monitor import Monitor, settings_of
 from rigid_body_ros.sensing.reading import KINDS, samples
 
 #: How to decode a message, and what to do with several: stamps, ns, and contents.
@@ -237,9 +237,9 @@ class MonitorInputs:
                 except RejectedError as rejected:
                     self.diagnostics.reject(rejected, source)
                     continue
-                before_ns = stamps_ns[-1] if stamps_ns else self._newest_ns.get(source, 0)
-                if source < _FIRST_MEASURED and (is_after_gap or not before_ns):
-                    self.monitor.skip(before_ns, stamp_ns, _LOST if before_ns else BEGINS)
+                if is_after_gap and source < _FIRST_MEASURED:
+                    before_ns = stamps_ns[-1] if stamps_ns else self._newest_ns.get(source, 0)
+                    self.monitor.skip(before_ns, stamp_ns, _LOST)
                 stamps_ns.append(stamp_ns)
                 found.append(message)
             arrived.clear()
@@ -265,6 +265,7 @@ class MonitorInputs:
     def _apply(self, source: int, topic: str, stamps_ns: NDArray[np.int64],
                found: Sequence[Torque]) -> None:
         """Put torques into the check."""
+        self.monitor.awaited.add(source)
         self._count(source, stamps_ns, self.monitor.apply(
             stamps_ns, np.array([torque.values for torque in found]),
             [torque.frame == 'space' for torque in found], source))

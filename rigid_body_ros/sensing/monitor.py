@@ -101,6 +101,8 @@ class Monitor:
         The reason, if the last window was not judged; else ''.
     last : Judgement or None
         That of the last window that was judged.
+    awaited : set of int
+        Sources whose torque before the first one is not zero, but unknown.
 
     """
 
@@ -123,6 +125,7 @@ class Monitor:
         self._spans: list[tuple[int, int, str]] = []
         self.newest_ns, self.skipped, self.last_skipped = 0, Counter[str](), ''
         self.last: Judgement | None = None
+        self.awaited: set[int] = set()
 
     def apply(self, times_ns: ArrayLike, torques: Floats, in_space: ArrayLike = False,
               source: int = 0) -> NDArray[np.bool_]:
@@ -206,9 +209,9 @@ class Monitor:
         for first_ns, last_ns, reason in self._spans:
             if first_ns < end_ns and last_ns > begin_ns:
                 return reason
-        for rows in self._torques.values():
+        for source, rows in self._torques.items():
             times_ns, held_ns = self._held(rows, begin_ns, end_ns)
-            if len(times_ns) and times_ns[0] > begin_ns:
+            if times_ns[0] > begin_ns if len(times_ns) else source in self.awaited:
                 return BEGINS
             if np.any(held_ns > self._stale_ns):
                 return SILENT
