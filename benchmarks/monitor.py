@@ -16,7 +16,8 @@
 How often a live check gives a false alarm, and how soon it finds an error.
 
 Run `python benchmarks/monitor.py [--hours N] [--false-alarms H] [--colour C]` for the rate of
-false alarms of a right model, and with `--delays` for the table of `docs/monitor.md`. A body
+false alarms of a right model, and with `--delays` or `--windows` for the tables of
+`docs/monitor.md`: by size of the noise, or by length of the window at nominal noise, s. A body
 tumbles under pulses at 20 Hz. A mocap at 50 Hz and a gyro at 100 Hz measure it, with white noise
 or with AR(1) noise; every hour has a seed of its own.
 """
@@ -95,10 +96,10 @@ def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.
         yield (times_ns, torques), (at_ns[mocap.start::mocap.step], attitude), (at_ns, rates)
 
 
-def judgements(found, hours, level=1.0):
+def judgements(found, hours, level=1.0, window=5.0):
     """Generate the judgements of a live check of pieces."""
     monitor = Monitor(Problem(RigidBody(INERTIA), State(0)), Settings(
-        5.0, HISTORY, level * ATTITUDE_NOISE, level * RATE_NOISE, hours))
+        window, HISTORY, level * ATTITUDE_NOISE, level * RATE_NOISE, hours))
     for torques, mocap, gyro in found:
         monitor.apply(*torques)
         monitor.measure('/mocap', *mocap, np.full((len(mocap[0]), 3), np.nan))
@@ -114,9 +115,9 @@ def false_alarms(hours, colour, seed):
     return len(alarms), len(found)
 
 
-def delay(name, level, seed):
+def delay(name, level, window, seed):
     """Return after how many seconds an error is found; infinity if not within ten minutes."""
-    found = judgements(pieces(seed, 660, 0.0, level, **ERRORS[name]), 24.0, level)
+    found = judgements(pieces(seed, 660, 0.0, level, **ERRORS[name]), 24.0, level, window)
     return next((1e-9 * one.error.end_ns for one in found if one.level == ERROR), np.inf)
 
 
@@ -127,13 +128,16 @@ def main():
     parser.add_argument('--false-alarms', type=float, default=1.0, metavar='HOURS')
     parser.add_argument('--colour', type=float, default=0.0, help='of the AR(1) noise')
     parser.add_argument('--delays', action='store_true')
+    parser.add_argument('--windows', type=float, nargs='+', metavar='SECONDS')
     options = parser.parse_args()
     with Pool(os.cpu_count()) as pool:
-        if options.delays:
-            print('| what is wrong | nominal noise | ten times the noise |\n|---|---|---|')
+        if options.delays or options.windows:
+            columns = {f'{window:g} s': (1.0, window) for window in options.windows or ()} or {
+                'nominal noise': (1.0, 5.0), 'ten times the noise': (10.0, 5.0)}
+            print(f'| what is wrong | {" | ".join(columns)} |\n|---|' + '---|' * len(columns))
             for name in ERRORS:
-                cells = [np.median(pool.map(partial(delay, name, level), range(5)))
-                         for level in (1.0, 10.0)]
+                cells = [np.median(pool.map(partial(delay, name, *column), range(5)))
+                         for column in columns.values()]
                 print(f'| {name} | ' + ' | '.join(
                     f'{cell:.0f} s' if cell < np.inf else 'not within 10 min'
                     for cell in cells) + ' |', flush=True)

@@ -53,7 +53,7 @@ NEEDS = {
                 'fitted', 'tradeoff_ensemble'],
     'zarr': ['ensemble_folder', 'ensemble_motions', 'ensemble_results'],
     'rclpy': ['clocks', 'closed_loop', 'crash', 'executors', 'faults', 'fleet', 'imu_live',
-              'launch', 'lifecycle', 'lockstep', 'node', 'overload', 'regress',
+              'launch', 'lifecycle', 'lockstep', 'monitor_live', 'node', 'overload', 'regress',
               'robot_description', 'shared_files_live', 'silence', 'soak', 'sources', 'topics',
               'torque_topics', 'workspace'],
     'colcon_ros': ['workspace'],

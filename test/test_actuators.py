@@ -301,3 +301,11 @@ def test_each_run_of_an_ensemble_is_the_motion_under_the_actuator():
             np.array([runs['torque_bias.x'][k], 0.0, 0.0]), 3 * SECOND)
         assert [runs[f'attitude.{axis}'][k] for axis in 'xyzw'] == one.propagate(
             at=[3 * SECOND]).attitude[0].tolist()
+
+
+@pytest.mark.parametrize('actuator', [Actuator(0.1, 0.2), (Actuator(0.1, 0.2), None)])
+def test_a_constant_torque_without_commands_has_no_actuator(actuator):
+    found, expected = (Problem(BODY, START, **given).biased(np.array([1e-3, 0.0, 0.0]), SECOND)
+                       for given in ({'actuator': actuator}, {}))
+    np.testing.assert_array_equal(found.propagate(at=[SECOND]).attitude,
+                                  expected.propagate(at=[SECOND]).attitude)

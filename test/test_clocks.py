@@ -422,9 +422,10 @@ class Fake:
     def now(self):
         return Time(nanoseconds=round(self.time * SECOND))
 
-    def jumps(self, readings, is_simulated, limit):
+    def jumps(self, readings, is_simulated, *limits):
         """Return by how much the clock jumps at each reading (clock, steady clock)."""
-        detector, found = JumpDetector(self, is_simulated, round(limit * SECOND)), []
+        detector, found = JumpDetector(self, is_simulated, *(
+            round(limit * SECOND) for limit in limits)), []
         for self.time, self.steady in readings:
             found.append(detector.read().jump_ns / SECOND)
         return found
@@ -444,8 +445,14 @@ class Fake:
     (False, [(100, 1), (100.01, 1.01), (102, 3), (162, 63)], [0, 0, 0, 0]),
     (False, [(100, 1), (102, 1.5), (101.5, 1.51), (100, 1.52)], [0, 2, 0, -1.5])])
 def test_a_jump_is_more_than_a_pause_of_the_node(monkeypatch, is_simulated, readings, jumps):
-    found = Fake(monkeypatch).jumps(readings, is_simulated, limit=1.0)
+    found = Fake(monkeypatch).jumps(readings, is_simulated, 1.0)
     np.testing.assert_allclose(found, jumps, atol=1e-6)
+
+
+def test_a_small_step_of_a_wall_clock_is_a_jump_if_no_step_is_allowed(monkeypatch):
+    readings = [(100, 1), (100.1, 1.1), (100.197, 1.2), (160.197, 61.2), (160.3, 61.3)]
+    found = Fake(monkeypatch).jumps(readings, False, 1e-3, 1e-3)
+    np.testing.assert_allclose(found, [0, 0, 0.097, 0, 0.103], atol=1e-6)
 
 
 def test_a_clock_that_stops_is_a_warning(domain):

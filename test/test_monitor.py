@@ -19,9 +19,10 @@ import sys
 from conftest import at_night, EPOCH_NS, ROOT, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import Problem, RigidBody, State
+from rigid_body_ros import Actuator, Problem, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.sensing.alarms import ERROR, NoiseLevel
-from rigid_body_ros.sensing.monitor import Monitor, Settings
+from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.monitor import Monitor, monitored, Settings
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
@@ -54,9 +55,9 @@ def put(monitor, time_ns, name, values):
         (values[None], none[:, :3]) if name == '/mocap' else (none, values[None])))
 
 
-def judged(found, settings=PATIENT, problem=None, step=1000):
+def judged(found, settings=PATIENT, problem=None, step=1000, actuators=()):
     """Return the judgements of messages in their order."""
-    monitor, result = Monitor(problem or Problem(BODY, State(0)), settings), []
+    monitor, result = Monitor(problem or Problem(BODY, State(0)), settings, actuators), []
     for number, message in enumerate(found):
         assert put(monitor, *message)
         if not number % step:
@@ -67,6 +68,11 @@ def judged(found, settings=PATIENT, problem=None, step=1000):
 def numbers(judgements):
     return np.array([np.concatenate([[one.error.end_ns], one.error.attitude, one.error.rate,
                                      one.error.torque, [one.sigma]]) for one in judgements])
+
+
+def windows(judgements):
+    """Return the numbers of windows of 5 s; the first is that in which messages begin."""
+    return [(one.error.end_ns - EPOCH_NS) // (5 * SECOND) + 1 for one in judgements]
 
 
 def test_the_errors_of_a_right_model_have_the_covariance_that_is_stated():
@@ -132,6 +138,83 @@ def test_memory_is_bounded():
         rows = (*monitor._torques.values(), *monitor._sensors.values())
         sizes.append(sum(len(each._all()[0]) for each in rows))
     assert max(sizes[-6000:]) <= max(sizes[:6000])
+
+
+def test_a_torque_that_is_not_known_is_no_error_of_the_model():
+    begin_ns, end_ns = EPOCH_NS + 32 * SECOND, EPOCH_NS + 48 * SECOND
+    found = sorted((message for message in messages(120)
+                    if message[1] != 'torque' or not begin_ns < message[0] < end_ns),
+                   key=lambda message: message[0])
+    settings = PATIENT._replace(history=1.0)
+    # Held for long, the last torque is another than the one that acts.
+    assert any(one.level == ERROR for one in judged(found, settings, step=1))
+    for order, step in ((found, 1), (found, 777)):
+        judgements = judged(order, settings._replace(stale_after=1.0), step=step)
+        assert not any(one.level == ERROR for one in judgements)
+        # From the first whole window to the last, without those from 29.9 s to 49.9 s.
+        assert windows(judgements) == [2, 3, 4, 5, 6, *range(11, 24)]
+
+
+def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed():
+    # The sixth window ends at 29.9 s. The last torque of before is followed after 0.9 or 1.1 s.
+    for next_s, is_judged in ((30.4, True), (30.6, False)):
+        begin_ns, end_ns = EPOCH_NS + 29_500_000_000, EPOCH_NS + round(next_s * SECOND)
+        found = sorted((message for message in messages(60)
+                        if message[1] != 'torque' or not begin_ns < message[0] < end_ns),
+                       key=lambda message: message[0])
+        settings = PATIENT._replace(history=0.0, stale_after=1.0)
+        assert windows(judged(found, settings, step=1)) == [
+            2, 3, 4, 5, *[6] * is_judged, *[7] * is_judged, 8, 9, 10, 11, 12]
+
+
+def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
+    # Before the first torque there is none, or it is not known.
+    for awaited, judged_first in ((), [1, 2]), ({0}, []):
+        monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=0.0))
+        monitor.awaited.update(awaited)
+        monitor.skip(EPOCH_NS + 31 * SECOND, EPOCH_NS + 32 * SECOND, 'lost')
+        for message in messages(60):
+            if message[1] != 'torque' or message[0] >= EPOCH_NS + 12 * SECOND:
+                put(monitor, *message)
+        assert windows([*monitor.judgements()]) == [*judged_first, 4, 5, 6, *range(8, 13)]
+        assert monitor.skipped == {'lost': 1, 'torque not known yet': 3 - len(judged_first)}
+
+
+def lagging(actuator, seconds=60):
+    """Return the problem of a body under lagging torques, and what is measured of its motion."""
+    random = np.random.default_rng(9)
+    times_ns = EPOCH_NS + np.arange(0, seconds * SECOND, SECOND // 20)
+    at_ns = EPOCH_NS + np.arange(0, seconds * SECOND, SECOND // 100)
+    state = State(EPOCH_NS, angular_velocity=(0.3, -0.2, 0.4))
+    problem = Problem(BODY, state, TorqueLog(times_ns, random.normal(size=(len(times_ns), 3))
+                                             * campaign.PULSE), actuator=actuator)
+    motion = problem.propagate(at=at_ns)
+    turned = so3.exp(random.normal(size=(len(at_ns), 3)) * campaign.ATTITUDE_NOISE)
+    rates = motion.angular_velocity + random.normal(size=(len(at_ns), 3)) * campaign.RATE_NOISE
+    return problem, [Measured('/mocap', at_ns, so3.multiply(motion.attitude, turned), None),
+                     Measured('/gyro', at_ns, None, rates)]
+
+
+def test_the_lag_of_an_actuator_is_part_of_the_model_with_the_bits_of_the_offline_twin():
+    # The limit matters, and what lags lasts for longer than a window.
+    actuator = Actuator(0.04, 0.3, (5e-3, 5e-3, 4e-3))
+    problem, (mocap, gyro) = lagging(actuator)
+    twin = [*monitored(problem, [mocap, gyro], PATIENT._replace(history=1.0))]
+    assert len(twin) >= 10
+    assert not any(one.level == ERROR for one in twin)
+    log, = problem.logs
+    found = [*((time_ns, 'torque', torque) for time_ns, torque in zip(log.times_ns, log.torques)),
+             *((time_ns, '/mocap', attitude)
+               for time_ns, attitude in zip(mocap.stamps_ns, mocap.attitude)),
+             *((time_ns, '/gyro', rate)
+               for time_ns, rate in zip(gyro.stamps_ns, gyro.angular_velocity))]
+    random = np.random.default_rng(5)
+    found.sort(key=lambda message: message[0] + int(random.integers(0, SECOND // 2)))
+    settings, scene = PATIENT._replace(history=1.0), Problem(BODY, State(0), actuator=[actuator])
+    for step in (1, 555):
+        live = judged(found, settings, scene, step, [actuator])
+        np.testing.assert_array_equal(numbers(live), numbers(twin)[:len(live)])
+    assert any(one.level == ERROR for one in judged(found, settings))  # without the actuator
 
 
 def test_a_silent_sensor_is_no_error_of_the_model():

@@ -14,7 +14,7 @@
 
 """The node `attitude_monitor`: what it publishes, and what it says of its inputs."""
 
-from functools import partial
+from collections import Counter
 import json
 import os
 import signal
@@ -22,7 +22,7 @@ import subprocess
 import sys
 import time
 
-from conftest import ROOT, SECOND
+from conftest import at_night, ROOT, SECOND
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 import numpy as np
@@ -46,9 +46,21 @@ pytestmark = pytest.mark.ros
 PATIENCE = 120.0
 PROGRAM = ('import sys; from rigid_body_ros.commands import main; '
            'sys.exit(main.attitude_monitor())')
+#: The same, and its wall clock is ahead by the seconds in a file.
+WITH_CLOCK = """
+from pathlib import Path
+from rclpy.clock import Clock
+from rclpy.duration import Duration
+now, shift = Clock.now, Path({!r})
+Clock.now = lambda clock: now(clock) + Duration(nanoseconds=int(shift.read_text() or 0))
+""" + PROGRAM
 BEGIN_NS = 1000 * SECOND
+#: ns; simulated time in a second. If it is ten times as fast as real time, it may jump.
+FASTER = 6 * SECOND
 TOPICS = {'/torque': (WrenchStamped, messages.WRENCH), '/mocap': (QuaternionStamped,
           messages.QUATERNION), '/gyro': (Vector3Stamped, messages.VECTOR3)}
+#: Their names in diagnostics.
+NAMES = 'torques', 'measured /mocap', 'measured /gyro'
 
 
 def stream(seconds, **wrong):
@@ -65,9 +77,9 @@ def stream(seconds, **wrong):
 
 
 class Session:
-    """A monitor in a process of its own, under simulated time, and what it publishes."""
+    """A monitor in a process of its own, and what it publishes."""
 
-    def __init__(self, path, domain):
+    def __init__(self, path, domain, program=PROGRAM, **parameters):
         entries = dict(zip(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
                            campaign.INERTIA[np.triu_indices(3)].tolist()))
         qos = {f'qos_overrides.{topic}.subscription.reliability': 'reliable' for topic in TOPICS}
@@ -75,11 +87,11 @@ class Session:
             'inertia': entries, 'history': 1.0, 'on_time_jump': 'ignore', 'use_sim_time': True,
             'monitor': {'measured': ['/mocap', '/gyro'], 'window': 2.0,
                         'attitude_noise': campaign.ATTITUDE_NOISE,
-                        'rate_noise': campaign.RATE_NOISE}, **qos}}}))
+                        'rate_noise': campaign.RATE_NOISE}, **qos, **parameters}}}))
         self.scene = scene.load(path)
         self._environment = os.environ | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
                                           'ROS_DOMAIN_ID': str(domain)}
-        self._command = [sys.executable, '-c', PROGRAM, '--ros-args', '--params-file', str(path)]
+        self._command = [sys.executable, '-c', program, '--ros-args', '--params-file', str(path)]
         self._domain = domain
 
     def __enter__(self):
@@ -90,7 +102,7 @@ class Session:
         self.node = rclpy.create_node('recorder', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self.errors, self.diagnostics = {}, []
+        self.errors, self.diagnostics, self.now_ns = {}, [], BEGIN_NS
         for name in ('attitude_error', 'rate_error'):
             self.errors[name] = []
             self.node.create_subscription(Vector3Stamped, f'/attitude_monitor/{name}',
@@ -98,10 +110,14 @@ class Session:
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self.diagnostics.append,
                                       QoSProfile(depth=100))
         self.clock = self.node.create_publisher(Clock, '/clock', 10)
-        self.publishers = {topic: self.node.create_publisher(kind, topic, 10_000)
-                           for topic, (kind, _) in TOPICS.items()}
+        self.publish()
         self.connect()
         return self
+
+    def publish(self):
+        """Begin to publish what the monitor receives."""
+        self.publishers = {topic: self.node.create_publisher(kind, topic, 10_000)
+                           for topic, (kind, _) in TOPICS.items()}
 
     def __exit__(self, *error):
         self.process.kill()
@@ -117,54 +133,68 @@ class Session:
     def connect(self):
         """Wait until the monitor listens to all topics and the clock, and is heard."""
         count = len(self.diagnostics)
-        self.wait(lambda: self.clock.get_subscription_count() == 1 and all(
-            one.get_subscription_count() == 1 for one in self.publishers.values())
-            and len(self.diagnostics) > count)
+        self.wait(lambda: all(one.get_subscription_count() == 1
+                              for one in self.publishers.values())
+                  and len(self.diagnostics) > count)
         # The monitor may not have found the publishers yet.
-        self.set_clock(BEGIN_NS)
-        for topic, (_, kind) in TOPICS.items():
-            name = 'torques' if topic == '/torque' else f'measured {topic}'
-            data = kind.encode(BEGIN_NS, 'nowhere', np.zeros(kind.doubles))
-            publish = partial(self.publishers[topic].publish, data)
-            self.wait(partial(self.is_heard, name, publish))
+        for name, (topic, (_, kind)) in zip(NAMES, TOPICS.items()):
+            data = kind.encode(self.now_ns, 'nowhere', np.zeros(kind.doubles))
+            before = self.values(name)['rejected: unknown frame']
+            self.wait(self.is_heard, name, before, self.publishers[topic], data)
         self.received = self.count()
 
-    def wait(self, condition):
+    def wait(self, condition, *arguments):
         until = time.monotonic() + PATIENCE
-        while not condition():
+        while not condition(*arguments):
             assert self.process.poll() is None, 'the monitor has ended'
             assert time.monotonic() < until, 'nothing happens'
-            self._executor.spin_once(timeout_sec=0.1)
+            self._executor.spin_once(timeout_sec=0.01)
 
-    def is_heard(self, name, publish):
-        """Return whether a message has arrived; publish another."""
-        publish()
-        return self.values(name)['rejected: unknown frame']
+    def is_heard(self, name, before, publisher, data):
+        """Return whether a message has arrived after some; publish another, and the time."""
+        self.set_clock(self.now_ns)
+        publisher.publish(data)
+        return self.values(name)['rejected: unknown frame'] > before
 
     def count(self):
         """Return how many messages have arrived."""
-        return sum(self.values(name)['received'] for name in (
-            'torques', 'measured /mocap', 'measured /gyro'))
+        return sum(self.values(name)['received'] for name in NAMES)
 
     def play(self, found):
         """Publish messages no faster than they are judged, and wait until all have arrived."""
+        began = time.monotonic() - found[0][0] / FASTER
         for number, (stamp_ns, topic, data) in enumerate(found):
             if not number % 20:
+                self.wait(is_over, time.monotonic, began + stamp_ns / FASTER)
                 self.set_clock(stamp_ns)
             self.publishers[topic].publish(data)
-            self.wait(partial(self.has_judged, stamp_ns - 4 * SECOND))
+            self.wait(self.keeps_up, stamp_ns, number)
         self.set_clock(found[-1][0])
         # Some of those before may have been on their way.
         self.received += len(found)
         self.wait(lambda: self.count() >= self.received)
 
-    def has_judged(self, time_ns):
-        """Return whether a window that ends after a time has been judged."""
+    def keeps_up(self, stamp_ns, number):
+        """Return whether the monitor is not far behind a message, the last of a number."""
         errors = self.errors['rate_error']
-        return (messages.VECTOR3.decode(errors[-1]).stamp_ns if errors else BEGIN_NS) > time_ns
+        last_ns = messages.VECTOR3.decode(errors[-1]).stamp_ns if errors else BEGIN_NS
+        # If an input is silent, no window may be judged.
+        return last_ns > stamp_ns - 4 * SECOND or self.count() + 400 > self.received + number
+
+    def has_judged(self, count):
+        """Return whether so many windows have been judged."""
+        return len(self.errors['rate_error']) >= count
+
+    def has_jumped(self, count):
+        """Return whether the monitor has noticed so many jumps of the clock."""
+        return self.values('motion')['clock jumps'] == count
+
+    def is_silent(self, name):
+        """Return whether an input has been found silent."""
+        return 'nothing for' in self.status(name).message
 
     def set_clock(self, stamp_ns):
-        clock = Clock()
+        clock, self.now_ns = Clock(), stamp_ns
         clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, SECOND)
         self.clock.publish(clock)
 
@@ -177,9 +207,32 @@ class Session:
         return {pair.key: int(pair.value) for pair in self.status(name).values
                 if pair.value.isdigit()}
 
+    def levels(self):
+        """Return the levels that the model has had."""
+        return {status.level for array in self.diagnostics for status in array.status
+                if status.name.endswith(': model')}
+
     def stop(self):
         self.process.send_signal(signal.SIGINT)
         return self.process.wait(PATIENCE)
+
+
+def is_over(clock, until):
+    """Return whether a time is over."""
+    return clock() > until
+
+
+def shifted(found, shift_ns):
+    """Return messages with other stamps."""
+    return [(stamp_ns + shift_ns, topic, TOPICS[topic][1].encode(
+        stamp_ns + shift_ns, '', TOPICS[topic][1].decode(data).values))
+        for stamp_ns, topic, data in found]
+
+
+def find(found, seconds):
+    """Return the index of the first message from a time on."""
+    return next(row for row, (stamp_ns, _, _) in enumerate(found)
+                if stamp_ns >= BEGIN_NS + seconds * SECOND)
 
 
 def compared(folder, found):
@@ -198,7 +251,8 @@ def compared(folder, found):
 
 def expected(session, found):
     """Return what a monitor without ROS says of the same messages, in the order of stamps."""
-    monitor = Monitor(session.scene.problem(), settings_of(session.scene.values))
+    monitor = Monitor(session.scene.problem(), settings_of(session.scene.values),
+                      session.scene.actuators or ())
     for stamp_ns, topic, data in found:
         values = TOPICS[topic][1].decode(data).values[None]
         if topic == '/torque':
@@ -208,16 +262,18 @@ def expected(session, found):
     return [*monitor.judgements()]
 
 
-def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, domain):
+@pytest.mark.parametrize('actuator', [None, *at_night(
+    {'topics': ['/torque'], 'delay': 0.03, 'time_constant': 0.02, 'limit': {'x': 0.02}})])
+def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, domain, actuator):
     found = stream(60)
     random = np.random.default_rng(6)
     order = sorted(found, key=lambda message: message[0] + int(random.integers(0, SECOND // 4)))
-    with Session(tmp_path / 'scene.yaml', domain) as session:
+    others = {'actuator': actuator} if actuator else {}
+    with Session(tmp_path / 'scene.yaml', domain, **others) as session:
         session.play(order)
         twin = expected(session, found)
-        session.wait(lambda: len(session.errors['attitude_error']) >= len(twin))
-        rejected = {name: session.values(name)['rejected: late'] for name in (
-            'torques', 'measured /mocap', 'measured /gyro')}
+        session.wait(session.has_judged, len(twin))
+        rejected = {name: session.values(name)['rejected: late'] for name in NAMES}
         assert not any(rejected.values()), rejected
         for name in ('attitude', 'rate'):
             published = [messages.VECTOR3.decode(data)
@@ -228,8 +284,9 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
         twin = compared(tmp_path, found)[:len(twin)]
         assert [one['rate_error_rad_s'] for one in twin] == [
             one.values.tolist() for one in published]
-        session.wait(lambda: session.status('model').message.startswith('the model explains'))
-        assert session.status('model').level == b'\x00'
+        if not actuator:
+            session.wait(lambda: session.status('model').message.startswith('the model explains'))
+            assert session.status('model').level == b'\x00'
         assert session.stop() == 0
 
 
@@ -244,14 +301,103 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
         session.play([(stamp_ns, topic, messages.QUATERNION.encode(
             stamp_ns, 'nowhere', (0.0, 0.0, 0.0, 1.0)) if topic == '/mocap' else data)
             for stamp_ns, topic, data in wrong[len(first):]])
-        session.wait(lambda: '/mocap: nothing for' in session.status('measured /mocap').message)
+        session.wait(session.is_silent, 'measured /mocap')
         assert len(session.errors['rate_error']) > len(session.errors['attitude_error'])
         # A crash and a restart.
         session.process.kill()
         session.process.wait()
         session.start()
         session.connect()
-        session.wait(lambda: session.status('model').message == 'no window yet')
+        session.wait(lambda: session.status('model').message.startswith('no window yet'))
+        assert session.stop() == 0
+
+
+def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domain):
+    found = stream(60)
+    with Session(tmp_path / 'scene.yaml', domain) as session:
+        begin_ns = BEGIN_NS
+        for topic, name in zip(TOPICS, NAMES):
+            # Eight seconds with the topic, eight without it.
+            middle_ns, end_ns = begin_ns + 8 * SECOND, begin_ns + 16 * SECOND
+            session.play([message for message in found if begin_ns <= message[0] < end_ns
+                          and (message[1] != topic or message[0] < middle_ns)])
+            session.wait(session.is_silent, name)
+            begin_ns = end_ns
+        assert session.values('model')['windows skipped: no torque for longer than stale_after']
+        session.play([message for message in found if message[0] >= begin_ns])
+        session.wait(lambda: session.status('model').level == b'\x00')
+        assert b'\x02' not in session.levels()
+        # Nothing comes any more, but for the time.
+        session.set_clock(found[-1][0] + 20 * SECOND)
+        session.wait(lambda: session.status('model').message.startswith('no measurements since'))
+        assert session.stop() == 0
+
+
+def test_after_a_jump_of_simulated_time_the_check_begins_again(tmp_path, domain):
+    found = stream(20)
+    with Session(tmp_path / 'scene.yaml', domain, on_time_jump='reset') as session:
+        session.play(found)
+        for number, begin_ns in enumerate((BEGIN_NS, BEGIN_NS + 1000 * SECOND), 1):
+            (_, topic, late), count = found[-1], len(session.errors['rate_error'])
+            found = shifted(found, begin_ns - found[0][0])
+            session.set_clock(begin_ns)
+            session.wait(session.has_jumped, number)
+            session.publishers[topic].publish(late)  # it was still on its way
+            session.received += 1
+            session.play(found)
+            session.wait(session.has_judged, count + 6)
+        counts = Counter()
+        for name in NAMES:
+            counts.update(session.values(name))
+        assert counts['rejected: before the reset'] == 2
+        assert not counts['rejected: late'] + counts['rejected: future']
+        assert b'\x02' not in session.levels()
+        assert session.stop() == 0
+
+
+@pytest.mark.nightly
+def test_steps_of_the_wall_clock_are_no_error_of_the_model(tmp_path, domain):
+    path, steps, shift_ns, windows = tmp_path / 'shift', [-30.0, 100.0, -0.25], 0, 3
+    path.write_text('0')
+    with Session(tmp_path / 'scene.yaml', domain, WITH_CLOCK.format(str(path)),
+                 on_time_jump='reset', use_sim_time=False) as session:
+        for stamp_ns, topic, data in shifted(stream(120), time.time_ns() - BEGIN_NS):
+            session.wait(is_over, time.time_ns, stamp_ns)
+            (_, _, data), = shifted([(stamp_ns, topic, data)], shift_ns)
+            session.publishers[topic].publish(data)
+            if session.has_judged(windows):
+                if not steps:
+                    break
+                shift_ns += round(steps.pop(0) * SECOND)
+                windows += 3
+                (tmp_path / 'next').write_text(str(shift_ns))
+                (tmp_path / 'next').replace(path)
+        assert not steps
+        session.wait(session.has_jumped, 3)
+        assert b'\x02' not in session.levels()
+        assert session.stop() == 0
+
+
+@pytest.mark.nightly
+def test_restarts_of_the_sources_and_of_the_monitor_are_no_error_of_the_model(tmp_path, domain):
+    found = stream(60)
+    with Session(tmp_path / 'scene.yaml', domain) as session:
+        session.play(found[:find(found, 15)])
+        for publisher in session.publishers.values():
+            session.node.destroy_publisher(publisher)
+        session.publish()
+        session.connect()
+        session.play(found[find(found, 18):find(found, 33)])
+        session.process.kill()
+        session.process.wait()
+        session.start()
+        session.connect()
+        count = len(session.errors['rate_error'])
+        # The torques are found last.
+        session.play([message for message in found[find(found, 33.5):]
+                      if message[1] != '/torque' or message[0] > BEGIN_NS + 37 * SECOND])
+        session.wait(session.has_judged, count + 8)
+        assert b'\x02' not in session.levels()
         assert session.stop() == 0
 
 
@@ -259,8 +405,7 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
     ('monitor.rate_noise:=0.0', 'monitor.rate_noise: expected the standard deviation'),
     ('inertia_topic:=true', 'inertia_topic: expected false'),
     ('monitor.measured:=["a b"]', 'monitor.measured: expected names of topics'),
-    ('monitor.measured:=["/imu", "/imu"]', 'monitor.measured: expected each topic once'),
-    ('actuator.topics:=["torque"]', 'actuator.topics: expected none')])
+    ('monitor.measured:=["/imu", "/imu"]', 'monitor.measured: expected each topic once')])
 def test_a_scene_that_cannot_be_checked_is_an_error_of_one_line(tmp_path, domain, line, words):
     session = Session(tmp_path / 'scene.yaml', domain)
     result = subprocess.run([*session._command, '-p', line], env=session._environment, check=False,

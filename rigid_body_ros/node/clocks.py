@@ -97,25 +97,29 @@ class JumpDetector:
 
     Simulated time jumps if it is set back at all, or ahead by more than a limit. After a pause of
     the node or of the publisher it may be ahead by more, also in several steps, because messages
-    on /clock have waited. A wall clock may be set back up to the limit, and its jumps ahead are
-    relative to the steady clock.
+    on /clock have waited. Jumps of a wall clock are relative to the steady clock, and it may be
+    set back up to the limit.
 
     Parameters
     ----------
     clock : Clock
     is_simulated : bool
     limit_ns : int
-        The limit, ns; at least 0.1 s ahead.
+        The limit, ns.
+    ahead_ns : int
+        The least limit ahead, ns.
 
     """
 
-    def __init__(self, clock: Clock, is_simulated: bool, limit_ns: int) -> None:
+    def __init__(self, clock: Clock, is_simulated: bool, limit_ns: int,
+                 ahead_ns: int = _SMALLEST_JUMP_NS) -> None:
         self._clock = clock
         self._is_simulated = is_simulated
         self._most_back_ns = 0 if is_simulated else limit_ns
-        self.most_ahead_ns = max(limit_ns, _SMALLEST_JUMP_NS)
-        #: The last reading, and when it was taken and when the clock advanced, steady clock.
-        self._now_ns = self._read_at_ns = self._advanced_at_ns = 0
+        self.most_ahead_ns = max(limit_ns, ahead_ns)
+        #: The last reading, between which times it was taken, and when the clock advanced, steady
+        #: clock.
+        self._now_ns = self._read_at_ns = self._read_by_ns = self._advanced_at_ns = 0
         #: The longest recent pause; it is forgotten in as much time.
         self._pause_ns = 0
 
@@ -127,6 +131,7 @@ class JumpDetector:
             return ClockReading(0, 0)
         if not self._now_ns:
             self._now_ns, self._read_at_ns, self._advanced_at_ns = now_ns, before_ns, before_ns
+            self._read_by_ns = before_ns
         # At most: the process may be interrupted while it reads the clocks.
         after_ns = time.monotonic_ns()
         elapsed_ns = after_ns - self._read_at_ns
@@ -134,10 +139,11 @@ class JumpDetector:
         self._pause_ns = max(elapsed_ns, silence_ns, self._pause_ns - elapsed_ns)
         expected_ns = _FASTEST * self._pause_ns if self._is_simulated else elapsed_ns
         ahead_ns = now_ns - self._now_ns
-        self._now_ns, self._read_at_ns = now_ns, before_ns
+        behind_ns = -ahead_ns if self._is_simulated else before_ns - self._read_by_ns - ahead_ns
+        self._now_ns, self._read_at_ns, self._read_by_ns = now_ns, before_ns, after_ns
         if ahead_ns:
             self._advanced_at_ns = before_ns
-        has_jumped = (-ahead_ns > self._most_back_ns
+        has_jumped = (behind_ns > self._most_back_ns
                       or ahead_ns > self.most_ahead_ns + expected_ns)
         return ClockReading(now_ns, ahead_ns if has_jumped else 0)
 

@@ -347,7 +347,7 @@ class Problem:
     def biased(self, torque: Floats, end_ns: int) -> Problem:
         """Return the problem with a constant torque, N m, body axes, added up to a time, ns."""
         bias = TorqueLog.constant(torque, self.start.time_ns, end_ns, self.options.timeout_ns)
-        actuator = [*self.actuators, None] if self.actuators else None
+        actuator = [*(self.actuators or [None] * len(self.logs)), None] if self._actuator else None
         return self.replaced(log=[*self.logs, bias], actuator=actuator)
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:

@@ -16,14 +16,16 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
+from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
@@ -32,6 +34,9 @@ from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel, noises_
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.windows import window_error
 
+#: Why a window is not judged.
+FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'
+BEGINS, SILENT = 'torque not known yet', 'no torque for longer than stale_after'
 #: Columns of a torque, and whether it is in space axes; of an attitude and an angular velocity.
 _TORQUE, _MEASUREMENT = 4, 7
 #: ns; of a recording, how much is taken at a time, and the first time.
@@ -49,17 +54,20 @@ class Settings(NamedTuple):
     rate_noise: float
     #: h; time in which a right model gives one alarm.
     false_alarms: float
+    #: s; a torque that acts for longer without another one is not known; 0: it is.
+    stale_after: float = 0.0
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
     """Return the settings among the parameters of a scene."""
-    return Settings(values['monitor.window'], values['history'],
-                    *(values[f'monitor.{name}'] for name in Settings._fields[2:]))
+    names = ('monitor.window', 'history', 'monitor.attitude_noise', 'monitor.rate_noise',
+             'monitor.false_alarms', 'stale_after')
+    return Settings(*(values[name] for name in names))
 
 
 def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
     """Return whether a live check would accept a problem, and its scene states the noise."""
-    others = problem.named_wheels or problem.actuators or problem.changes
+    others = problem.named_wheels or problem.changes
     is_held = all(log.interpolation == 'hold' for log in problem.sources)
     is_stated = values['monitor.attitude_noise'] and values['monitor.rate_noise']
     return bool(is_stated and is_held and not others)
@@ -70,13 +78,16 @@ class Monitor:
     Judge a model window by window, as torques and measurements come.
 
     Windows begin at multiples of their length. One is judged as soon as a message is newer than
-    its end by `history`, so the order of arrival within that time changes nothing.
+    its end by `history`, so the order of arrival within that time changes nothing. A window in
+    which the torque is not known says nothing of the model, and is skipped.
 
     Parameters
     ----------
     problem : Problem
         Its body, fields, options, and the momentum of its rotors; its torques do not matter.
     settings : Settings
+    actuators : sequence of Actuator or None
+        Of the sources of torque, in the order of their numbers from 0 on; empty if there are none.
 
     Attributes
     ----------
@@ -84,22 +95,37 @@ class Monitor:
         The newest stamp, 0 before the first.
     noises : dict of tuple of NoiseLevel
         How noisy attitude and angular velocity of each topic really are.
-    skipped : int
-        Number of windows with too few measurements, or whose motion cannot be computed.
+    skipped : Counter of str
+        Numbers of windows that were not judged, by reason.
+    last_skipped : str
+        The reason, if the last window was not judged; else ''.
+    last : Judgement or None
+        That of the last window that was judged.
+    awaited : set of int
+        Sources whose torque before the first one is not zero, but unknown.
 
     """
 
-    def __init__(self, problem: Problem, settings: Settings) -> None:
+    def __init__(self, problem: Problem, settings: Settings,
+                 actuators: Sequence[Actuator | None] = ()) -> None:
         self._problem, self._settings = problem, settings
         self._window_ns = duration_ns(settings.window, 'window')
         self._history_ns = duration_ns(settings.history, 'history')
+        self._stale_ns = duration_ns(settings.stale_after, 'stale_after') or NEVER_NS
+        self._actuators = dict(enumerate(actuators))
+        #: ns; for how long a command goes on to act.
+        self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
         self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE))
         self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT))
         self.noises: dict[str, tuple[NoiseLevel, NoiseLevel]] = {}
         self._alarms = Alarms(settings.window, settings.false_alarms)
         #: The next window begins here, and the momentum of the rotors then.
         self._begin_ns, self._momentum = 0, problem.start.rotor_momentum
-        self.newest_ns = self.skipped = 0
+        #: Spans of time, ns, of which nothing is judged, and why.
+        self._spans: list[tuple[int, int, str]] = []
+        self.newest_ns, self.skipped, self.last_skipped = 0, Counter[str](), ''
+        self.last: Judgement | None = None
+        self.awaited: set[int] = set()
 
     def apply(self, times_ns: ArrayLike, torques: Floats, in_space: ArrayLike = False,
               source: int = 0) -> NDArray[np.bool_]:
@@ -123,6 +149,10 @@ class Monitor:
         return self._put(self._sensors[topic], np.asarray(times_ns),
                          np.concatenate([attitude, angular_velocity], axis=1))
 
+    def skip(self, begin_ns: int, end_ns: int, reason: str) -> None:
+        """Judge no window that has a part between two times, because messages of it are lost."""
+        self._spans.append((begin_ns, end_ns, reason))
+
     def _put(self, rows: _Rows, times_ns: NDArray[np.int64], values: Floats) -> NDArray[np.bool_]:
         fits = times_ns >= self._begin_ns
         rows.put(times_ns[fits], values[fits])
@@ -140,25 +170,69 @@ class Monitor:
             until_ns = min(until_ns, complete_ns)
         while (begin_ns := self._next_ns(until_ns)) is not None:
             end_ns = begin_ns + self._window_ns
+            if not self._is_decided(begin_ns, end_ns, until_ns):
+                return
             problem = self._between(begin_ns, end_ns)
             sensors = [measured for topic, rows in sorted(self._sensors.items())
                        if (measured := _measured(topic, rows, begin_ns, end_ns))]
             levels = [self._noise(sensor.topic) for sensor in sensors]
-            try:
-                error = window_error(problem, sensors, noises_of(levels), begin_ns, end_ns)
-            except ValueError:  # faster than can be computed
-                error = None
+            error = None
+            if not (reason := self._unknown(begin_ns, end_ns)):
+                try:
+                    error = window_error(problem, sensors, noises_of(levels), begin_ns, end_ns)
+                    reason = '' if error else FEW
+                except ValueError:
+                    reason = NOT_COMPUTABLE
             self._begin_ns = end_ns
             self._momentum = problem.rotor_momentum(np.array([end_ns]))[0]
-            for rows in (*self._torques.values(), *self._sensors.values()):
-                rows.forget(end_ns)
+            self._forget(end_ns)
+            self.last_skipped = reason
             if error is None:
-                self.skipped += 1
+                self.skipped[reason] += 1
                 continue
-            yield self._alarms.judged(error)
+            self.last = self._alarms.judged(error)
+            yield self.last
             for pair, residuals in zip(levels, error.residuals):
                 for level, errors in zip(pair, residuals):
                     level.add(errors)
+
+    def _forget(self, before_ns: int) -> None:
+        """Forget what is before a time, but for the torques that act later."""
+        for torques in self._torques.values():
+            torques.forget(before_ns - self._reach_ns)
+        for measured in self._sensors.values():
+            measured.forget(before_ns)
+        self._spans = [span for span in self._spans if span[1] > before_ns]
+
+    def _unknown(self, begin_ns: int, end_ns: int) -> str:
+        """Return why it is not known what acts between two times; '' if it is."""
+        for first_ns, last_ns, reason in self._spans:
+            if first_ns < end_ns and last_ns > begin_ns:
+                return reason
+        for source, rows in self._torques.items():
+            times_ns, held_ns = self._held(rows, begin_ns, end_ns)
+            if times_ns[0] > begin_ns if len(times_ns) else source in self.awaited:
+                return BEGINS
+            if np.any(held_ns > self._stale_ns):
+                return SILENT
+        return ''
+
+    def _held(self, rows: _Rows, begin_ns: int, end_ns: int
+              ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the stamps of the torques in force between two times, and how long they act."""
+        times_ns, values = rows.between(begin_ns, end_ns, 1)
+        held_ns = np.diff(np.append(times_ns, rows.first_ns(end_ns)))
+        # A torque that times out is known again.
+        timeout_ns = self._problem.options.timeout_ns or NEVER_NS
+        return times_ns, np.minimum(held_ns, timeout_ns) * values[:, :3].any(axis=1)
+
+    def _is_decided(self, begin_ns: int, end_ns: int, until_ns: int) -> bool:
+        """Return whether it is known by a time whether torques in force at an end were stale."""
+        for rows in self._torques.values():
+            times_ns, held_ns = self._held(rows, begin_ns, end_ns)
+            if len(times_ns) and held_ns[-1] > self._stale_ns > until_ns - times_ns[-1]:
+                return False
+        return True
 
     def _next_ns(self, until_ns: int) -> int | None:
         """Return the begin of the next window with measurements; None if it ends after a time."""
@@ -177,10 +251,15 @@ class Monitor:
         start = State(start_ns, self._problem.start.attitude, np.zeros(3), self._momentum)
         logs = {}
         for source, rows in sorted(self._torques.items()):
-            times_ns, values = rows.between(start_ns, end_ns, 1)
+            times_ns, values = rows.between(start_ns - self._reach_ns, end_ns, 1)
             logs[source] = TorqueLog(times_ns, values[:, :3], values[:, 3] > 0.0)
-        return self._problem.replaced(start=start, wheels=logs.pop(WHEELS, None),
-                                      log=[*logs.values()])
+        wheels = logs.pop(WHEELS, None)
+        # Torques that lag are zero before the first command that matters.
+        rest_ns = min([start_ns, *(int(log.times_ns[0]) for log in logs.values() if log)])
+        problem = self._problem.replaced(
+            start=replace(start, time_ns=rest_ns), wheels=wheels, log=[*logs.values()],
+            actuator=[self._actuators[source] for source in logs] if self._actuators else None)
+        return problem.replaced(start=start)
 
     def _noise(self, topic: str) -> tuple[NoiseLevel, NoiseLevel]:
         return self.noises.setdefault(topic, (NoiseLevel(self._settings.attitude_noise),
@@ -202,7 +281,7 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
         Its window and its noise.
 
     """
-    monitor, begin_ns = Monitor(problem, settings), _EARLIEST_NS
+    monitor, begin_ns = Monitor(problem, settings, problem.actuators), _EARLIEST_NS
     logs = dict(enumerate(problem.logs)) | ({WHEELS: problem.wheels} if problem.wheels else {})
     first_ns = min(int(sensor.stamps_ns[0]) for sensor in sensors)
     last_ns = max(int(sensor.stamps_ns[-1]) for sensor in sensors)

@@ -1,0 +1,330 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The inputs of a live check: torques and measurements, from their messages into a `Monitor`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rigid_body_ros import messages
+from rigid_body_ros.common.errors import listed, quoted
+from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.live.events import (
+    APPLIED,
+    FRAME,
+    LATE,
+    MALFORMED,
+    NO_CLOCK,
+    NOT_FINITE,
+    RECEIVED,
+    RejectedError,
+    STALE,
+    TIME_JUMP,
+)
+from rigid_body_ros.live.inputs import Inputs, Torque
+from rigid_body_ros.live.torque_queue import Sender
+from rigid_body_ros.node.attitude_node import one_line_errors
+from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading, JumpDetector
+from rigid_body_ros.node.diagnostics import Diagnostics
+from rigid_body_ros.node.drain import DrainCallback, subscription
+from rigid_body_ros.node.sources import sources_of, TorqueTopic
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
+from rigid_body_ros.sensing.monitor import Monitor, settings_of
+from rigid_body_ros.sensing.reading import KINDS, samples
+
+#: How to decode a message, and what to do with several: stamps, ns, and contents.
+_Decode = Callable[[bytes], Any]
+_Put = Callable[..., None]
+_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: s; how long to wait for a topic that is behind others by more than `history`, and after a jump
+#: of the clock for messages from before it. A reliable connection may take three seconds to send a
+#: lost message again.
+_PATIENCE = 5.0
+#: s; a reading of the clock, which takes as long as a message, counts for so long.
+_CLOCK_PERIOD = 0.005
+#: s; how far a stamp may be ahead of simulated time.
+_OVERTAKING = 60.0
+#: Why windows are not judged, besides the reasons of `Monitor`.
+_LOST, _JUMP = 'torques lost', 'the clock jumped'
+#: ns; the smallest step of a wall clock that is a jump.
+_STEP_NS = 10 ** 6
+#: Number of the first measured topic as a source of diagnostics; torques have lower ones.
+_FIRST_MEASURED = 10 ** 6
+
+
+class MonitorInputs:
+    """
+    Subscriptions to the torques of a scene and to measurements, and the check of their model.
+
+    Parameters
+    ----------
+    node : Node
+    scene : Scene
+
+    Attributes
+    ----------
+    sources : dict of int to TorqueTopic
+    diagnostics : Diagnostics
+    drains : dict of int to DrainCallback
+        By source: those that are subscribed to.
+    monitor : Monitor
+        Begins again when the clock jumps.
+
+    """
+
+    def __init__(self, node: Node, scene: Scene) -> None:
+        self._node, self._scene = node, scene
+        torques = sources_of(scene)
+        measured = [TorqueTopic(_FIRST_MEASURED + number, topic, '', f'measured {topic}',
+                                what='measurement')
+                    for number, topic in enumerate(scene.values['monitor.measured'])]
+        self.sources = {source.number: source for source in (*torques, *measured)}
+        self.diagnostics = Diagnostics(node, [*self.sources.values()])
+        self._history_ns = duration_ns(scene.history, 'history')
+        self._is_simulated = node.get_parameter('use_sim_time').value
+        self._arrivals = ArrivalStamps()
+        # Stamps before and after the smallest step of a wall clock do not fit together.
+        self._jumps = JumpDetector(node.get_clock(), self._is_simulated, self._history_ns) \
+            if self._is_simulated else JumpDetector(node.get_clock(), False, _STEP_NS, _STEP_NS)
+        #: s, monotonic clock; until when a reading counts, and when the clock jumped by how much.
+        self._read_until = self._jumped_at = 0.0
+        self._reading, self._jump_ns = ClockReading(0, 0), 0
+        #: By source: how to decode its messages and what to do with them, and those that wait,
+        #: each with the time and the stamp of its arrival, ns, and whether others are lost before.
+        self._takes: dict[int, tuple[_Decode, _Put]] = {}
+        self._waiting: dict[int, list[tuple[bytes, int, int, bool]]] = {}
+        self._has_gap: set[int] = set()
+        self.drains: dict[int, DrainCallback] = {}
+        self._begin()
+        inputs = Inputs(scene, self.diagnostics)
+        for source in torques:
+            self._subscribe(source, source.kind, partial(inputs.torque, source=source.number),
+                            self._apply)
+
+    def _begin(self) -> None:
+        """Begin without any torque or measurement."""
+        self.monitor = Monitor(self._scene.problem(), settings_of(self._scene.values),
+                               self._scene.actuators or ())
+        #: By source: the newest stamp, ns, and whether the topic has attitudes (1), angular
+        #: velocities (2) or both (3).
+        self._newest_ns: dict[int, int] = {}
+        self._measured: dict[int, int] = {}
+        #: s, monotonic clock; when a message was accepted, and when the topic was last not behind
+        #: others by more than `history`.
+        self._heard_at: dict[int, float] = {}
+        self._abreast_at: dict[int, float] = {}
+
+    @property
+    def subscriptions(self) -> list[Subscription]:
+        """Return the subscriptions."""
+        return [drain.subscription for drain in self.drains.values()]
+
+    def ages(self) -> dict[int, float | None]:
+        """Return the age of the newest message of each source, s; None before the first."""
+        return {number: 1e-9 * (self._reading.now_ns - self._newest_ns[number])
+                if number in self._newest_ns else None for number in self.sources}
+
+    def is_silent_since(self, time_ns: int) -> bool:
+        """Return whether messages after a time should have made a window by now."""
+        window_ns = duration_ns(self._scene.values['monitor.window'], 'window')
+        patience_ns = 2 * window_ns + self._history_ns + duration_ns(_PATIENCE, 'patience')
+        return self._reading.now_ns > time_ns + patience_ns
+
+    def problems(self) -> dict[int, list[str]]:
+        """Return problems by source, and subscribe to the topics that have a type by now."""
+        ages, longest = self.ages(), self._scene.stale_after
+        problems: dict[int, list[str]] = {number: [] for number in self.sources}
+        for number, source in self.sources.items():
+            if number not in self.drains:
+                problems[number] = self._found(source)
+            age = ages[number]
+            if age is not None and age > longest > 0.0:
+                problems[number].append(f'{source.topic}: nothing for {age:.3g} s')
+        return problems
+
+    def _found(self, source: TorqueTopic) -> list[str]:
+        topic = self._node.resolve_topic_name(source.topic)
+        names = {info.topic_type for info in self._node.get_publishers_info_by_topic(topic)}
+        kinds = {kind.name: kind for kind in KINDS if not kind.is_list}
+        if not names:
+            return [f'{topic}: no publisher']
+        if len(names) > 1 or not names <= {*kinds}:
+            return [f'{topic}: expected one of {listed(kinds)}, found {listed(names)}']
+        name = names.pop()
+        package, _, kind = name.split('/')
+        self._subscribe(source, getattr(import_module(f'{package}.msg'), kind),
+                        partial(self._measurement, kind=kinds[name]),
+                        partial(self._measure, kinds[name]))
+        return []
+
+    def _subscribe(self, source: TorqueTopic, kind: type, decode: _Decode, put: _Put) -> None:
+        number = source.number
+        drain = DrainCallback(partial(self._on_message, number), lambda: None,
+                              partial(self._on_gap, number))
+        with one_line_errors():
+            drain.subscription = subscription(self._node, kind, source.topic, drain, _QOS)
+        self.drains[number], self._waiting[number] = drain, []
+        self._takes[number] = decode, partial(put, number, drain.subscription.topic_name)
+
+    def _on_gap(self, source: int, number: int) -> None:
+        self.diagnostics.count_lost(source, number)
+        self._has_gap.add(source)
+
+    def _on_message(self, source: int, data: bytes, sender: Sender) -> None:
+        is_after_gap = source in self._has_gap
+        self._has_gap.discard(source)
+        self._waiting[source].append((data, self.now_ns(), self._arrivals.stamp(), is_after_gap))
+
+    def now_ns(self) -> int:
+        """Return the time, ns, 0 if there is none yet; begin again if the clock has jumped."""
+        now = time.monotonic()
+        if self._reading.now_ns and now < self._read_until:
+            return self._reading.now_ns
+        reading = self._reading = self._jumps.read()
+        self._read_until = now + _CLOCK_PERIOD
+        if reading.now_ns:
+            self._arrivals.tick(reading.now_ns)
+        if reading.jump_ns and self._scene.on_time_jump != IGNORE:
+            self.take()
+            self.diagnostics.event(TIME_JUMP, f'the clock jumped by {1e-9 * reading.jump_ns:.9g} '
+                                   's: the check begins again')
+            self._jump_ns, self._jumped_at = reading.jump_ns, now
+            self._begin()
+            # Messages from before a small jump cannot be told from later ones.
+            self.monitor.skip(reading.now_ns - self._reach_ns, reading.now_ns + self._reach_ns,
+                              _JUMP)
+        return reading.now_ns
+
+    @property
+    def _reach_ns(self) -> int:
+        """Return how far from the present a message from before a small jump may be, ns."""
+        return min(abs(self._jump_ns), 2 * self._history_ns) + self._history_ns
+
+    def take(self) -> None:
+        """Take the messages that have arrived, topic by topic: many at once are cheaper."""
+        for source, arrived in self._waiting.items():
+            self.diagnostics.count(RECEIVED, source, len(arrived))
+            decode, put = self._takes[source]
+            stamps_ns, found = [], []
+            for data, now_ns, arrival_ns, is_after_gap in arrived:
+                try:
+                    if not now_ns:
+                        raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
+                    message = decode(data)
+                    stamp_ns = self._stamp(message.stamp_ns, now_ns, arrival_ns)
+                except RejectedError as rejected:
+                    self.diagnostics.reject(rejected, source)
+                    continue
+                if is_after_gap and source < _FIRST_MEASURED:
+                    before_ns = stamps_ns[-1] if stamps_ns else self._newest_ns.get(source, 0)
+                    self.monitor.skip(before_ns, stamp_ns, _LOST)
+                stamps_ns.append(stamp_ns)
+                found.append(message)
+            arrived.clear()
+            if found:
+                put(np.array(stamps_ns), found)
+
+    def _stamp(self, stamp_ns: int, now_ns: int, arrival_ns: int) -> int:
+        """Return the stamp to use; raise RejectedError if it is not one of the present time."""
+        if not stamp_ns or self._scene.time_source == ARRIVAL:
+            stamp_ns = arrival_ns
+        if self._is_simulated:  # a message may overtake the one on /clock sent before it
+            check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
+        else:
+            check_stamp(stamp_ns, now_ns, self._scene.max_future)
+        ahead_ns = stamp_ns - now_ns
+        if (abs(self._jump_ns) > 2 * self._history_ns
+                and abs(ahead_ns + self._jump_ns) < abs(ahead_ns)
+                and time.monotonic() < self._jumped_at + _PATIENCE):
+            raise RejectedError(STALE, f'stamped {stamp_ns} ns, before the clock jumped by '
+                                f'{1e-9 * self._jump_ns:.9g} s')
+        return stamp_ns
+
+    def _apply(self, source: int, topic: str, stamps_ns: NDArray[np.int64],
+               found: Sequence[Torque]) -> None:
+        """Put torques into the check."""
+        self.monitor.awaited.add(source)
+        self._count(source, stamps_ns, self.monitor.apply(
+            stamps_ns, np.array([torque.values for torque in found]),
+            [torque.frame == 'space' for torque in found], source))
+
+    def _measure(self, kind: messages.MessageType, source: int, topic: str,
+                 stamps_ns: NDArray[np.int64], found: Sequence[messages.Stamped]) -> None:
+        """Put measurements into the check."""
+        attitude, rates = samples(kind, np.array([message.values for message in found]))
+        sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])
+        if sent.any():
+            self._measured.setdefault(source, int(sent[sent > 0][0]))
+        # As in a recording, every message of a topic has what the first has.
+        usable = sent == self._measured.get(source, -1)
+        for _ in range(int(np.sum(~usable))):
+            self.diagnostics.reject(RejectedError(
+                NOT_FINITE, 'expected a finite attitude, angular velocity or both, as in the '
+                'first message, found another'), source)
+        self._count(source, stamps_ns[usable], self.monitor.measure(
+            topic, stamps_ns[usable], attitude[usable], rates[usable]))
+
+    def _count(self, source: int, stamps_ns: NDArray[np.int64], fits: NDArray[np.bool_]) -> None:
+        """Count messages, and reject those that do not fit, because they are too late."""
+        for stamp_ns in stamps_ns[~fits].tolist():
+            self.diagnostics.reject(RejectedError(
+                LATE, f'stamped {stamp_ns} ns, in a window that was judged when a message was '
+                f'newer than its end by history ({self._scene.history:g} s)'), source)
+        if fits.any():
+            newest_ns = int(stamps_ns[fits].max())
+            self._newest_ns[source] = max(self._newest_ns.get(source, 0), newest_ns)
+            self._heard_at[source] = time.monotonic()
+            self.diagnostics.count(APPLIED, source, int(fits.sum()))
+
+    def _measurement(self, data: bytes, kind: messages.MessageType) -> messages.Stamped:
+        """Return a measurement; raise RejectedError if it is malformed or in another frame."""
+        try:
+            message = kind.decode(data)
+        except ValueError as error:
+            raise RejectedError(MALFORMED, str(error)) from error
+        self._check_frame(kind, message)
+        return message
+
+    def _check_frame(self, kind: messages.MessageType, message: messages.Stamped) -> None:
+        space, body = self._scene.space_frame, self._scene.body_frame
+        expected = (body,) if kind in (messages.IMU, messages.VECTOR3) else \
+            (space, body) if kind.has_child_frame else (space,)
+        for frame, found in zip(expected, (message.frame_id, message.child_frame_id)):
+            if found not in ('', frame):
+                raise RejectedError(FRAME, f'frame_id: expected {quoted(frame)}, found '
+                                    f'{quoted(found)}')
+
+    def complete_ns(self, now: float) -> int:
+        """Return up to when the messages of all topics but silent ones have arrived, ns."""
+        newest_ns = self.monitor.newest_ns
+        sending = []
+        for number in self.drains:
+            found_ns = self._newest_ns.get(number, 0)
+            if found_ns >= newest_ns - self._history_ns or number not in self._abreast_at:
+                self._abreast_at[number] = now
+            # After a pause of the process, its messages may wait behind those of other topics.
+            if now < max(self._abreast_at[number], self._heard_at.get(number, 0.0)) + _PATIENCE:
+                sending.append(found_ns)
+        return min(sending, default=newest_ns) - self._history_ns
