@@ -74,6 +74,7 @@ release: ## a source archive with the generated code of the kernels
 
 docs: $(VENV)/done ## the documentation as HTML
 	$(BIN)/python docs/nodes.py > docs/nodes.md
+	$(BIN)/python docs/nodes.py commands > docs/commands.md
 	$(BIN)/python -m sphinx -W --keep-going -q docs docs/_build
 	@echo "Open docs/_build/index.html"
 

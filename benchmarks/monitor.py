@@ -63,27 +63,30 @@ def noise(random, count, colour, size, memory):
 
 
 def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.0), friction=0.0,
-           mount=(0.0, 0.0, 0.0)):
+           mount=(0.0, 0.0, 0.0), rates=(TORQUE_HZ, MOCAP_HZ, GYRO_HZ), piece=PIECE):
     """
     Generate what loggers have of a piece: torques, and stamps and values of mocap and gyro.
 
     The noise is `level` times the nominal one. The true inertia is larger by `inertia`, relative;
     a torque of `bias` acts besides the logged one, and friction; the gyro is turned by `mount`.
+    The rates are those of torques, mocap and gyro, Hz, the last a multiple of the one before; a
+    piece lasts for `piece`, s.
     """
     random, memories = np.random.default_rng(seed), np.zeros((2, 1, 3))
+    torque_hz, mocap_hz, gyro_hz = rates
     turned = Rotation.from_rotvec(mount)
     body = RigidBody(INERTIA * (1.0 + inertia), friction * np.eye(3) if friction else None)
     state = State(0, (0.0, 0.0, 0.0, 1.0), random.normal(size=3) * 0.4)
-    for begin_ns in range(0, seconds * SECOND, PIECE * SECOND):
-        end_ns = begin_ns + PIECE * SECOND
-        times_ns = np.arange(begin_ns, end_ns, SECOND // TORQUE_HZ)
+    for begin_ns in range(0, seconds * SECOND, piece * SECOND):
+        end_ns = begin_ns + piece * SECOND
+        times_ns = np.arange(begin_ns, end_ns, SECOND // torque_hz)
         torques = random.normal(size=(len(times_ns), 3)) * PULSE - BRAKE * state.angular_velocity
         problem = Problem(body, state, TorqueLog(times_ns, torques)).biased(
             np.array(bias), end_ns + SECOND)
-        at_ns = np.arange(begin_ns, end_ns, SECOND // GYRO_HZ)
+        at_ns = np.arange(begin_ns, end_ns, SECOND // gyro_hz)
         motion = problem.propagate(at=np.append(at_ns, end_ns))
         state = State(end_ns, so3.normalize(motion.attitude[-1]), motion.angular_velocity[-1])
-        mocap = slice(0, -1, GYRO_HZ // MOCAP_HZ)
+        mocap = slice(0, -1, gyro_hz // mocap_hz)
         attitude = so3.multiply(motion.attitude[mocap], so3.exp(noise(
             random, len(at_ns[mocap.start::mocap.step]), colour, level * ATTITUDE_NOISE,
             memories[0])))
@@ -97,12 +100,9 @@ def judgements(found, hours, level=1.0):
     monitor = Monitor(Problem(RigidBody(INERTIA), State(0)), Settings(
         5.0, HISTORY, level * ATTITUDE_NOISE, level * RATE_NOISE, hours))
     for torques, mocap, gyro in found:
-        for time_ns, torque in zip(torques[0].tolist(), torques[1]):
-            monitor.apply(time_ns, torque)
-        for time_ns, attitude in zip(mocap[0].tolist(), mocap[1]):
-            monitor.measure('/mocap', time_ns, attitude, None)
-        for time_ns, rate in zip(gyro[0].tolist(), gyro[1]):
-            monitor.measure('/gyro', time_ns, None, rate)
+        monitor.apply(*torques)
+        monitor.measure('/mocap', *mocap, np.full((len(mocap[0]), 3), np.nan))
+        monitor.measure('/gyro', gyro[0], np.full((len(gyro[0]), 4), np.nan), gyro[1])
         yield from monitor.judgements()
 
 

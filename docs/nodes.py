@@ -13,24 +13,26 @@
 # limitations under the License.
 
 """
-Print docs/nodes.md: the node, its topics and parameters, and the options of the commands.
+Print docs/nodes.md, the node with its topics and parameters, or docs/commands.md.
 
     python docs/nodes.py > docs/nodes.md
+    python docs/nodes.py commands > docs/commands.md
 
 Parameters and options are those that the code declares; a test compares the topics with those of a
 running node.
 """
 
 import argparse
+import sys
 from typing import NamedTuple
 
 from rigid_body_ros import scene
-from rigid_body_ros.commands.compare import compare_parser
-from rigid_body_ros.commands.ensemble import ensemble_parser
-from rigid_body_ros.commands.identify import identify_parser
-from rigid_body_ros.commands.regress import regress_parser
-from rigid_body_ros.commands.replay import replay_parser
-from rigid_body_ros.commands.tradeoff import tradeoff_parser
+from rigid_body_ros.commands.compare import attitude_compare
+from rigid_body_ros.commands.ensemble import attitude_ensemble
+from rigid_body_ros.commands.identify import attitude_identify
+from rigid_body_ros.commands.regress import attitude_regress
+from rigid_body_ros.commands.replay import attitude_replay
+from rigid_body_ros.commands.tradeoff import attitude_tradeoff
 from rigid_body_ros.runtime.parameters import limits
 from rigid_body_ros.scene import fields, wheels
 
@@ -163,20 +165,26 @@ CAUSES = {
     'duplicate, differs (same stamp)': 'In lockstep: a different torque was accepted before for '
                                        'the same state.',
     'before the reset': 'In lockstep: the torque responds to a state from before the reset.',
-    'no body has this inertia': 'The tensor on `inertia` is not finite or not that of a body.',
+    'no body has this inertia': 'The tensor on `inertia` is not finite, not that of a body, or '
+                                'less than that of the wheels with names.',
 }
 PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
-# Node, commands, parameters
+# Node reference: topics, services, parameters
+
+This page lists what there is. [Node behaviour](node_behaviour.md) explains it, and [node
+how-tos](node_howto.md) has tasks. To print the page again: `python docs/nodes.py > docs/nodes.md`.
 
 ## attitude_node
 
-```
-ros2 run rigid_body_ros attitude_node --ros-args --params-file SCENE
+```bash
+# needs ROS 2
+ros2 run rigid_body_ros attitude_node --ros-args --params-file config/tumbler.yaml
 ```
 
 Without the `ros2` command, as after `pip install '.[ros]'`, type
-`attitude_node --ros-args --params-file SCENE`.
+`attitude_node --ros-args --params-file config/tumbler.yaml`. `attitude_lifecycle_node` is
+[the same as a managed node](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative: they take the namespace of the node, and can be
 remapped (`-r torque:=/wrench`). Quality of service can be overridden
@@ -212,227 +220,6 @@ it continues. The responses have the bits that they would have without the pause
 motion is a function of the clock and pauses exactly when the clock does: with `use_sim_time`,
 pause the program that publishes `/clock`.
 
-### What happens to a torque
-
-The state at the stamp of a torque depends only on the torques before it. States published between
-stamps are predictions, and nothing later is computed from them. Torques may therefore arrive in
-any order, and late by less than `history`: the committed states have the same bits, and a replay
-of `~/accepted_torque` reproduces them. If two torques have the same stamp, the one that arrives
-later replaces the other. A message is rejected as a whole if its values are not finite, its frame
-is unknown, or its stamp is too old or impossible. Rejected messages are counted, and logged at
-most every 5 s.
-
-`/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause (see
-[below](#why-is-a-torque-rejected)), or lost, in transit or because the queue of the subscription
-was full. Losses show as gaps in the numbers of a publisher's messages, so the node
-cannot know of those before the first message that it receives from a publisher. Torques that still
-wait when their epoch ends are rejected (`epoch ended`).
-
-If torques arrive faster than the node can apply them, they wait in a queue. Meanwhile the node
-publishes the present state under the torques that it has applied, at a lower rate. The torques
-that wait change the committed states afterwards, as late ones always do. In `realtime`,
-while more than 5000 torques wait and the first of them has waited for more than 2 s, new torques
-are rejected (`overload`), so that the motion catches up with real time.
-
-A torque without a stamp, or with `time_source:=arrival`, acts from its arrival on. Each such
-torque gets its own stamp. Between two ticks of simulated time these stamps advance at the rate of
-the previous ticks.
-
-With `use_sim_time` the node waits for `/clock`. For a bag that is played without `--clock`, use
-`time_source:=arrival`.
-
-The torques of `actuator.topics` are commands: they act after `actuator.delay`, within
-`actuator.limit`, and with a lag; see [conventions](conventions.md#actuators). `~/accepted_torque`
-has them as they were sent, with their stamps, and a replay applies the same actuator.
-
-### What if a controller falls silent?
-
-A source holds its last torque. If that torque is not zero and its source has sent none for longer
-than `stale_after` (1 s), diagnostics warn, and the log says so once, with the torque that still
-acts. The next torque ends the warning. Raise `stale_after` for a source that sends at a slow rate
-on purpose, or set it to 0. To end the torque itself, set `torque_timeout`. In `lockstep` the age
-of a torque is in the time of the loop.
-
-### What if the node is killed?
-
-Every epoch of every process begins with a marker in the logs of torques. A replay of a recording
-with several lives of a node computes each of them from its own start state, as
-[Recordings](recordings.md#a-recording-with-several-runs-of-a-node) explains.
-
-Without more, a node that is started again begins from the initial state of the scene; the first
-line of its log says from which state, and when. With `checkpoint:=FILE` it goes on instead: once a
-second and at the end, the node writes the last state that it has published on `~/committed`, which
-no later torque can change, to this file. The file is replaced as a whole. A node that finds it at
-the start begins an epoch with exactly this state at its stamp, and warns how long it was away; the
-motion in between is that without torques. In `lockstep` the loop goes on at that stamp.
-
-A file that is damaged, that was written under another scene or by another node, or whose stamp is
-ahead of the clock, is an error that names the file; the node ends, and leaves the file as it is.
-Remove the file to begin from the initial state. Nodes of a fleet need a file each. If another
-program changes the file while the node runs, the node no longer writes it, and diagnostics report
-an error. `~/reset` begins with the initial state, as without a checkpoint.
-
-After a process was killed, the shared memory of Fast DDS may delay messages to other processes by
-seconds. `FASTDDS_BUILTIN_TRANSPORTS=UDPv4` in the environment of all of them avoids it.
-
-### When does the clock jump?
-
-`on_time_jump` decides what happens then: `reset` begins an epoch with the initial state, `rebase`
-with the present state, and `ignore` continues, so that after a jump ahead the node first computes
-the motion of all the time between.
-
-- Simulated time jumps if it is set back at all, or if it is ahead by more than `history`, and by
-  more than ten times the time for which it stood (at most 3 s) or the node could not read it. The
-  second condition is for programs that could not run for a moment.
-- The wall clock jumps if it is set back, or ahead of the steady clock, by more than `history`. A
-  pause of the node is not a jump.
-- In `lockstep` there is none, because the stamps of the torques are the time.
-
-### Forces and frames
-
-A thruster publishes its force in its own frame: it acts at the origin of that frame. If fixed
-joints of `robot_description` connect the frame to the body, the node rotates force and torque into
-body axes, and adds the torque of the force about the centre of mass, which is at the `xyz` of the
-`<inertial>` of the body. A scene with two thrusters, one of them turned:
-
-```yaml
-/**:
-  ros__parameters:
-    link: base_link
-    robot_description: |
-      <robot name="drone">
-        <link name="base_link">
-          <inertial>
-            <origin xyz="0 0 0.03"/>
-            <mass value="1.2"/>
-            <inertia ixx="0.010" iyy="0.012" izz="0.020" ixy="0" ixz="0" iyz="0"/>
-          </inertial>
-        </link>
-        <link name="left_thruster"/>
-        <joint name="left_mount" type="fixed">
-          <parent link="base_link"/><child link="left_thruster"/>
-          <origin xyz="0 0.2 0.03"/>
-        </joint>
-        <link name="tail_thruster"/>
-        <joint name="tail_mount" type="fixed">
-          <parent link="base_link"/><child link="tail_thruster"/>
-          <origin xyz="-0.3 0 0.03" rpy="0 0 1.5707963267948966"/>
-        </joint>
-      </robot>
-```
-
-A force of 3 N along x in the frame `left_thruster` is a torque of -0.6 N m about z, and in
-`tail_thruster`, whose x axis is the y axis of the body, of -0.9 N m. `~/accepted_torque` has these
-torques, in body axes and without a force, so that it is the log of the run. A replay of the
-original messages computes the same bits.
-
-A propeller publishes thrust and drag in the frame of its link, the child of a `continuous` joint.
-Forces at the origin of a continuous joint, along its axis, are accepted like those of fixed
-joints. A message with a force or torque across the axis is rejected (`unknown frame`), because the
-angle of the propeller is unknown. So is one in a frame that any other joint moves relative to the
-body. The log names the joint. [Conventions](conventions.md#force) has the formula and all cases.
-
-### Which torques add up?
-
-Each topic of `torque_topics`, `wheel_torque` and `wheel_command` is a source of its own. A source
-holds its last torque until the next one, and times out on its own. The torques of different
-sources add up, in the order of `torque_topics`. The order in which they arrive changes no bit of
-the committed states. Only torques of the same topic replace each other if their stamps are equal.
-So two publishers on one topic overwrite each other, and diagnostics name both: give each publisher
-a topic of its own. `late` refers to the newest torque of all topics.
-
-To replay such a run, record all logs of accepted torques, and pass them in the order of
-`torque_topics`:
-
-```
-attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
-    --topic /attitude_node/accepted_torque_1 \\
-    --wheel-torque /attitude_node/accepted_wheel_torque --inertia /attitude_node/accepted_inertia
-```
-
-`/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
-`torques_2` and so on for the others, `wheel torques` and `wheel commands`.
-
-### Wheels with names
-
-A scene with [`wheel_names`](satellite.md#wheels-with-names) has the topics `wheel_command` and
-`wheel_states`, which have the form of a `joint_state_broadcaster` and of an effort controller. A
-command is like a torque: it may come late, wait for the clock, and be replaced by one with the
-same stamp, wheel by wheel. A new epoch on `initial_state` and a jump of the clock keep the speeds
-of the wheels, as a checkpoint does; `~/reset` returns to their initial speeds. In lockstep a
-command gets a response, so a controller that only commands wheels closes a loop; of several
-messages with one stamp the first is used, so one message has to list all wheels that it commands.
-
-The status `wheel commands` on `/diagnostics` counts two things more, by wheel: `clipped to
-max_torque`, and `zero at max_speed`, a warning: commands that would have sped up a wheel which was
-too fast. These are counted when their states are committed, because a late torque may change
-whether the wheel is too fast.
-
-To replay such a run, add `--wheel-command /attitude_node/accepted_wheel_command`.
-
-### An IMU with errors
-
-By default `imu/data` is exact. The parameters `imu.*` give it errors; all other topics stay exact:
-
-* `imu.gyro_noise_density` N: white noise of the angular velocity. At 100 Hz these are independent
-  numbers with the standard deviation N * sqrt(100 Hz) on each axis.
-* `imu.gyro_random_walk` K: a bias that wanders. After T seconds it has moved by K * sqrt(T)
-  (standard deviation).
-* `imu.gyro_bias`: a constant bias.
-* `imu.attitude_noise`: a small rotation, another one every millisecond. Each component of its
-  rotation vector in body axes has this standard deviation.
-* `imu.delay`: the motion from this long before the stamp, as of a driver that stamps on arrival;
-  in the first moments, the start state. [attitude_identify](identify.md) finds it, as a negative
-  `clock_offset`.
-
-N and K are the numbers of data sheets. The Allan deviation of the angular velocity is N / sqrt(T)
-for short and K * sqrt(T / 3) for long averaging times T.
-
-**The noise is a function of `imu.seed` and of the stamp, and of nothing else.** A live node, a
-lockstep loop and `attitude_replay --also imu` write the same bits at the same stamps, on every
-machine, in whatever order torques arrive. Two rates of publication have the same noise at common
-stamps, and an epoch that begins again at the same stamps repeats it. To achieve this
-
-* the gyro takes 1000 samples a second, and an output is the mean of the last ten: its noise is
-  white up to 100 Hz, whatever `publish_rate`, `step` or `--rate` is. At higher rates neighbours
-  share samples, and the density stays the same. At lower rates the outputs are every second, or
-  every tenth, of a sensor at 100 Hz: their standard deviation stays the same, so their density is
-  higher, as with every sensor that is read more slowly than its bandwidth;
-* the bias is zero at the stamp 0, and again every 2^25 ms (9.3 hours). In between it is a random
-  walk, conditional on that. With stamps of simulated time it begins at `imu.gyro_bias`. With those
-  of a wall clock it is on its way, as in a sensor that was switched on hours ago: 75 K in rad/s
-  (root mean square).
-
-The covariances of `imu/data` are those of the noise: on the diagonals `imu.attitude_noise`^2 and
-N^2 * 100 Hz. The bias is not in them, because it is no noise: estimators have a state for it.
-Without noise they are zero, which means unknown.
-
-`odometry` is exact. For estimators, which need covariances, `odometry.attitude_variance` and
-`odometry.rate_variance` put a variance on the diagonals: of the attitude, in the pose, and of the
-angular velocity, in the twist (body axes). Position and linear velocity, which are always zero,
-then have the variance 1e6 (m^2, m^2/s^2), so that no estimator trusts them. `~/committed` has no
-covariances.
-
-### Inertia from robot_state_publisher
-
-If the parameters have neither an `inertia` nor a `robot_description`, the node waits for a URDF on
-the topic `robot_description` (std_msgs/String, transient local), which robot_state_publisher
-publishes. The log says so at once, and every 10 s what is missing. The node reports any other
-mistake in the parameters before it waits. The first URDF defines the motion: the node then ends
-the subscription, and reports the text as its parameter `robot_description`, so that a parameter
-dump is a complete scene, for the commands, too. An `inertia` or `robot_description` among the
-parameters comes first, and the node ignores the topic.
-
-### Several bodies
-
-Start a node for each body, each in a namespace of its own (`-r __ns:=/one`) and with a
-`frame_prefix` of its own (`-p frame_prefix:=one/`). Their topics, frames and diagnostics then
-differ, and `/tf` contains all of them in one space frame. The names of the statuses on
-`/diagnostics` are `/one/attitude_node: torques` and `/one/attitude_node: motion`, and the
-`hardware_id` is `/one/attitude_node`: the same form as that of diagnostic_updater with
-`diagnostic_updater.use_fqn`. An analyzer of diagnostic_aggregator selects the statuses of a body
-with `startswith: [/one/]`.
-
 ### Why is a torque rejected?
 
 The log names the cause, what was expected and what was found. `/diagnostics` counts each cause
@@ -440,110 +227,32 @@ under the key `rejected: CAUSE`.
 
 {causes}
 
-### In a process of your own
-
-`from rigid_body_ros.node import AttitudeNode` imports an ordinary node, whose arguments are those
-of `rclpy.node.Node`: `node_name`, `namespace`, `parameter_overrides`, `context` and so on. A name,
-a parameter or a scene that is not valid raises an `InputError` of one line. Any executor may spin
-it, alone or beside other nodes. A callback of another node that blocks delays what is published,
-but changes no bit of it. Before `destroy_node` destroys the node, it publishes the states that are
-pending, for which it takes at most 0.8 s. ROS must not be shut down yet: rclpy's own signal
-handlers do that, so replace them as `examples/two_bodies.py` does.
-
-- `EventsExecutor` is what the command uses, because it takes the least time per torque. In the
-  wheels of PyPI its `spin()` hangs; `spin_once(timeout_sec=0.1)` in a loop works.
-- `SingleThreadedExecutor` and `rclpy.spin` take twice the processor time per torque.
-- `MultiThreadedExecutor` is no faster, because the callbacks of the node exclude each other.
-
-### Lockstep
-
-In `realtime` a timer publishes the state at `publish_rate`. In `lockstep` the node responds to
-each torque stamped t immediately, with the state at t + `step`. A controller that responds to
-each state with a torque at the stamp of that state closes a loop. The loop is a single chain with
-one torque for each state.
-
-- If several topics have publishers, `wheel_torque` and `wheel_command` included, the response to a
-  stamp waits until each of these topics has a torque with exactly this stamp. So the order in
-  which the torques arrive does not change the response, and the loop has the same bits every time.
-  A topic without a publisher is not waited for. Each publisher must therefore respond to every
-  state; diagnostics name a topic that does not. Start all publishers before the first torque,
-  because the loop waits for a publisher only from when it is connected.
-- A message on `inertia` gets no response, and no response waits for it. For the same bits every
-  time, publish it before the torque of its stamp, and wait until it is on `~/accepted_inertia`.
-- While no node publishes torques, the latest state is published again at 10 Hz. A controller that
-  starts or restarts receives it once, half a second after it connects.
-- A controller may be slow. The state is published again only after 4 s without a torque, then
-  after 8 s, and so on. A controller that takes longer than that receives the state twice, and the
-  torque that it sends for the second copy has no effect. The time is that long because Fast DDS
-  may deliver a message only after its next heartbeat, whose period is 3 s.
-- If the same controller repeats a torque more than 0.1 s after the response, the node responds
-  again, because the response may have been lost. If it sends a different torque with the same
-  stamp, that replaces the first and also gets a response.
-- If a second controller sends a different torque for the same state, that torque is rejected
-  (`duplicate, differs (same stamp)`), and diagnostics name both controllers.
-- `~/reset` restarts the loop with the initial state. A torque that responds to a state published
-  before the reset is rejected (`before the reset`).
-
-Diagnostics warn if no torques arrive, and if a response takes long to compute.
-
-## attitude_lifecycle_node
-
-```
-ros2 run rigid_body_ros attitude_lifecycle_node --ros-args --params-file SCENE
-```
-
-The same node, with the same name, topics, services and parameters, but managed: a lifecycle
-manager or `ros2 lifecycle set /attitude_node configure` controls it. In a process of your own, use
-`from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode`.
-
-- *configure* reads the scene and creates the publishers. If the scene is not valid, the
-  log has the reason, and the node stays unconfigured.
-- *activate* subscribes, publishes and offers the services. The first activation begins the motion.
-- *deactivate* unsubscribes and stops publishing, but keeps the motion: at the next *activate* the
-  body has turned on under the last torques. Torques that are sent in between are not received.
-- *cleanup* publishes the end of the log on `~/committed`, and forgets the motion. Parameters have
-  the values that they had before *configure*, and all can be changed until the next, except
-  `mode`. Until they are set, those that were not given have no value.
-- *shutdown*, and a signal, publish the end of the log, too.
-
-For launch files without a manager, `autostart:=true` configures and activates the node when it
-starts; then a scene that is not valid ends it with exit status 2. An executor of your own must not
-be a `MultiThreadedExecutor`, because that of rclpy fails if a callback destroys a subscription.
-
 ## Parameters
 
-The node and every command (`--scene`) read the same file. Integers are
-accepted for floating-point parameters. In a running node all parameters but `publish_rate` are
-read-only. `ros2 param describe` prints the descriptions of this table, and `ros2 param dump`
-writes a file that is a scene.
-
-The file may be one that several nodes share. Parameters of other nodes, under `/**:` or under
-`/attitude_node:`, are ignored. The node logs their names once, and a command prints them in a
-line that begins with `note:`. The node does not declare them. A key that resembles one of this
-table is an error that names the key it resembles: it differs in capitals, in one letter, in the
-order of two letters, or in two missing or additional letters (`torque_timout`, `Inertia.ixx`).
-Keys of less than six letters, such as `mode`, resemble another only if they differ in capitals. A
-group of this table has no members but those listed, so `inertia.mass` is an error, too. The same
-holds for `qos_overrides`: those of other topics are logged once and ignored, but
-`qos_overrides./torque.subscription.depht` is an error.
-
-A command rejects a file that has a parameter twice for the same node, such as `inertia.ixx` and
-`ixx` in the group `inertia`; with `--params-file`, ROS takes one of the values without a message.
-Anchors, aliases and merge keys (`<<`) are rejected, because ROS parameter files do not have them.
-If a file has the parameters of a single node of another name, and none for `/**:`, a command uses
-these and warns. Names of frames and of the checkpoint must not contain control characters.
+The node and every command (`--scene`) read the same file. In a running node all parameters but
+`publish_rate` are read-only. [The scene file](scene.md) describes how it is read.
 
 {parameters}
 
 Either the three moments or a `robot_description` are required, but a node can
-[wait for the latter](#inertia-from-robot_state_publisher). The inertia is checked as one
-tensor: positive definite, no principal moment greater than the sum of the other two. The damping
-is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at least one topic,
-each of them once. The solvers `exact` and `strang` take neither rotors nor damping.
+[wait for the latter](node_howto.md#inertia-from-robot_state_publisher). The inertia is checked as
+one tensor: positive definite, no principal moment greater than the sum of the other two by more
+than 3 %. The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names
+at least one topic, each of them once. The solvers `exact` and `strang` take neither rotors nor
+damping, and `exact` takes no fields.
+"""
+COMMANDS = """\
+<!-- printed by docs/nodes.py: edit that file instead -->
+# Commands: options and exit status
+
+The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends
+with two examples that run in a clone of the repository. [The scene file](scene.md) says which
+command takes which scene. To print this page again:
+`python docs/nodes.py commands > docs/commands.md`.
 
 ## attitude_replay
 
-```
+```text
 attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--plot PNG]
 ```
 
@@ -553,7 +262,7 @@ attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--
 
 ## attitude_compare
 
-```
+```text
 attitude_compare RECORDING --scene FILE [--measured TOPIC]... [--align NAMES] [-o RESIDUALS]
 ```
 
@@ -563,7 +272,7 @@ attitude_compare RECORDING --scene FILE [--measured TOPIC]... [--align NAMES] [-
 
 ## attitude_tradeoff
 
-```
+```text
 attitude_tradeoff --scene FILE
 ```
 
@@ -573,7 +282,7 @@ attitude_tradeoff --scene FILE
 
 ## attitude_identify
 
-```
+```text
 attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o FITTED]
 ```
 
@@ -583,7 +292,7 @@ attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o 
 
 ## attitude_ensemble
 
-```
+```text
 attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] [--controller MODULE:FUNCTION]
     [--require EXPRESSION] -o FOLDER
 ```
@@ -594,7 +303,7 @@ attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] [--controll
 
 ## attitude_regress
 
-```
+```text
 attitude_regress REFERENCE --scene FILE [--update] -- COMMAND [ARGUMENT ...]
 ```
 
@@ -630,8 +339,13 @@ EXITS = [
 
 
 def main():
-    """Print the page."""
-    print(PAGE.format(
+    """Print the page that the command line asks for."""
+    print(commands() if sys.argv[1:] == ['commands'] else nodes(), end='')
+
+
+def nodes():
+    """Return the page of the node."""
+    return PAGE.format(
         subscribed=topics(SUBSCRIBED),
         subscribed_if_enabled=topics(SUBSCRIBED_IF_ENABLED),
         published=topics(PUBLISHED), optional=topics(OPTIONAL),
@@ -639,14 +353,19 @@ def main():
                      [(f'`{cause}`', meaning) for cause, meaning in CAUSES.items()]),
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
-             parameter.description) for parameter in parameters()]),
-        replay=options(replay_parser()),
-        compare=options(compare_parser()),
-        tradeoff=options(tradeoff_parser()),
-        identify=options(identify_parser()),
-        ensemble=options(ensemble_parser()),
-        regress=options(regress_parser()),
-        exits=table(('status', 'meaning'), EXITS)), end='')
+             parameter.description) for parameter in parameters()]))
+
+
+def commands():
+    """Return the page of the commands."""
+    return COMMANDS.format(
+        replay=options(attitude_replay.parser()),
+        compare=options(attitude_compare.parser()),
+        tradeoff=options(attitude_tradeoff.parser()),
+        identify=options(attitude_identify.parser()),
+        ensemble=options(attitude_ensemble.parser()),
+        regress=options(attitude_regress.parser()),
+        exits=table(('status', 'meaning'), EXITS))
 
 
 def parameters():

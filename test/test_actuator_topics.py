@@ -108,8 +108,11 @@ def test_in_lockstep_each_state_comes_with_the_torque_that_acts(tmp_path, domain
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         problem, result = problem_of(tmp_path, live, scene.load(tmp_path / 'live.yaml'))
+        # The torque before the new epoch acts from its start on.
         applied = [message for message in live.applied()
-                   if message.stamp_ns > SECOND + 25 * STEP_NS]
+                   if message.stamp_ns == begin_ns or message.stamp_ns > SECOND + 25 * STEP_NS]
+    assert applied[0].stamp_ns == begin_ns
+    assert applied[0].values.any()
     assert result.same.all()
     assert result.epochs == result.compared_epochs == 2
     times_ns = np.array([message.stamp_ns for message in applied])

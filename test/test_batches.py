@@ -24,7 +24,6 @@ from rigid_body_ros import messages, propagate, recording, RigidBody, scene, Sta
 from rigid_body_ros.propagation import Integration, Problem
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import batches, replay
-from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.scene import InputError
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
@@ -176,7 +175,7 @@ def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, di
     result = replay(shuffled(tmp_path / 'out.mcap', order), loaded, tmp_path / 'motion.mcap')
     np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
     assert (whole.unordered, result.unordered) == (0, 2)
-    assert '2 of 40000 stamps were not later than the previous one' in summary(result)
+    assert '2 of 40000 stamps were not later than the previous one' in result.text()
 
 
 @pytest.mark.parametrize('config', ['tumbler', 'free'])
@@ -188,12 +187,12 @@ def test_a_check_says_what_beginning_of_the_motion_it_covers(tmp_path, monkeypat
     with monkeypatch.context() as patch:
         patch.setattr(batches, '_LARGEST', 70)
         result = replay(path, loaded, tmp_path / 'out.mcap')
-    text = summary(result)
+    text = result.text()
     span = (result.last.time_ns - result.start.time_ns) * 1e-9
     assert re.search(rf', checked over the first [0-9.]+ s of {span:.9g} s\n', text)
     assert 0.0 < result.check.covered < 0.3 * span
     whole = replay(path, loaded)
-    assert f', checked over all {span:.9g} s\n' in summary(whole)
+    assert f', checked over all {span:.9g} s\n' in whole.text()
 
 
 def test_a_motion_may_begin_after_the_first_piece(tmp_path, monkeypatch):

@@ -89,7 +89,8 @@ def test_a_checkpoint_of_another_scene_is_an_error_and_stays(file, values, node,
 
 def test_what_does_not_change_the_motion_may_change(file):
     other = changed(publish_rate=20.0, euler_sequence='XYZ', stale_after=0.0, mode='lockstep',
-                    **{'imu.seed': 3, 'odometry.rate_variance': 1e-6})
+                    **{'imu.seed': 3, 'odometry.rate_variance': 1e-6,
+                       'monitor.measured': ['/imu'], 'monitor.rate_noise': 1e-3})
     assert Checkpoint(str(file), other, NODE).start is not None
 
 

@@ -121,11 +121,11 @@ def test_the_page_of_the_design_lists_the_layers_of_the_contract():
                       for place, names in enumerate(contract) for name in names]
 
 
-def test_the_page_of_nodes_is_what_the_code_declares():
-    page = ROOT / 'docs' / 'nodes.md'
-    printed = subprocess.run([sys.executable, page.with_suffix('.py')], capture_output=True,
-                             text=True, check=True)
-    assert page.read_text(encoding='utf-8') == printed.stdout
+@pytest.mark.parametrize(('name', 'arguments'), [('nodes', ()), ('commands', ('commands',))])
+def test_a_printed_page_is_what_the_code_declares(name, arguments):
+    printed = subprocess.run([sys.executable, ROOT / 'docs' / 'nodes.py', *arguments],
+                             capture_output=True, text=True, check=True)
+    assert (ROOT / 'docs' / f'{name}.md').read_text(encoding='utf-8') == printed.stdout
 
 
 @pytest.mark.slow

@@ -57,13 +57,16 @@ SCENE = {'inertia.ixx': 0.045, 'inertia.iyy': 0.12, 'inertia.izz': 0.14, 'inerti
          'initial_angular_velocity.y': 0.6, 'step': 0.1}
 RATE = Dispersion('initial_angular_velocity.x', 'uniform', (-0.5, 0.5))
 GAIN, NOISE = (Dispersion(key, 'normal', (0.1,)) for key in ('torque_gain', 'torque_noise'))
+ACTUATOR = {'actuator.topics': ['torque'], 'actuator.delay': 0.02, 'actuator.limit.x': 0.004,
+            'actuator.time_constant': 0.05}
 VARY = (RATE, Dispersion('inertia', 'relative', (0.05,)),
         Dispersion('initial_attitude', 'tilt', (0.1,)))
 
 
 def ensemble(name, *vary, end_ns=END_NS, times_ns=None, problem=None, **values):
-    loop = Controller.load(f'controllers:{name}', STEP_NS)
-    problem = problem or Scene.from_values({**SCENE, **values}).problem()
+    scene = Scene.from_values({**SCENE, **values})
+    loop = Controller.load(f'controllers:{name}', STEP_NS, (scene.actuators or [None])[0])
+    problem = problem or scene.problem()
     return Ensemble(problem, end_ns, vary, 1, None, times_ns, loop)
 
 
@@ -90,13 +93,14 @@ def test_a_run_has_the_bits_of_the_loop_that_a_node_has_in_lockstep():
         assert motion.tolist() == by_hand(problem, Pid(), values['torque_gain'])
 
 
-def test_a_run_has_the_bits_of_the_live_half_of_the_node():
-    scene, law = Scene.from_values(SCENE), Pid()
+@pytest.mark.parametrize('actuator', [{}, ACTUATOR])
+def test_a_run_has_the_bits_of_the_live_half_of_the_node(actuator):
+    scene, law = Scene.from_values({**SCENE, **actuator}), Pid()
     epoch = Epoch(scene, scene.start)
     for stamp_ns in range(0, END_NS, STEP_NS):
         torque = law(epoch.at(stamp_ns, 10.0), stamp_ns / 1e9)
         epoch.apply(Torque(stamp_ns, np.array(torque), 'body'))
-    nominal = ensemble('Pid').nominal_motion
+    nominal = ensemble('Pid', **actuator).nominal_motion
     assert nominal[-1].tolist() == states_of(epoch.at(END_NS, 10.0))
 
 
@@ -136,12 +140,12 @@ def test_what_is_written_of_a_run_gives_it_again(tmp_path, everything, name):
         np.testing.assert_array_equal(motion[:, 4:], motion_again.angular_velocity)
 
 
+@pytest.mark.parametrize('name', ['damp', None])
 @pytest.mark.parametrize('recorded', [True, False])
-def test_what_is_written_of_a_run_with_actuators_gives_it_again(tmp_path, recorded):
+def test_what_is_written_of_a_run_with_actuators_gives_it_again(tmp_path, recorded, name):
     scene = Scene.from_values({
-        **SCENE, 'torque_topics': ['of_motors', 'of_wind'], 'actuator.topics': ['of_motors'],
-        'actuator.delay': 0.02, 'actuator.time_constant': 0.05, 'actuator.limit.x': 0.004,
-        'torque_timeout': 0.13})
+        **SCENE, **ACTUATOR, 'torque_topics': ['of_motors', 'of_wind'],
+        'actuator.topics': ['of_motors'], 'torque_timeout': 0.13})
     stamps = np.arange(20) * 90_000_000
     torques = 0.01 * np.sin(np.arange(60.0)).reshape(20, 3)
     problem = scene.problem()
@@ -149,12 +153,14 @@ def test_what_is_written_of_a_run_with_actuators_gives_it_again(tmp_path, record
         problem = problem.replaced(log=[TorqueLog(stamps, torques), TorqueLog(stamps, torques)])
     vary = RATE, Dispersion('torque_bias.x', 'normal', (1e-3,)), \
         *([GAIN, Dispersion('clock_offset', 'normal', (0.01,))] if recorded else ())
-    found = replace(ensemble('damp', *vary, problem=problem), controller=None)
+    found = ensemble('damp', *vary, problem=problem)
+    found = replace(found, controller=name and replace(
+        found.controller, actuator=scene.actuators[0]))
     columns = found.rows(3, 5)
     worst.write(tmp_path / 'worst', found, scene, [3, 4])
     for row, run in enumerate((3, 4)):
         again = read(tmp_path / 'worst' / f'{run}.mcap', tmp_path / 'worst' / f'{run}.yaml')
-        assert bool(again.actuators) == recorded
+        assert len(list(filter(None, again.actuators))) == recorded + bool(name)
         motion = again.propagate(at=[again.start.time_ns + END_NS])
         assert motion.attitude[0].tolist() == [columns[f'attitude.{axis}'][row]
                                                for axis in 'xyzw']
@@ -169,8 +175,9 @@ def test_a_body_that_changes_does_not_vary(everything):
 
 
 @pytest.mark.parametrize('name', ['damp', 'Pid'])
-def test_runs_do_not_depend_on_those_before(name):
-    found = ensemble(name, *VARY, NOISE)
+@pytest.mark.parametrize('actuator', [{}, ACTUATOR])
+def test_runs_do_not_depend_on_those_before(name, actuator):
+    found = ensemble(name, *VARY, NOISE, **actuator)
     found.check()
     whole, back = found.rows(0, 6), [found.rows(run, run + 1) for run in range(5, -1, -1)]
     for column, values in whole.items():

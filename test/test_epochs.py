@@ -17,7 +17,7 @@
 from dataclasses import replace
 import json
 
-from conftest import at_night, CONFIG, memory_limit, SECOND
+from conftest import at_night, CONFIG, memory_limit, ROOT, SECOND
 import node_logs
 from node_logs import (
     ACCEPTED,
@@ -45,7 +45,6 @@ from rigid_body_ros.identification.recorded import read_experiment
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
-from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
 from rigid_body_ros.sensing.recorded import Reading
@@ -209,7 +208,7 @@ def test_an_epoch_may_have_no_torques(run, tmp_path, options):
         motion = node_logs.motion_of(run, start, {}, [start.time_ns + round(seconds * SECOND)])
         np.testing.assert_array_equal(found.last.attitude, motion.attitude[0])
         assert found.last.time_ns == motion.times_ns[0]
-    assert 'torques       0 on /node/accepted_torque, over 0 s\n' in summary(result)
+    assert 'torques       0 on /node/accepted_torque, over 0 s\n' in result.text()
     assert verify(log, run, log, until=options.get('until')).same.tolist() == [True, True]
     assert verify(log, run, tmp_path / 'out.mcap').same.all()
 
@@ -288,6 +287,32 @@ def wheeled(tmp_path):
     path.write_text((CONFIG / 'tumbler.yaml').read_text()
                     + '    torque_topics: [a, b]\n    wheels: true\n')
     return scene.load(path)
+
+
+@pytest.mark.parametrize(('torque', 'raw'), [(None, False), (ACCEPTED, False), (ACCEPTED, True)])
+def test_what_a_node_has_logged_is_found_beside_its_torques(tmp_path, torque, raw):
+    # Without it the motion would be another one, and nobody would say so.
+    run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')
+    run = scene.Scene.from_values({**run.values, 'inertia_topic': True})
+    kind = messages.joint_commands([wheel.name for wheel in run.named_wheels])
+    bigger = 1.1 * run.body.entries
+    path, stamp = tmp_path / 'log.mcap', FIRST.time_ns + SECOND
+    with recording.Writer(path) as writer:
+        for topic, each, data in (
+                (ACCEPTED, messages.WRENCH, messages.wrench(stamp, '', (0.0, 1e-3, 0.0))),
+                ('/node/accepted_wheel_command', kind, kind.encode(stamp, '', [0.003] * 4)),
+                ('/node/accepted_inertia', messages.INERTIA, messages.inertia(stamp, '', bigger))):
+            writer.add_topic(topic, each)
+            writer.write(topic, FIRST.time_ns, messages.epoch_marker(FIRST, each))
+            writer.write(topic, stamp, data)
+            if raw:
+                other = topic.replace('/node/accepted_', '/')
+                writer.add_topic(other, each)
+                writer.write(other, stamp, data)
+    problem = read(path, run, topic=torque)
+    assert problem.efforts.efforts.tolist() == [[0.003] * 4]
+    assert [body.entries.tolist() for body in problem.changes.bodies] == [bigger.tolist()]
+    assert len(problem.logs) == 1
 
 
 def with_rotors(start):

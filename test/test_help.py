@@ -14,18 +14,26 @@
 
 """The help of the commands: its examples run as they stand, on files of the repository."""
 
+import json
 import os
+import re
 import shlex
 import sys
 import xml.etree.ElementTree as ElementTree
 
-from conftest import ROOT
+from conftest import CONFIG, RECORDINGS, ROOT
 import pytest
+from rigid_body_ros import commands, identify, read
 from rigid_body_ros.commands import main
+from rigid_body_ros.comparison.recorded import compare_recording
+from rigid_body_ros.identification.recorded import read_experiment
+from rigid_body_ros.replay import replay
+from rigid_body_ros.scene import load
+from rigid_body_ros.sensing.recorded import Reading
 
 NODES = 'node', 'lifecycle', 'controller', 'monitor'
-COMMANDS = [name for name in vars(main) if name.startswith('attitude_')
-            and name.split('_')[1] not in NODES]
+COMMANDS = sorted(path.name for path in (ROOT / 'scripts').iterdir()
+                  if path.name.split('_')[1] not in NODES)
 
 
 def printed(capsys, name, option):
@@ -60,3 +68,39 @@ def test_the_version_is_that_of_the_package(capsys):
     version = ElementTree.parse(ROOT / 'package.xml').findtext('version')
     for name in COMMANDS:
         assert printed(capsys, name, '--version') == f'{name} {version}\n'
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'result'), [
+    ('attitude_replay', replay), ('attitude_compare', compare_recording),
+    ('attitude_identify', lambda path, scene: identify(
+        scene.body, read_experiment(path, scene, Reading(('/mocap',)))))])
+def test_a_command_prints_its_result_as_python_does(name, result, capsys):
+    path, scene = RECORDINGS / 'flight.mcap', CONFIG / 'tumbler.yaml'
+    options = ['--measured', '/mocap'] if name == 'attitude_identify' else []
+    assert getattr(main, name)([str(path), '--scene', str(scene), *options]) == 0
+    expected = re.sub(r'\nspeed .*', '', str(result(path, load(scene))))
+    assert re.sub(r'\nspeed .*', '', capsys.readouterr().out) == f'{expected}\n'
+
+
+def test_the_command_of_the_design_is_complete(tmp_path, monkeypatch, capsys):
+    page = (ROOT / 'docs' / 'design.md').read_text()
+    code, = re.findall('```python\n("""The command.*?)```', page, re.DOTALL)
+    (tmp_path / 'energy.py').write_text(code)
+    monkeypatch.setattr(commands, '__path__', [*commands.__path__, str(tmp_path)])
+    scene, recording = CONFIG / 'tumbler.yaml', RECORDINGS / 'tumbler.mcap'
+    files = [tmp_path / 'energy.json', tmp_path / 'energy.html']
+    arguments = [*map(str, (recording, '--scene', scene, '--json', files[0],
+                            '--report', files[1]))]
+    assert main.attitude_energy(arguments) == 0
+    problem = read(recording, scene)
+    energy, = problem.propagate(at=problem.stamps_ns[-1:]).kinetic_energy.tolist()
+    assert capsys.readouterr().out == \
+        f'energy        {energy} J\nwrote         {files[0]}, {files[1]}\n'
+    assert json.loads(files[0].read_text()) == {'energy_J': energy}
+    assert f'{energy} J' in files[1].read_text()
+    assert main.attitude_energy(arguments) == 2
+    assert 'output exists' in capsys.readouterr().err
+    assert main.attitude_energy([*arguments[:4], str(scene), '--overwrite']) == 2
+    assert 'would overwrite the scene' in capsys.readouterr().err
+    assert 'attitude_energy' in printed(capsys, 'attitude_energy', '--help')

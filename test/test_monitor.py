@@ -45,15 +45,20 @@ def messages(seconds=120, seed=3, **wrong):
     return [(EPOCH_NS + int(time_ns), name, values) for time_ns, name, values in found]
 
 
+def put(monitor, time_ns, name, values):
+    """Put a message of `messages` into a monitor; return whether it fits."""
+    if name == 'torque':
+        return monitor.apply([time_ns], values[None])
+    none = np.full((1, 4), np.nan)
+    return monitor.measure(name, [time_ns], *(
+        (values[None], none[:, :3]) if name == '/mocap' else (none, values[None])))
+
+
 def judged(found, settings=PATIENT, problem=None, step=1000):
     """Return the judgements of messages in their order."""
     monitor, result = Monitor(problem or Problem(BODY, State(0)), settings), []
-    for number, (time_ns, name, values) in enumerate(found):
-        if name == 'torque':
-            assert monitor.apply(time_ns, values)
-        else:
-            assert monitor.measure(name, time_ns, *(
-                (values, None) if name == '/mocap' else (None, values)))
+    for number, message in enumerate(found):
+        assert put(monitor, *message)
         if not number % step:
             result += monitor.judgements()
     return [*result, *monitor.judgements()]
@@ -109,27 +114,23 @@ def test_the_order_of_arrival_changes_no_bit():
 def test_a_message_of_a_window_that_was_judged_is_rejected():
     found = sorted(messages(60), key=lambda message: message[0])
     monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=1.0))
-    for time_ns, name, values in found:
-        if name == '/gyro':
-            assert monitor.measure(name, time_ns, None, values)
+    for message in found:
+        if message[1] == '/gyro':
+            assert put(monitor, *message)
     count = len([*monitor.judgements()])
     assert count >= 10
-    assert not monitor.measure('/mocap', EPOCH_NS + 3 * SECOND, np.array([0, 0, 0, 1.0]), None)
-    assert not monitor.apply(EPOCH_NS + 3 * SECOND, np.ones(3))
+    assert not put(monitor, EPOCH_NS + 3 * SECOND, '/mocap', np.array([0, 0, 0, 1.0]))
+    assert not put(monitor, EPOCH_NS + 3 * SECOND, 'torque', np.ones(3))
 
 
 def test_memory_is_bounded():
     monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=1.0))
     sizes = []
-    for time_ns, name, values in sorted(messages(180), key=lambda message: message[0]):
-        if name == 'torque':
-            monitor.apply(time_ns, values)
-        else:
-            monitor.measure(name, time_ns, *(
-                (values, None) if name == '/mocap' else (None, values)))
+    for message in sorted(messages(180), key=lambda message: message[0]):
+        put(monitor, *message)
         [*monitor.judgements()]
         rows = (*monitor._torques.values(), *monitor._sensors.values())
-        sizes.append(sum(len(each._values) for each in rows))
+        sizes.append(sum(len(each._all()[0]) for each in rows))
     assert max(sizes[-6000:]) <= max(sizes[:6000])
 
 

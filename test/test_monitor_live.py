@@ -34,7 +34,7 @@ from rigid_body_ros import messages, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.recording import Writer
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
-from rigid_body_ros.sensing.reading import sample
+from rigid_body_ros.sensing.reading import samples
 from rosgraph_msgs.msg import Clock
 import yaml
 
@@ -200,11 +200,11 @@ def expected(session, found):
     """Return what a monitor without ROS says of the same messages, in the order of stamps."""
     monitor = Monitor(session.scene.problem(), settings_of(session.scene.values))
     for stamp_ns, topic, data in found:
-        values = TOPICS[topic][1].decode(data).values
+        values = TOPICS[topic][1].decode(data).values[None]
         if topic == '/torque':
-            monitor.apply(stamp_ns, values[3:])
+            monitor.apply([stamp_ns], values[:, 3:])
         else:
-            monitor.measure(topic, stamp_ns, *sample(TOPICS[topic][1], values))
+            monitor.measure(topic, [stamp_ns], *samples(TOPICS[topic][1], values))
     return [*monitor.judgements()]
 
 

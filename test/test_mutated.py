@@ -31,7 +31,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import messages, recording
 from rigid_body_ros.commands import ensemble as ensemble_command
-from rigid_body_ros.commands.arguments import load_scene, parsed
+from rigid_body_ros.commands.arguments import load_scene
 
 #: For a thorough run 20 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))
@@ -138,7 +138,7 @@ VARIED = {
 def dispersed(path, scene, recorded):
     """Return the error line of a command that computes three runs, '' if there is none."""
     def run():
-        options = parsed(ensemble_command.ensemble_parser(), [
+        options = ensemble_command.attitude_ensemble.parsed([
             '--scene', str(scene), '--recording', str(recorded), '--vary', str(path), '--runs',
             '3', '-o', str(path.parent / 'out')])
         rows = ensemble_command._ensemble(options, load_scene(options)).rows(0, 3)

@@ -52,12 +52,19 @@ rclpy.try_shutdown()
 """
 NODE = 'rigid_body_ros.node.attitude_node', 'AttitudeNode'
 MANAGED = 'rigid_body_ros.node.lifecycle', 'AttitudeLifecycleNode'
+MONITOR = 'rigid_body_ros.node.attitude_monitor', 'AttitudeMonitor'
 CONTROLLER = 'rigid_body_ros.node.attitude_controller', 'AttitudeController'
 #: Together these have every topic of the node but those of further torque_topics.
 CONFIGURATIONS = [
-    ('-p', 'mode:=lockstep', '-p', 'publish_clock:=true'),
+    ('-p', 'mode:=lockstep', '-p', 'publish_clock:=true', '-p', 'wheel_names:=[rw]',
+     '-p', 'rw.axis.x:=1.0', '-p', 'rw.inertia:=0.001', '-p', 'inertia_topic:=true',
+     '-p', 'actuator.topics:=[torque]'),
     ('-p', 'use_sim_time:=true', '-p', 'wheels:=true',
      *(('-p', 'publish_tf:=true') if find_spec('tf2_msgs') else ()))]
+#: And these every topic of the monitor but those that it measures.
+MONITORED = [('-p', 'monitor.measured:=[/measured]', '-p', 'monitor.attitude_noise:=0.001',
+              '-p', 'monitor.rate_noise:=0.001', '-p', 'use_sim_time:=true',
+              '-p', 'wheels:=true')]
 
 
 def violations(element):
@@ -110,7 +117,7 @@ def test_the_rules_find_a_mistake(change, violation):
 
 
 @pytest.mark.parametrize('executable', [
-    'attitude_node', 'attitude_lifecycle_node', 'attitude_controller'])
+    'attitude_node', 'attitude_lifecycle_node', 'attitude_monitor', 'attitude_controller'])
 def test_it_allows_nothing_twice_and_denies_nothing(executable):
     for names in allowed(executable).values():
         assert len(names) == len({*names})
@@ -137,13 +144,15 @@ def graph(domain, node, *arguments):
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(('executable', 'node', 'started'), [
-    ('attitude_node', NODE, ()),
-    *at_night(('attitude_lifecycle_node', MANAGED, ('-p', 'autostart:=true')))])
-def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, node, started):
+@pytest.mark.parametrize(('executable', 'node', 'configurations', 'started'), [
+    ('attitude_node', NODE, CONFIGURATIONS, ()),
+    ('attitude_monitor', MONITOR, MONITORED, ()),
+    *at_night(('attitude_lifecycle_node', MANAGED, CONFIGURATIONS, ('-p', 'autostart:=true')))])
+def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, node, configurations,
+                                                    started):
     pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
     policy, used = allowed(executable), {kind: set() for kind in KINDS}
-    for arguments in CONFIGURATIONS:
+    for arguments in configurations:
         found = graph(domain, node, '--params-file', str(CONFIG / 'tumbler.yaml'), *started,
                       *arguments)
         for kind, names in found.items():
@@ -151,7 +160,7 @@ def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, node, st
             used[kind] |= {*names}
     # Only until the URDF arrives; test_robot_description.py has a node that waits.
     used['subscriber'].add('/robot_description')
-    if not find_spec('tf2_msgs'):
+    if node is not MONITOR and not find_spec('tf2_msgs'):
         used['publisher'].add('/tf')
     assert used == {kind: {*names} for kind, names in policy.items()}
 

@@ -30,7 +30,6 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.replay import gaps, replay
 from rigid_body_ros.replay.check import energy_balance
-from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 
@@ -129,10 +128,10 @@ def test_the_effect_of_the_last_digits_is_reported_where_it_is_large(output):
     assert 1e-11 < result.last_digits.effect < 1e-9
     assert (f'\nlast digits   a change of the last digit of inertia, torque or start moves the '
             f'attitude by {result.last_digits.effect:.1e} rad: no solver guarantees a smaller '
-            'error\n') in summary(result)
+            'error\n') in result.text()
     ordinary = replayed('thruster_pulses_irregular', output)
     assert 0.0 < ordinary.last_digits.effect < 1e-13
-    assert 'last digits' not in summary(ordinary)
+    assert 'last digits' not in ordinary.text()
 
 
 @pytest.mark.parametrize(('name', 'limit'), [('_SAMPLES', 1), ('_ANGLE', 4.0)])
@@ -142,7 +141,7 @@ def test_the_effect_of_the_last_digits_covers_a_beginning(name, limit, output, m
     digits = result.last_digits
     assert 0.1 < digits.covered < 0.9 * digits.total
     assert digits.total == result.check.total
-    assert f' rad in the first {digits.covered:.9g} s of {digits.total:.9g} s: ' in summary(result)
+    assert f' rad in the first {digits.covered:.9g} s of {digits.total:.9g} s: ' in result.text()
 
 
 def test_a_motion_of_no_length_has_no_last_digits(output):

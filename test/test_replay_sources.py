@@ -33,7 +33,6 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.replay.gaps import computing_time
 from rigid_body_ros.replay.many import replay_many
-from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.report import figures
 
 MS = 10 ** 6
@@ -174,7 +173,7 @@ def test_wheels_need_no_torque_on_the_body(tmp_path, written):
     np.testing.assert_array_equal(
         result.trajectory.attitude,
         expected(tmp_path / 'scene.yaml', [], log('/wheel_torque')).attitude)
-    text = summary(result)
+    text = result.text()
     assert 'rotors        torque on /wheel_torque\n' in text
     assert '  rotors      ' in text
     assert 'relative drift of the space angular momentum' in text
@@ -186,7 +185,7 @@ def test_damping_alone_has_no_rotors(tmp_path, written):
     path = write(tmp_path / 'one.mcap', ['/control'])
     result = replay(path, scene.load(written(DAMPING)), output)
     check_written(output, expected(tmp_path / 'scene.yaml', [log('/control')]), has_rotors=False)
-    assert 'rotors' not in summary(result)
+    assert 'rotors' not in result.text()
 
 
 @pytest.mark.parametrize(('topics', 'lines', 'law', 'bound'), [

@@ -43,11 +43,12 @@ from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.page import html
-from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting, summary
+from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting
+from rigid_body_ros.tradeoff.choices import OnWhole
 from rigid_body_ros.tradeoff.page import page
 from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.problem import whole as whole_motion
-from rigid_body_ros.tradeoff.trade import OnWhole
+from rigid_body_ros.tradeoff.result import _limits
 from test_reference import NAMES
 from test_replay import bad_input
 
@@ -120,7 +121,7 @@ def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
     assert np.ptp(motion.kinetic_energy) > 1e-3  # they do act
     if fields == (PIVOT,):
         assert np.ptp(energy) < 1e-13
-    text = summary.summary(result)
+    text = result.text()
     assert 'under fields, without logged torque' in text
     assert 'in principal axes' not in text
 
@@ -176,7 +177,7 @@ def test_rotors_that_take_all_momentum_leave_small_drifts_and_a_target_that_is_m
     found = propagate(body, start, wheels=wheels, at=[20 * SECOND],
                       **result.choices[1e-8].measurement.setting.options).attitude
     assert 0.0 < so3.angle_between(found, expected)[0] <= 1e-8
-    assert 'principal axes' not in summary.summary(result)
+    assert 'principal axes' not in result.text()
 
 
 def a_measurement(error, seconds):
@@ -275,20 +276,20 @@ def test_a_target_that_only_the_whole_motion_misses_is_refused_with_its_figure(m
     target = math.sqrt(part * whole)
     assert 3.0 * part < target < whole / 3.0
     result = measure(problem, targets=[target, part / 10.0], seconds=2.0)
-    text = summary.summary(result)
+    text = result.text()
     digits = 'a change of the last digit of inertia, torque or start moves the attitude by'
     assert f'to meet it, {digits} {whole:.1e} rad on the whole motion\n' in text
     assert f'to meet it, {digits} {part:.1e} rad in the first {result.stretch.seconds:.9g} s\n' \
         in text
     hurried = replace(result, error_on_whole=OnWhole(
         result.whole, result.stretch, result.reference, result.measurements, 0.0))
-    assert 'scaled to the whole motion by the square of the time\n' in summary.summary(hurried)
+    assert 'scaled to the whole motion by the square of the time\n' in hurried.text()
 
 
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
 def test_another_interpolation_is_advised_under_a_condition_if_hold_may_be_right(interpolation):
     result = measure(a_rod(1000, interpolation), seconds=0.1)
-    held, *varies = (text for name, text in summary._limits(result, 1e-6))
+    held, *varies = (text for name, text in _limits(result, 1e-6))
     advice = f'the {interpolation} interpolation between torque samples'
     if interpolation == 'hold':
         assert held == 'if the actuator holds the torque between its samples, the solver: a ' \
@@ -301,10 +302,10 @@ def test_another_interpolation_is_advised_under_a_condition_if_hold_may_be_right
 
 def test_the_floor_is_shown_as_what_it_is():
     result = measure(FREE)
-    meaning = summary.as_data(result)['rounding_floor_is']
+    meaning = result.as_dict()['rounding_floor_is']
     assert 'the series with other steps, in principal axes and, without torque, the ' in meaning
     assert 'does not show an error common to all' in meaning
-    assert meaning in ' '.join(summary.summary(result).split())
+    assert meaning in ' '.join(result.text().split())
 
 
 def test_a_failed_setting_is_shown_as_failed():
@@ -313,8 +314,8 @@ def test_a_failed_setting_is_shown_as_failed():
     assert failed
     assert {run.setting.solver for run in failed} == {'explicit_euler'}
     assert math.isnan(failed[0].error.attitude)
-    assert summary.summary(result, all_rows=True).count('failed: ') == len(failed)
-    assert 'failed: ' not in summary.summary(result)
+    assert result.text(all_rows=True).count('failed: ') == len(failed)
+    assert 'failed: ' not in result.text()
     assert not any(run.pareto_optimal for run in failed)
 
 
@@ -370,7 +371,7 @@ def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(cap
 
 def test_every_target_has_its_own_recommendation(tmp_path):
     result = measure(FREE, targets=[1e-2, 1e-6, 1e-20])
-    data = summary.as_data(result)
+    data = result.as_dict()
     assert [each['target_rad'] for each in data['targets']] == [1e-2, 1e-6, 1e-20]
     assert data['targets'][2]['recommended'] is None
     for each in data['targets'][:2]:
@@ -412,16 +413,16 @@ def test_another_interpolation_is_advised_only_if_it_helps(shape):
     better = result.better_interpolation
     if shape == 'pulses':
         assert better is None
-        assert ': only more closely spaced samples help\n' in summary.summary(result)
+        assert ': only more closely spaced samples help\n' in result.text()
     else:
         assert error(better.interpolation) < 0.1 * error('hold')
-        assert f'use {better.interpolation} (about ' in summary.summary(result)
+        assert f'use {better.interpolation} (about ' in result.text()
 
 
 def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
     result = measure(FREE)
     floor = result.reference.floor
-    for solver, (errors, _) in summary.curves(result).items():
+    for solver, (errors, _) in result.curves().items():
         measured = [one.error.attitude for one in result.measurements
                     if one.setting.solver == solver and not one.failure]
         assert errors == [max(error, floor) for error in measured]
@@ -443,7 +444,7 @@ def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     panel, = data_of(text)['panels']
     assert {'target 1e-06 rad', 'target 1e-20 rad'} < panel['lines'].keys()
     for each, texts, (solver, (errors, costs)) in zip(panel['curves'], panel['texts'],
-                                                      summary.curves(result).items()):
+                                                      result.curves().items()):
         assert each['names'] == [solver]
         np.testing.assert_allclose(array(each['x']), np.maximum(errors, np.finfo(float).eps))
         shown = array(each['low'], '<f4') + each['offsets'][0]

@@ -37,7 +37,7 @@ import pytest
 from rigid_body_ros import messages, scene, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
-from rigid_body_ros.replay.verify import summary, verify
+from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
 
 MS = 10 ** 6
@@ -165,7 +165,7 @@ def test_a_state_may_be_the_start_of_the_next_epoch(run, tmp_path, count):
     log = save(tmp_path / 'log.mcap', epoch(run, rest, still) + count * later)
     result = verify(log, run, log)
     assert (len(result.same), result.same.all(), result.pending) == (4 + 3 * count, True, 0)
-    assert f'states of /node/committed in {count + 1} epochs\n' in summary(result)
+    assert f'states of /node/committed in {count + 1} epochs\n' in result.text()
 
 
 @pytest.mark.parametrize('options', [{}, {'rate': 37.0}, {'until': 1.2}, {'until': 2.5}], ids=str)

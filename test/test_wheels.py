@@ -25,6 +25,7 @@ from rigid_body_ros import (
     BodyLog,
     EffortLog,
     GravityGradient,
+    messages,
     Problem,
     propagate,
     propagate_many,
@@ -44,7 +45,11 @@ from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.epoch import Epoch
+from rigid_body_ros.live.events import IMPOSSIBLE, RejectedError
+from rigid_body_ros.live.inputs import Inputs
+from rigid_body_ros.live.run import Run
 from rigid_body_ros.propagation import Integration, integration
+from rigid_body_ros.propagation.segment import BODY as SOURCE
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
@@ -455,6 +460,13 @@ def test_mistakes_in_a_scene_are_reported_in_one_line(values, message):
     assert '\n' not in str(error.value)
 
 
+def test_an_inertia_that_the_wheels_do_not_leave_is_rejected_as_one():
+    inputs = Inputs(Scene.from_values({**SCENE, 'inertia_topic': True}), None)
+    with pytest.raises(RejectedError, match='^wheels: expected axial inertia that the') as error:
+        inputs.torque(messages.inertia(SECOND, '', (0.05, 0.07, 0.07, 0.0, 0.0, 0.0)), SOURCE)
+    assert error.value.cause == IMPOSSIBLE
+
+
 def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
     scene = Scene.from_values(SCENE)
     state = Epoch(scene, scene.start).at(3 * SECOND, np.inf)
@@ -466,6 +478,24 @@ def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
     expected = Epoch(scene, scene.start).at(4 * SECOND, np.inf)
     assert abs(end.attitude - expected.attitude).max() < 1e-15
     assert abs(end.wheel_speeds - expected.wheel_speeds).max() < 1e-13
+
+
+@pytest.mark.parametrize(('other', 'speed'), [(0.0, 7.0), (0.2, 7.0), (1e-9, 7.0), (-1.5, 30.0)])
+def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
+    # Rotors without a name turn, too. If they cancel the momentum of the wheels, the marker does
+    # not have their speeds.
+    scene = Scene.from_values({**SCENE, 'initial_rotor_momentum.x': other,
+                               'initial_rotor_momentum.y': 0.0})
+    start = Run(scene, None, None).initial(SECOND)
+    marker = messages.WRENCH.decode(messages.epoch_marker(start))
+    found = messages.epoch_start(marker.stamp_ns, marker.frame_id)
+    # As it is read later, with the speeds of another epoch in the scene.
+    later = Scene.from_values({**scene.values, 'rw_x.initial_speed': speed})
+    motion, expected = (run.problem(begin).propagate(at=[2 * SECOND]) for run, begin in (
+        (later, found), (scene, replace(scene.start, time_ns=SECOND))))
+    np.testing.assert_allclose(motion.rotor_momentum, expected.rotor_momentum, atol=1e-15)
+    np.testing.assert_allclose(motion.attitude, expected.attitude, atol=1e-15)
+    assert other or same(motion, expected)
 
 
 @pytest.mark.parametrize('log', [

@@ -17,23 +17,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import (
-    add_degrees,
-    add_measured,
-    add_outputs,
-    add_scene,
-    load_scene,
-    parsed,
-    Parser,
-    positive,
-    reading_of,
-    warn_of_frames,
-    warn_of_units,
-)
+from rigid_body_ros.commands.arguments import load_scene, reading_of, warn_of_frames, warn_of_units
+from rigid_body_ros.commands.command import Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.report.page import with_facts
@@ -51,13 +39,12 @@ REJECTED = 4
 _FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 
-def attitude_compare(arguments: Sequence[str] | None) -> int:
-    """Compare measured motion with the motion under recorded torques."""
-    options = parsed(compare_parser(), arguments)
-    name = Path(options.recording).name
-    from rigid_body_ros.comparison.summary import summary
-    from rigid_body_ros.identification.summary import verdict_rows
+def _run(options: argparse.Namespace) -> int:
+    from rigid_body_ros.comparison import plot
+    from rigid_body_ros.comparison.outputs import write
+    from rigid_body_ros.comparison.page import page
     from rigid_body_ros.recording import suffix_of
+    name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
         scene = load_scene(options)
         if options.check and options.motion:
@@ -66,23 +53,17 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
         comparison = _compared(options, scene)
         warn_of_frames(options, options.recording, comparison.measured)
         verdict = _verdict(options, scene) if options.check else None
-        facts = [*verdict_rows(verdict)] if verdict else []
-        if options.plot:
-            from rigid_body_ros.comparison import plot  # matplotlib takes long to load
-            outputs.write(options.plot, lambda path: plot.draw(path, comparison, name))
+        facts = [*verdict.rows()] if verdict else []
         if options.output:
-            from rigid_body_ros.comparison.outputs import write
             with outputs.writing(options.output):
                 write(options.output, comparison, scene.body_frame)
-        if options.json:
-            outputs.write_json({**comparison.as_dict(),
-                                'verdict': verdict.as_dict() if verdict else None})
-        if options.report:
-            from rigid_body_ros.comparison.page import page
-            outputs.write_page(lambda line: with_facts(page(
-                comparison, name, scene, line, options.degrees), facts))
+        outputs.write_asked(
+            data=lambda: {**comparison.as_dict(), 'verdict': verdict and verdict.as_dict()},
+            draw=lambda path: plot.draw(path, comparison, name),
+            page=lambda line: with_facts(page(comparison, name, scene, line, options.degrees),
+                                         facts))
     shown = [lines([f'{title:17}{text}']) for title, text in facts]
-    outputs.show('\n'.join([*shown, summary(comparison, options.degrees)]), 17)
+    outputs.show('\n'.join([*shown, comparison.text(options.degrees)]), 17)
     if not verdict or verdict.is_consistent:
         return 0
     report(f'{options.command}: the model does not explain the measurements')
@@ -92,17 +73,12 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
 def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
     """Return whether the model explains the measurements, from some start."""
     from rigid_body_ros.comparison.align import is_asked
-    from rigid_body_ros.identification import identify
-    from rigid_body_ros.identification.recorded import read_experiment
+    from rigid_body_ros.identification.recorded import identified, read_experiment
     experiment = read_experiment(options.recording, scene, reading_of(options))
     names = ['start', *(f'{estimated}@{one.topic}' for kind, estimated in _FITTED.items()
                         for one in experiment.measured
                         if is_asked(options.align, kind, one.topic))]
-    try:
-        return identify(scene.body, experiment, estimate=names,
-                        torque_timeout=scene.torque_timeout).verdict
-    except ValueError as error:
-        raise InputError(f'{options.recording}: {error}') from error
+    return identified([options.recording], scene, [experiment], estimate=names).verdict
 
 
 def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
@@ -112,23 +88,15 @@ def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
         horizons=options.horizon, track=progress('comparing', ' steps'))
 
 
-def compare_parser() -> argparse.ArgumentParser:
-    """Return the argument parser of `attitude_compare`."""
-    parser = Parser(
-        prog='attitude_compare',
-        description='Compare measured attitudes and angular velocities with the motion under '
-        'recorded torques. Print how large the errors are and what probably causes them.',
-        examples=('test/recordings/flight.mcap --scene config/tumbler.yaml --horizon 1',
-                  'test/recordings/flight.mcap --scene config/tumbler.yaml --check '
-                  '--report errors.html'))
+def _add_arguments(parser: Parser) -> None:
     parser.add_argument('recording', metavar='RECORDING',
                         help='recording of torques and measurements, as for attitude_replay')
-    add_scene(parser)
-    add_measured(parser, 'measured topic (QuaternionStamped, PoseStamped, '
-                 'PoseWithCovarianceStamped, TransformStamped, TFMessage, Odometry, Imu, '
-                 'or Vector3Stamped, an angular velocity), or the name of a CSV file or of a TUM '
-                 'trajectory; may be repeated (default: the only topic of one of these types but '
-                 'the last)')
+    parser.add_scene()
+    parser.add_measured(
+        'measured topic (QuaternionStamped, PoseStamped, PoseWithCovarianceStamped, '
+        'TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped, an angular velocity), or '
+        'the name of a CSV file or of a TUM trajectory; may be repeated (default: the only topic '
+        'of one of these types but the last)')
     parser.add_argument('--motion', metavar='FILE',
                         help='compare this recorded motion, such as the output of '
                         'attitude_replay, instead of computing one')
@@ -149,12 +117,11 @@ def compare_parser() -> argparse.ArgumentParser:
                         help='write /error/rotation_vector, /error/angular_velocity and '
                         '/residual_torque to this MCAP file, or, if the name does not end in '
                         '.mcap, to a new rosbag2 folder')
-    parser.add_argument('--json', metavar='OUT', help='write the result, with units, to this file')
-    parser.add_argument('--plot', metavar='PNG', help='plot errors, torque, errors after the '
-                        'horizons and residual torque over time')
-    add_degrees(parser)
-    add_outputs(parser, 'the measured and the computed motion, the errors and the summary')
-    return parser
+    parser.add_degrees()
+    parser.add_outputs(
+        json='write the result, with units, to this file',
+        plot='plot errors, torque, errors after the horizons and residual torque over time',
+        report='the measured and the computed motion, the errors and the summary')
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -165,3 +132,13 @@ def _names(text: str) -> tuple[str, ...]:
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
     return names
+
+
+attitude_compare = Command(
+    'attitude_compare',
+    'Compare measured attitudes and angular velocities with the motion under '
+    'recorded torques. Print how large the errors are and what probably causes them.',
+    ('test/recordings/flight.mcap --scene config/tumbler.yaml --horizon 1',
+     'test/recordings/flight.mcap --scene config/tumbler.yaml --check '
+     '--report errors.html'),
+    _add_arguments, _run)

@@ -27,19 +27,8 @@ import os
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import (
-    add_outputs,
-    add_scene,
-    add_scheduler,
-    add_torques,
-    load_scene,
-    note,
-    parsed,
-    Parser,
-    positive,
-    read_torques,
-    within,
-)
+from rigid_body_ros.commands.arguments import load_scene, note, read_torques
+from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.common.times import duration_ns
@@ -59,11 +48,10 @@ if TYPE_CHECKING:
 FINAL = 'final'
 
 
-def attitude_ensemble(arguments: Sequence[str] | None) -> int:
-    """Compute many runs with dispersed parameters."""
-    options = parsed(ensemble_parser(), arguments)
+def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.ensemble import driver, summary, worst
     from rigid_body_ros.ensemble.folder import opened
+    from rigid_body_ros.ensemble.page import page
     requirements = _requirements(options)
     with checked(options) as outputs:
         scene = load_scene(options)
@@ -79,10 +67,8 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
             _draw(options, folder.picture, found)
             folder.finish({**identity, **found})
             replay = partial(worst.command, ensemble)
-            if options.report:
-                from rigid_body_ros.ensemble.page import page
-                outputs.write_page(lambda line: page(
-                    found, _title(options), scene, line, partial(replay, folder.path.name)))
+            outputs.write_asked(page=lambda line: page(
+                found, _title(options), scene, line, partial(replay, folder.path.name)))
     outputs.show(summary.text_of(found, partial(replay, options.output)), 17,
                  [options.output, *outputs.names])
     if found['failed'] == found['runs']:
@@ -156,15 +142,13 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
 def _controller(options: argparse.Namespace, scene: Scene, problem: Problem) -> Controller | None:
     if not options.controller:
         return None
-    if scene.actuators:
-        raise InputError('--controller: expected a scene without actuators, found '
-                         f'actuator.topics: {listed(scene.values["actuator.topics"])}')
     from rigid_body_ros.ensemble.controller import Controller
     for log in problem.logs:
         if log.interpolation != 'hold':
             raise InputError(f"{options.scene}: interpolation: expected 'hold', as in lockstep, "
                              f'with a controller, found {log.interpolation!r}')
-    return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')))
+    actuator = next(filter(None, scene.actuators or ()), None)  # all topics with one have the same
+    return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')), actuator)
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
@@ -215,19 +199,8 @@ def _varied(ensemble: Ensemble) -> dict[str, Any]:
             'covariance': f'sha256:{hashlib.sha256(distribution).hexdigest()}'}
 
 
-def ensemble_parser() -> argparse.ArgumentParser:
-    """Return the argument parser of `attitude_ensemble`."""
-    parser = Parser(
-        prog='attitude_ensemble',
-        description='Compute many runs with dispersed parameters. Write a row for each run with '
-        'the values applied and the final state; print how far the runs end from the nominal one, '
-        'and which parameters matter. Started again, it goes on where it stopped; with more runs, '
-        'it adds them.',
-        examples=('--scene config/tumbler.yaml --vary examples/vary.yaml '
-                  '--recording test/recordings/tumbler.mcap --runs 1000 -o runs',
-                  '--scene config/tumbler.yaml --vary examples/vary.yaml --until 20 '
-                  '--recording test/recordings/flight.mcap --runs 100 --times 10 -o runs'))
-    add_scene(parser)
+def _add_arguments(parser: Parser) -> None:
+    parser.add_scene()
     parser.add_argument('--vary', required=True, metavar='FILE',
                         help='YAML file with the distribution of each dispersed parameter, or '
                         'the JSON file of attitude_identify: its estimates then vary jointly')
@@ -237,7 +210,7 @@ def ensemble_parser() -> argparse.ArgumentParser:
                         type=within(1, 10 ** 9, 'an integer', int))
     parser.add_argument('--recording', metavar='IN',
                         help='recording of torques, as for attitude_replay (default: no torque)')
-    add_torques(parser)
+    parser.add_torques()
     parser.add_argument('--controller', metavar='MODULE:FUNCTION', help='controller in the loop: '
                         'a Python function of the state and of the time since the start (s) that '
                         'returns a torque (N m, body axes), called at the step of the scene, or '
@@ -263,9 +236,8 @@ def ensemble_parser() -> argparse.ArgumentParser:
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: a new one, or that of the same ensemble')
-    add_outputs(parser, 'the summary, the histogram of the final angles, their percentiles over '
-                'time, and the rank correlations')
-    return parser
+    parser.add_outputs(report='the summary, the histogram of the final angles, their percentiles '
+                       'over time, and the rank correlations')
 
 
 def _times(text: str) -> float | str:
@@ -274,3 +246,16 @@ def _times(text: str) -> float | str:
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(str(error).replace(
             'expected', f'expected {FINAL} or', 1)) from error
+
+
+attitude_ensemble = Command(
+    'attitude_ensemble',
+    'Compute many runs with dispersed parameters. Write a row for each run with '
+    'the values applied and the final state; print how far the runs end from the nominal one, '
+    'and which parameters matter. Started again, it goes on where it stopped; with more runs, '
+    'it adds them.',
+    ('--scene config/tumbler.yaml --vary examples/vary.yaml '
+     '--recording test/recordings/tumbler.mcap --runs 1000 -o runs',
+     '--scene config/tumbler.yaml --vary examples/vary.yaml --until 20 '
+     '--recording test/recordings/flight.mcap --runs 100 --times 10 -o runs'),
+    _add_arguments, _run)

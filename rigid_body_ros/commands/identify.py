@@ -17,24 +17,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import (
-    add_degrees,
-    add_measured,
-    add_outputs,
-    add_scene,
-    load_scene,
-    parsed,
-    Parser,
-    positive,
-    reading_of,
-    warn_of_frames,
-    warn_of_units,
-    within,
-)
+from rigid_body_ros.commands.arguments import load_scene, reading_of, warn_of_frames, warn_of_units
+from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked, Outputs
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime.terminal import report
@@ -47,16 +34,13 @@ if TYPE_CHECKING:
 OK, PARTIAL, REJECTED = 0, 3, 4
 
 
-def attitude_identify(arguments: Sequence[str] | None) -> int:
-    """Estimate parameters of a body from measured motions."""
-    options = parsed(identify_parser(), arguments)
-    from rigid_body_ros.identification.summary import summary
+def _run(options: argparse.Namespace) -> int:
     with checked(options, (options.output, _suffix(options.output))) as outputs:
         scene = load_scene(options)
         found, first = _identified(options, scene)
         status, text = _status(found)
         written = _write(options, outputs, found, first, scene, status == OK or options.force)
-    outputs.show(summary(found, options.degrees), 17, written)
+    outputs.show(found.text(options.degrees), 17, written)
     if status != OK:
         if options.output and options.output not in written:
             text += '; no scene was written (--force writes it)'
@@ -79,41 +63,33 @@ def _status(found: Identification) -> tuple[int, str]:
 def _identified(options: argparse.Namespace,
                 scene: Scene) -> tuple[Identification, Experiment]:
     """Return the result, and the first recording."""
-    from rigid_body_ros.identification import identify
-    from rigid_body_ros.identification.recorded import read_experiments
+    from rigid_body_ros.identification.recorded import identified, read_experiments
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
         warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, reading_of(options))
     for path, experiment in zip(options.recording, experiments):
         warn_of_frames(options, path, experiment.measured)
-    try:
-        found = identify(scene.body, experiments, estimate=options.estimate,
-                         attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
-                         validate=options.validate, priors=dict(options.prior),
-                         gravity=options.gravity, accept=options.accept,
-                         torque_timeout=scene.torque_timeout)
-    except ValueError as error:
-        raise InputError(f'{options.recording[0]}: {error}') from error
+    found = identified(
+        options.recording, scene, experiments, estimate=options.estimate,
+        attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
+        validate=options.validate, priors=dict(options.prior), gravity=options.gravity,
+        accept=options.accept)
     return found, experiments[0]
 
 
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
            first: Experiment, scene: Scene, is_good: bool) -> list[str]:
     """Write all outputs, the scene only of a good fit; return what was written."""
+    from rigid_body_ros.identification import plot
+    from rigid_body_ros.identification.page import page
+    from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
     name = Path(options.recording[0]).name
-    if options.json:
-        outputs.write_json(found.as_dict())
     if options.output and is_good:
-        from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
         fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
         outputs.write_text(options.output, fitted(scene, found))
-    if options.plot:
-        from rigid_body_ros.identification import plot  # matplotlib takes long to load
-        outputs.write(options.plot, lambda path: plot.draw(path, found, first, name))
-    if options.report:
-        from rigid_body_ros.identification.page import page
-        outputs.write_page(lambda line: page(found, first, name, scene, line,
-                                             options.degrees))
+    outputs.write_asked(
+        data=found.as_dict, draw=lambda path: plot.draw(path, found, first, name),
+        page=lambda line: page(found, first, name, scene, line, options.degrees))
     return [each for each in outputs.names if is_good or each != options.output]
 
 
@@ -122,29 +98,17 @@ def _suffix(output: str | None) -> str:
     return '.urdf' if output and output.lower().endswith('.urdf') else '.yaml'
 
 
-def identify_parser() -> argparse.ArgumentParser:
-    """Return the argument parser of `attitude_identify`."""
+def _add_arguments(parser: Parser) -> None:
     from rigid_body_ros.identification.parameters import GRAVITY
     from rigid_body_ros.identification.verdict import ACCEPT
-    parser = Parser(
-        prog='attitude_identify',
-        description='Estimate the inertia of a body, and other parameters, from measured '
-        'attitudes and angular velocities under recorded torques. Print the estimates with their '
-        'uncertainty, and whether the model explains the measurements; write a fitted scene. If '
-        'the data does not determine all estimates, the exit status is 3, and if the model does '
-        'not explain the measurements it is 4; no scene is written then.',
-        examples=('test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
-                  '-o fitted.yaml',
-                  'test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
-                  '--measured /gyro --estimate inertia,start,mount@/gyro --validate 0.3'))
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
                         'several of the same body are fitted together. The torques of a PX4 log '
                         '(.ulg) are normalized: estimate torque_gains, with an inertia that is '
                         'known or has a --prior')
-    add_scene(parser)
-    add_measured(parser, 'measured topic, as for attitude_compare; may be repeated (default: the '
-                 'only topic of an attitude)')
+    parser.add_scene()
+    parser.add_measured('measured topic, as for attitude_compare; may be repeated (default: the '
+                        'only topic of an attitude)')
     parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
                         help='what to estimate, separated by commas: inertia or inertia_diagonal, '
                         'start, torque_gain or torque_gains, torque_bias, torque_delay, '
@@ -175,13 +139,12 @@ def identify_parser() -> argparse.ArgumentParser:
                         'as a URDF of one link')
     parser.add_argument('--force', action='store_true', help='write the scene even if the data '
                         'does not determine all estimates, or the fit is rejected')
-    parser.add_argument('--json', metavar='OUT', help='write the result to this file')
-    parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '
-                        'over time, with its torques')
-    add_degrees(parser)
-    add_outputs(parser, 'the estimates, the measured and the computed motion, the errors that are '
-                'left and the summary')
-    return parser
+    parser.add_degrees()
+    parser.add_outputs(
+        json='write the result to this file',
+        plot='plot the errors of the first recording over time, with its torques',
+        report='the estimates, the measured and the computed motion, the errors that are left and '
+        'the summary')
 
 
 def _prior(text: str) -> tuple[str, str]:
@@ -197,3 +160,17 @@ def _names(text: str) -> tuple[str, ...]:
         return checked_names([name.strip() for name in text.split(',')])
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error).removeprefix('estimate: ')) from error
+
+
+attitude_identify = Command(
+    'attitude_identify',
+    'Estimate the inertia of a body, and other parameters, from measured '
+    'attitudes and angular velocities under recorded torques. Print the estimates with their '
+    'uncertainty, and whether the model explains the measurements; write a fitted scene. If '
+    'the data does not determine all estimates, the exit status is 3, and if the model does '
+    'not explain the measurements it is 4; no scene is written then.',
+    ('test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
+     '-o fitted.yaml',
+     'test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
+     '--measured /gyro --estimate inertia,start,mount@/gyro --validate 0.3'),
+    _add_arguments, _run)

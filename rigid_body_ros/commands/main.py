@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 import signal
 import sys
 from typing import Any
@@ -93,13 +94,14 @@ def _called(command: Callable[[], int]) -> int:
         raise
 
 
-#: What each entry point calls, with its arguments (default: those of the process).
-attitude_replay = partial(_run, 'replay', 'attitude_replay')
-attitude_tradeoff = partial(_run, 'tradeoff', 'attitude_tradeoff')
-attitude_compare = partial(_run, 'compare', 'attitude_compare')
-attitude_identify = partial(_run, 'identify', 'attitude_identify')
-attitude_ensemble = partial(_run, 'ensemble', 'attitude_ensemble')
-attitude_regress = partial(_run, 'regress', 'attitude_regress')
+def __getattr__(name: str) -> Callable[..., int]:
+    """Return the entry point of a command; `attitude_NAME` is in the module of that name."""
+    module = name.removeprefix('attitude_')
+    if module == name or not find_spec(f'{__package__}.{module}'):
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return partial(_run, module, name)
+
+
 attitude_node = partial(_run, 'nodes', 'attitude_node')
 attitude_lifecycle_node = partial(_run, 'nodes', 'attitude_lifecycle_node')
 attitude_monitor = partial(_run, 'nodes', 'attitude_monitor')

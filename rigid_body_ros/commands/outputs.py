@@ -26,15 +26,15 @@ import shlex
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.common.errors import printable
-from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.report.page import Page
 
 #: Options that name recordings, options that name files of any kind, and the suffixes of outputs.
-_RECORDINGS = 'input', 'recording', 'motion'
-_PATHS = *_RECORDINGS, 'reference', 'scene', 'ensemble', 'vary', 'output', 'json', 'plot', 'report'
+_INPUTS = 'input', 'recording', 'motion', 'reference', 'vary'
+_PATHS = *_INPUTS, 'scene', 'ensemble', 'output', 'json', 'plot', 'report'
 _SUFFIXES = {'json': '.json', 'plot': '.png', 'report': '.html'}
 
 
@@ -47,7 +47,7 @@ def checked(options: argparse.Namespace,
     Parameters
     ----------
     options : Namespace
-        From `parsed`; the outputs are those of --json, --plot and --report.
+        From `Command.parsed`; the outputs are those of --json, --plot and --report.
     outputs : tuples of path or None and suffix
         Others, as for `files.check`.
 
@@ -57,10 +57,8 @@ def checked(options: argparse.Namespace,
         As for `files.check`.
 
     """
-    with files.reading(*_given(options, *_RECORDINGS)), \
-            files.protected('scene', *_given(options, 'scene')), \
-            files.protected('ensemble', *_given(options, 'ensemble')), \
-            files.protected('input', *_given(options, 'vary'), *_measured_files(options)):
+    with protection.reading(*_given(options, *_INPUTS), *_measured_files(options),
+                       scene=options.scene, ensemble=getattr(options, 'ensemble', None)):
         yield Outputs(options, *outputs)
 
 
@@ -86,7 +84,7 @@ class Outputs:
     @contextmanager
     def writing(self, name: str | None = None) -> Iterator[None]:
         """Protect, in the context, all outputs but one, which may replace a file if allowed."""
-        with files.protected('output', *(other for other in self.names if other != name)), \
+        with protection.protected('output', *(other for other in self.names if other != name)), \
                 files.overwriting(self._options.overwrite):
             yield
 
@@ -99,15 +97,31 @@ class Outputs:
         """Write an output that is text."""
         self.write(name, lambda path: path.write_text(text, encoding='utf-8'))
 
-    def write_json(self, data: Mapping[str, Any]) -> None:
-        """Write the file of --json."""
-        self.write_text(self._options.json, f'{json.dumps(data, indent=1)}\n')
+    def write_asked(self, *, page: Callable[[str], Page],
+                    data: Callable[[], Mapping[str, Any]] = dict,
+                    draw: Callable[[Path], object] | None = None) -> None:
+        """
+        Write those of the outputs --json, --plot and --report that are asked for.
 
-    def write_page(self, page: Callable[[str], Page]) -> None:
-        """Write the page of --report; it has the command line."""
-        from rigid_body_ros.report.page import write
-        with self.writing(self._options.report):
-            write(self._options.report, page(_command_line(self._options)))
+        Parameters
+        ----------
+        page : callable
+            Returns the page, which has the command line.
+        data : callable
+            Returns the result as JSON data.
+        draw : callable
+            Draws into a file.
+
+        """
+        asked = vars(self._options)
+        if name := asked.get('json'):
+            self.write_text(name, f'{json.dumps(data(), indent=1)}\n')
+        if draw and (name := asked.get('plot')):
+            self.write(name, draw)
+        if name := asked.get('report'):
+            from rigid_body_ros.report.page import write
+            with self.writing(name):
+                write(name, page(_command_line(self._options)))
 
     def show(self, summary: str, width: int, names: list[str] | None = None) -> None:
         """Print a summary, and the names of all or some outputs in a column of the same width."""

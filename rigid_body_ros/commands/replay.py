@@ -17,40 +17,25 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import (
-    add_interpolation,
-    add_outputs,
-    add_scene,
-    add_scheduler,
-    add_torques,
-    load_scene,
-    note,
-    parsed,
-    Parser,
-    positive,
-    topics_of,
-    warn_of_units,
-)
+from rigid_body_ros.commands.arguments import load_scene, note, topics_of, warn_of_units
+from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.replay.many import Pool
+    from rigid_body_ros.report.page import Page
 
 #: Exit statuses; docs/nodes.md has their meaning.
 OK, DIFFERENT = 0, 1
 
 
-def attitude_replay(arguments: Sequence[str] | None) -> int:
-    """Compute the motion under recorded torques, or compare it with a recorded one."""
-    options = parsed(replay_parser(), arguments)
+def _run(options: argparse.Namespace) -> int:
     if options.verify:
         return _verify(options)
     warn_of_units(options, options.input)
@@ -64,26 +49,24 @@ def attitude_replay(arguments: Sequence[str] | None) -> int:
 def _replay_one(options: argparse.Namespace) -> int:
     from rigid_body_ros import replay
     from rigid_body_ros.recording import suffix_of
-    from rigid_body_ros.replay.summary import summary
+    from rigid_body_ros.replay import plot
+    from rigid_body_ros.replay.page import PageCollector
     path, = options.input
     name = Path(path).name
     if options.also and not options.output:
         raise InputError('--also: expected an output file or folder (-o), found none')
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
-        scene, collect = load_scene(options), None
-        if options.report:
-            from rigid_body_ros.replay.page import PageCollector
-            collect = partial(PageCollector, scene)
+        scene = load_scene(options)
+        collect = partial(PageCollector, scene) if options.report else None
         with outputs.writing(options.output):
             result = replay.replay(path, scene, options.output, keep=bool(options.plot),
                                    collect=collect, **_replay_options(options))
-        if options.plot:
-            with outputs.writing(options.plot):
-                replay.plot(options.plot, result, name)
-        if options.report:
+
+        def page(line: str) -> Page:
             assert isinstance(result.collected, PageCollector)
-            outputs.write_page(partial(result.collected.page, result, name))
-    outputs.show(summary(result), 14)
+            return result.collected.page(result, name, line)
+        outputs.write_asked(page=page, draw=lambda path: plot.draw(path, result, name))
+    outputs.show(result.text(), 14)
     return OK
 
 
@@ -94,24 +77,21 @@ def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _replay_many(options: argparse.Namespace) -> int:
+    from rigid_body_ros.replay.index import page, Picture
     from rigid_body_ros.replay.many import outputs_in, replay_many, table
     if options.plot:
         raise InputError(f'--plot: expected one recording, found {len(options.input)}')
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
     with checked(options) as outputs:
-        picture = None
-        if options.report:
-            from rigid_body_ros.replay.index import page, Picture
-            picture = Picture
         with outputs.writing():
             written = outputs_in(options.output, options.input)
             scene = load_scene(options)
             outcomes = replay_many(options.input, scene, options.output, _pool(options),
-                                   collect=picture, **_replay_options(options))
-        if options.report:
-            with files.protected('output', *written):
-                outputs.write_page(lambda line: page(outcomes, scene, line))
+                                   collect=Picture if options.report else None,
+                                   **_replay_options(options))
+        outputs.names += written
+        outputs.write_asked(page=lambda line: page(outcomes, scene, line))
     show(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]
     if failed:
@@ -128,7 +108,7 @@ def _pool(options: argparse.Namespace) -> Pool | None:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from rigid_body_ros.replay.verify import summary, verify
+    from rigid_body_ros.replay.verify import verify
     if len(options.input) > 1:
         raise InputError(f'--verify: expected one recording, found {len(options.input)}')
     unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'scheduler')
@@ -137,24 +117,17 @@ def _verify(options: argparse.Namespace) -> int:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
     result = verify(options.input[0], load_scene(options), options.verify,
                     topics_of(options), interpolation=options.interpolation, until=options.until)
-    show(summary(result))
+    show(result.text())
     return OK if result.same.all() else DIFFERENT
 
 
-def replay_parser() -> argparse.ArgumentParser:
-    """Return the argument parser of `attitude_replay`."""
-    parser = Parser(
-        prog='attitude_replay',
-        description='Compute the motion of a body from recorded torques. Print a summary; write '
-        'the motion (-o) or a plot (--plot) if asked to.',
-        examples=('test/recordings/tumbler.mcap --scene config/tumbler.yaml --report motion.html',
-                  'test/recordings/iss.mcap --scene config/iss.yaml --rate 0.1 -o motion.mcap'))
+def _add_arguments(parser: Parser) -> None:
     parser.add_argument('input', metavar='INPUT', nargs='+',
                         help='recording of torques: an MCAP file, a rosbag2 bag, a PX4 log '
                         '(.ulg), or a CSV file with the columns time (s), tx, ty, tz (N m), or '
                         'with column names and units in its first line')
-    add_scene(parser)
-    add_torques(parser)
+    parser.add_scene()
+    parser.add_torques()
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
                         help='write attitude, euler_angles, angular_velocity and, if there '
@@ -166,7 +139,7 @@ def replay_parser() -> argparse.ArgumentParser:
                         help='recorded motion to compare with the computed one, bit for bit: the '
                         'committed states of a node, of all its epochs, or the attitude of a '
                         'replay; if they differ, the exit status is 1')
-    add_interpolation(parser)
+    parser.add_interpolation()
     parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')
     parser.add_argument('--start', type=positive, default=0.0, metavar='SECONDS',
@@ -177,12 +150,19 @@ def replay_parser() -> argparse.ArgumentParser:
     parser.add_argument('--until', '--duration', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start, or after the start of each epoch of a '
                         'node (default: at the last torque stamp)')
-    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
-                        help='when a torque takes effect: at the stamp in its header, or when '
-                        'its message was logged or published (default: header)')
-    parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
-                        'velocity and torque over time')
+    parser.add_time_source('when a torque takes effect: at the stamp in its header, or when its '
+                           'message')
     add_scheduler(parser)
-    add_outputs(parser, 'the moving body, these plots and the summary; of several recordings, '
-                'a row and a small picture each')
-    return parser
+    parser.add_outputs(
+        plot='plot Euler angles, quaternion, angular velocity and torque over time',
+        report='the moving body, these plots and the summary; of several recordings, a row and a '
+        'small picture each')
+
+
+attitude_replay = Command(
+    'attitude_replay',
+    'Compute the motion of a body from recorded torques. Print a summary; write '
+    'the motion (-o) or a plot (--plot) if asked to.',
+    ('test/recordings/tumbler.mcap --scene config/tumbler.yaml --report motion.html',
+     'test/recordings/iss.mcap --scene config/iss.yaml --rate 0.1 -o motion.mcap'),
+    _add_arguments, _run)

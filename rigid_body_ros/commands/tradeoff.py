@@ -17,22 +17,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import (
-    add_outputs,
-    add_scene,
-    add_torques,
-    load_scene,
-    parsed,
-    Parser,
-    read_torques,
-    topics_of,
-    within,
-)
+from rigid_body_ros.commands.arguments import load_scene, read_torques, topics_of
+from rigid_body_ros.commands.command import Command, Parser, within
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime.terminal import progress, show
@@ -44,23 +34,18 @@ if TYPE_CHECKING:
     from rigid_body_ros.tradeoff.choices import Spread
 
 
-def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
-    """Measure the cost and the error of every solver."""
-    options = parsed(tradeoff_parser(), arguments)
-    from rigid_body_ros.tradeoff import summary
+def _run(options: argparse.Namespace) -> int:
+    from rigid_body_ros.tradeoff.page import page
     with checked(options) as outputs:
         scene = load_scene(options)
         result, title = _measure(options, scene)
-        if options.json:
-            outputs.write_json(summary.as_data(result))
-        if options.plot:
+
+        def draw(path: Path) -> None:
             from rigid_body_ros.report import figures  # matplotlib takes long to load
-            outputs.write(options.plot, lambda path: figures.work_precision(
-                path, summary.curves(result), title, summary.reference_errors(result)))
-        if options.report:
-            from rigid_body_ros.tradeoff.page import page
-            outputs.write_page(lambda line: page(result, title, scene, line))
-    show(summary.summary(result, all_rows=options.all))
+            figures.work_precision(path, result.curves(), title, result.reference_errors())
+        outputs.write_asked(data=result.as_dict, draw=draw,
+                            page=lambda line: page(result, title, scene, line))
+    show(result.text(all_rows=options.all))
     return 0
 
 
@@ -110,20 +95,12 @@ def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
     return spread
 
 
-def tradeoff_parser() -> argparse.ArgumentParser:
-    """Return the argument parser of `attitude_tradeoff`."""
+def _add_arguments(parser: Parser) -> None:
     from rigid_body_ros.tradeoff import TARGET
-    parser = Parser(
-        prog='attitude_tradeoff',
-        description='Measure the cost and the error of every solver on your own motion, and '
-        'recommend a setting.',
-        examples=('--scene config/tumbler.yaml --recording test/recordings/tumbler.mcap '
-                  '--target 1e-6',
-                  '--scene config/tumbler.yaml --plot tradeoff.png'))
-    add_scene(parser)
+    parser.add_scene()
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
                         'attitude_replay (default: 50 turns without torque)')
-    add_torques(parser)
+    parser.add_torques()
     parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
                         help='largest attitude error of the solver that is allowed anywhere in '
                         'the recording; the error of the interpolation between torque samples is '
@@ -134,8 +111,17 @@ def tradeoff_parser() -> argparse.ArgumentParser:
                         'measures up to their end, and reports the time that the setting saves')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
-    parser.add_argument('--json', metavar='OUT',
-                        help='write all results, with units, to this file')
-    parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
-    add_outputs(parser, 'this plot, the recommended lines to copy, and the limits of accuracy')
-    return parser
+    parser.add_outputs(
+        json='write all results, with units, to this file',
+        plot='plot cost over error, one curve per solver',
+        report='this plot, the recommended lines to copy, and the limits of accuracy')
+
+
+attitude_tradeoff = Command(
+    'attitude_tradeoff',
+    'Measure the cost and the error of every solver on your own motion, and '
+    'recommend a setting.',
+    ('--scene config/tumbler.yaml --recording test/recordings/tumbler.mcap '
+     '--target 1e-6',
+     '--scene config/tumbler.yaml --plot tradeoff.png'),
+    _add_arguments, _run)

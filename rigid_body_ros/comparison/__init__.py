@@ -19,15 +19,16 @@ Compare measured motions with the propagated one.
 time and one pair of frames. `comparison` returns the errors, `horizons` those after restarts, and
 `predictable` how long errors say something. Each of the `causes` is one of `sensor_faults` or
 `torque_faults`, judged by what is left of the `channels` if it is undone. The command reads with
-`recorded`, writes with `outputs` and prints with `summary`.
+`recorded`, and writes with `outputs`; the `result` prints itself.
 """
 
 from rigid_body_ros.comparison.align import ALIGNMENTS
 from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.causes import Cause
 from rigid_body_ros.comparison.comparison import compare
-from rigid_body_ros.comparison.errors import Comparison, Errors
+from rigid_body_ros.comparison.errors import Errors
 from rigid_body_ros.comparison.horizons import Horizon
+from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.reading import KINDS, read_all, read_measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque

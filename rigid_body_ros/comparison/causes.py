@@ -30,8 +30,8 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.comparison.align import START
 from rigid_body_ros.comparison.channels import ATTITUDE, Channel, channels_of, RATE, UNITS
-from rigid_body_ros.comparison.errors import compared, Comparison
 from rigid_body_ros.comparison.motion import Motion
+from rigid_body_ros.comparison.result import compared, Comparison
 from rigid_body_ros.comparison.sensor_faults import Fault, faults
 from rigid_body_ros.comparison.torque_faults import explanations
 from rigid_body_ros.propagation import Problem

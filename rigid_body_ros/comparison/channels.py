@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.comparison.errors import Comparison
+from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.noise import (
     ALARM,

@@ -24,10 +24,10 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.comparison.causes import find_causes
 from rigid_body_ros.comparison.channels import channels_of
-from rigid_body_ros.comparison.errors import compared, Comparison
 from rigid_body_ros.comparison.horizons import horizon, usual_horizons
 from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.comparison.predictable import predictable_s
+from rigid_body_ros.comparison.result import compared, Comparison
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog

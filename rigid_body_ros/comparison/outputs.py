@@ -21,7 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from rigid_body_ros import messages
-from rigid_body_ros.comparison.errors import Comparison, Errors
+from rigid_body_ros.comparison.errors import Errors
+from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.recording import Column, Writer, writer_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 

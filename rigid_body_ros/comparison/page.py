@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.errors import Comparison, Errors, QUANTITIES
+from rigid_body_ros.comparison.errors import Errors, QUANTITIES
 from rigid_body_ros.comparison.motion import Motion
-from rigid_body_ros.comparison.summary import rows
+from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
@@ -71,7 +71,7 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
     body = _body(motion, aligned, stamps_ns) if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
     panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
-    return Page(f'{name}: {topics}', [('recording', name), *rows(comparison, degrees), *shown],
+    return Page(f'{name}: {topics}', [('recording', name), *comparison.rows(degrees), *shown],
                 [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
                 scene=scene, command=command)
 

@@ -19,9 +19,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from rigid_body_ros.comparison.errors import Comparison, QUANTITIES
+from rigid_body_ros.comparison.errors import QUANTITIES
+from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.report import figures
 from rigid_body_ros.report.style import FIELDS
 
 
@@ -44,6 +44,7 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
         The file cannot be written.
 
     """
+    from rigid_body_ros.report import figures  # matplotlib takes long to load
     panels = [figures.Series(label, unit, errors.times_ns, getattr(errors, attribute))
               for label, unit, attribute in QUANTITIES
               for errors in comparison.of(attribute)[:1]]

@@ -27,8 +27,8 @@ from rigid_body_ros.comparison.align import align as aligned_by
 from rigid_body_ros.comparison.align import CLOCK
 from rigid_body_ros.comparison.coarse import LARGEST_OFFSET
 from rigid_body_ros.comparison.comparison import compare_motion
-from rigid_body_ros.comparison.errors import Comparison
 from rigid_body_ros.comparison.motion import Motion, Recorded
+from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
 from rigid_body_ros.runtime.terminal import no_progress, Track

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime import interrupts
@@ -58,6 +59,8 @@ class Controller:
         Of the source file of the module.
     step_ns : int, ns
         Time from one call to the next.
+    actuator : Actuator, optional
+        What becomes of its torques.
 
     """
 
@@ -65,9 +68,10 @@ class Controller:
     folder: str
     digest: str
     step_ns: int
+    actuator: Actuator | None = None
 
     @classmethod
-    def load(cls, name: str, step_ns: int) -> Controller:
+    def load(cls, name: str, step_ns: int, actuator: Actuator | None = None) -> Controller:
         """
         Import a controller, with the modules in the working directory before all others.
 
@@ -78,7 +82,7 @@ class Controller:
 
         """
         folder = str(Path.cwd())
-        found = cls(name, folder, _digest(name, folder), step_ns)
+        found = cls(name, folder, _digest(name, folder), step_ns, actuator)
         found.check()
         return found
 

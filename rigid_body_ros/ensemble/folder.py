@@ -44,7 +44,7 @@ from rigid_body_ros.ensemble.blocks import Blocks
 from rigid_body_ros.ensemble.causes import causes
 from rigid_body_ros.ensemble.motions import Motions, remove_parts
 from rigid_body_ros.ensemble.runs import MOTION, Span
-from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime import files, protection
 
 #: Number of blocks that the missing runs are divided into, so that all workers have some; but a
 #: block has at most so many runs, so that an interrupt does not lose many.
@@ -82,7 +82,7 @@ def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Ite
         A signal was received in the context; the message says how to go on.
 
     """
-    files.check_apart(path)
+    protection.check_apart(path)
     if not (Path(path) / lock.NAME).exists():  # create none in the folder of something else
         _check_kind(Path(path))
     try:

@@ -68,7 +68,8 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
     array, shape (m, 7)
         Attitude, x y z w, and angular velocity, rad/s.
     TorqueLog
-        As the last log of the problem, it gives the motion again.
+        As the last log of the problem, with the actuator of the controller, it gives the motion
+        again.
 
     Raises
     ------
@@ -80,7 +81,7 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
 
     """
     start_ns, step_ns = problem.start.time_ns, controller.step_ns
-    motion, turned = _Motion(problem, step_ns), _Turned(problem, step_ns)
+    motion, turned = _Motion(problem, controller), _Turned(problem, step_ns)
     stamps = range(start_ns, int(times_ns[-1]), step_ns)
     torques, states = list[Floats](), list[State]()
     with redirect_stdout(sys.stderr):  # standard output has the results only
@@ -103,13 +104,14 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
 class _Motion:
     """The motion under the torques of a problem and of a controller, at ascending times."""
 
-    def __init__(self, problem: Problem, step_ns: int) -> None:
+    def __init__(self, problem: Problem, controller: Controller) -> None:
         self._source = len(problem.logs)
-        # What is asked for is never older than the newest torque by more than a step.
         wheels = problem.named_wheels.wheels if problem.named_wheels else None
+        actuators = [*(problem.actuators or [None] * self._source), controller.actuator]
+        # What is asked for is never older than the newest torque by more than a step.
         self._propagator = Propagator(problem.body, problem.start, wheels=wheels,
-                                      fields=problem.fields, history=step_ns / 1e9,
-                                      **asdict(problem.options))
+                                      fields=problem.fields, actuator=actuators,
+                                      history=controller.step_ns / 1e9, **asdict(problem.options))
         self._recorded = heapq.merge(*self._inputs(problem), key=itemgetter(0))
         self._next = next(self._recorded, None)
 
@@ -145,11 +147,13 @@ class _Turned:
         #: The energy of a body that turns about one axis lets it turn faster about another.
         self._ratio = math.sqrt(float(moments.max()) / self._least)
         self._limit = math.inf if problem.options.record.fixed_step else FARTHEST
-        self._angle = 0.0
+        #: The largest torque so far: an actuator may apply it later.
+        self._angle = self._largest = 0.0
 
     def check(self, state: State, torque: Floats, seconds: float) -> None:
         """Raise ValueError if a body turns too far within the step from a state on."""
-        gained = math.hypot(*torque.tolist()) / self._least * self._seconds
+        self._largest = max(self._largest, math.hypot(*torque.tolist()))
+        gained = self._largest / self._least * self._seconds
         rate = math.hypot(*state.angular_velocity.tolist()) * self._ratio + gained
         self._angle += rate * self._seconds
         if not self._angle < self._limit:

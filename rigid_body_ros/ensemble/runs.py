@@ -56,7 +56,7 @@ from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
-from rigid_body_ros.propagation.many import Logs
+from rigid_body_ros.propagation.many import LogsOfRuns
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene.fields import ORBIT, values_of
 
@@ -158,11 +158,6 @@ class Ensemble:
 
         """
         return self._nominal[0]
-
-    @property
-    def nominal_attitude(self) -> Floats:
-        """Return the final attitude without any dispersion, with the errors of `propagate`."""
-        return self.nominal_motion[-1, :4]
 
     def check(self) -> None:
         """
@@ -309,7 +304,7 @@ class Ensemble:
             motions, messages = self._motions(applied)
         failed = np.array([bool(message) for message in messages])
         end, angle = motions[:, -1], np.full(len(runs), np.nan)
-        angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_attitude)
+        angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_motion[-1, :4])
         found = {**applied.columns(), **components('attitude', end[:, :4]),
                  **components('angular_velocity', end[:, 4:]), ANGLE: angle}
         return {'run': runs, 'status': np.where(failed, 'failed', 'ok'),
@@ -360,7 +355,7 @@ class Ensemble:
     def _together(self, applied: Applied) -> _Found:
         count = len(applied.runs)
         shared = self.problem.logs
-        logs: Logs = [shared] * count if len(shared) > 1 else next(iter(shared), None)
+        logs: LogsOfRuns = [shared] * count if len(shared) > 1 else next(iter(shared), None)
         wheels: Sequence[TorqueLog] | TorqueLog | None = self.problem.wheels
         gains = applied.torque_gain if 'torque_gain' in self.columns else None
         if self._have_own_logs:
@@ -389,7 +384,7 @@ class Ensemble:
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
         """Return the motion of a run, shape (m, 7), and its problem, with the loop's log last."""
         logs, wheels = self.torques.recorded(applied, row)
-        # Neither a bias nor a controller has an actuator, whatever the topics of the scene have.
+        # A bias has no actuator, whatever the topics of the scene have.
         actuators = [*(self.problem.actuators or [None] * len(self.problem.logs)), None]
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
         problem = self.problem.replaced(
@@ -398,7 +393,7 @@ class Ensemble:
         if self.controller:
             motion, log = closed_loop(problem, self.controller, self._at,
                                       self.torques.actuated(applied, row))
-            return motion, problem.replaced(log=[*logs, log],
-                                            actuator=[*actuators[:len(logs)], None])
+            return motion, problem.replaced(log=[*logs, log], actuator=[
+                *actuators[:len(logs)], self.controller.actuator])
         found = problem.propagate(at=self._at)
         return np.concatenate([found.attitude, found.angular_velocity], axis=-1), problem

@@ -26,7 +26,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
+from rigid_body_ros.mechanics.torque import Logs, torque_logs, TorqueLog
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.sensing.measured import Measured
 
@@ -57,7 +57,7 @@ class Experiment:
     """
 
     start: State
-    log: TorqueLog | Sequence[TorqueLog] | None
+    log: Logs
     measured: Sequence[Measured]
     wheels: TorqueLog | None = None
     fields: Sequence[Field] = ()

@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.report import figures
 from rigid_body_ros.report.labels import literal
 
 
@@ -48,6 +47,7 @@ def draw(path: str | Path, fit: Identification, experiment: Experiment, name: st
         The file cannot be written.
 
     """
+    from rigid_body_ros.report import figures  # matplotlib takes long to load
     panels = []
     for parts in fit.first_errors():
         quantity, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')

@@ -24,6 +24,7 @@ from typing import Any
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.actuator import lagged
+from rigid_body_ros.identification.estimation import identify
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.names import NOT_IN_SCENES, split_topic, WEIGHT
 from rigid_body_ros.identification.result import Identification
@@ -74,6 +75,23 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene,
                                  f'{known[digest]}')
             known[digest] = name
     return experiments
+
+
+def identified(paths: Sequence[str | Path], scene: Scene, experiments: Sequence[Experiment],
+               **options: Any) -> Identification:
+    """
+    Return the fit of recordings of a scene, with the options of `identify`.
+
+    Raises
+    ------
+    InputError
+        As for `identify`, or the motion cannot be computed.
+
+    """
+    try:
+        return identify(scene.body, experiments, torque_timeout=scene.torque_timeout, **options)
+    except ValueError as error:
+        raise InputError(f'{paths[0]}: {error}') from error
 
 
 def fitted_scene(scene: Scene, fit: Identification) -> str:

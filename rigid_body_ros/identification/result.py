@@ -16,7 +16,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+import math
 from typing import Any
 
 import numpy as np
@@ -29,10 +31,15 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.report.text import lines, rounded, scaled
 from rigid_body_ros.sensing.measured import Measured
 
 #: Half the width of a 95 % interval, in standard deviations.
 _NORMAL_95 = 1.959963984540054
+#: Correlations from which on a pair of estimates is listed, and the largest number of pairs.
+_CORRELATED, _PAIRS = 0.95, 6
+#: Autocorrelation from which on errors are not white.
+_COLOURED = 0.2
 
 
 @dataclass(frozen=True)
@@ -209,3 +216,92 @@ class Identification:
             'validation': self.validation.as_dict() if self.validation else None,
             'verdict': self.verdict.as_dict(),
             'evaluations': self.evaluations, 'converged': self.converged}
+
+    def text(self, degrees: bool = False) -> str:
+        """Return the verdict, a table of the estimates, and one line for each other fact."""
+        verdict, facts = ([f'{name:17}{text}' for name, text in rows]
+                          for rows in (self.verdict.rows(), self.rows(degrees)))
+        return lines([*verdict, *_aligned(self.table(degrees)), *facts])
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def table(self, degrees: bool = False) -> list[list[str]]:
+        """Return titles, and the texts of each estimate; values are rounded to their sigma."""
+        every = [['parameter', 'value', 'sigma', 'systematic', '95 % interval', 'guess', 'unit'],
+                 *(_cells(one, degrees) for one in self.estimates.values())]
+        has_systematic = any(one.systematic for one in self.estimates.values())
+        return every if has_systematic else [[*row[:3], *row[4:]] for row in every]
+
+    def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
+        """Generate the facts other than the estimates: names and texts."""
+        for direction in self.unidentifiable:
+            yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
+        for first, second, value in _correlated(self):
+            yield 'correlated', f'{first} and {second}: {value:.4f}'
+        for name, level in self.noise.items():
+            factor, unit = scaled('rad' if 'attitude' in name.split()[1] else 'rad/s', degrees)
+            colour = _colour(self.autocorrelation[name])
+            yield 'noise', f'{name}: {factor * level:.4g} {unit}, {colour}'
+        yield from _misfit('training', self.training, degrees)
+        if self.validation:
+            yield from _misfit('validation', self.validation, degrees)
+        if self.predictable_s is not None:
+            yield 'predictable', f'for {self.predictable_s:.4g} s from the start; later errors ' \
+                                 'say nothing about the model'
+        if self.is_flat:
+            yield 'warning', 'the fitted body is a flat plate or a thin rod within its ' \
+                             'uncertainty: the intervals reach beyond possible bodies'
+        if self.holds_for_exact_torque:
+            yield 'note', 'the intervals hold for an exactly known torque: an error of its gain ' \
+                          'is one of the inertia (--estimate torque_gain, with --prior ' \
+                          'torque_gain=SIGMA)'
+        state = 'converged' if self.converged else 'did not converge'
+        yield 'fit', f'{state} after {self.evaluations} evaluations, in windows of ' \
+                     f'{self.window_s:.4g} s'
+
+
+def _aligned(every: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Generate the rows of a table as texts."""
+    widths = [max(map(len, column)) for column in zip(*every)]
+    for row in every:
+        name, *middle = (f'{cell:>{width}}' if column else f'{cell:{width}}'
+                         for column, (cell, width) in enumerate(zip(row[:-1], widths)))
+        yield '  '.join([name, *middle, row[-1]])
+
+
+def _cells(one: Estimate, degrees: bool) -> list[str]:
+    factor, unit = scaled(one.unit, degrees)
+    value, guess = factor * one.value, f'{factor * one.start:.5g}'
+    if one.interval_95 is None:
+        return [one.name, rounded(value, math.inf), 'unknown', '', 'not determined by the data',
+                guess, unit]
+    known = factor * one.uncertainty
+    low, high = (rounded(factor * limit, known) for limit in one.interval_95)
+    return [one.name, rounded(value, known), rounded(factor * one.sigma, factor * one.sigma),
+            rounded(factor * one.systematic, factor * one.systematic), f'{low} to {high}', guess,
+            unit]
+
+
+def _colour(autocorrelation: float) -> str:
+    white = abs(autocorrelation) < _COLOURED
+    return f'errors {"white" if white else "not white"} (autocorrelation {autocorrelation:.2f})'
+
+
+def _correlated(fit: Identification) -> list[tuple[str, str, float]]:
+    names, matrix = [*fit.estimates], np.triu(np.nan_to_num(fit.correlation), 1)
+    pairs = np.argwhere(np.abs(matrix) > _CORRELATED).tolist()
+    pairs.sort(key=lambda pair: -abs(matrix[pair[0], pair[1]]))
+    return [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:_PAIRS]]
+
+
+def _misfit(name: str, one: Misfit, degrees: bool) -> Iterator[tuple[str, str]]:
+    parts = [f'{one.samples} samples, {one.outliers} outliers']
+    for quantity, rms, unit in (('attitude', one.attitude_rms, 'rad'),
+                                ('rate', one.rate_rms, 'rad/s')):
+        if rms is not None:
+            factor, unit = scaled(unit, degrees)
+            parts.append(f'{quantity} rms {factor * rms:.4g} {unit}')
+    if one.chi2_per_dof is not None:
+        parts.append(f'chi-square per degree of freedom {one.chi2_per_dof:.3f}')
+    yield name, ', '.join(parts)

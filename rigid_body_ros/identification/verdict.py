@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,6 +43,10 @@ from rigid_body_ros.sensing.noise import ALARM
 #: How far what a model lacks may move an estimate, relative to its scale.
 ACCEPT = 0.05
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
+_MEANINGS = {
+    EXPLAINED: 'nothing speaks against the model',
+    APPROXIMATE: 'the model lacks something; the intervals are wider by what that may change',
+    REJECTED: 'the model does not explain the measurements; do not use the estimates'}
 #: Suspects that are tried by a fit, and those that are listed.
 _TRIED, _LISTED = 5, 3
 #: Part of the drop of the best suspect from which on another one explains as much, and from
@@ -79,6 +83,18 @@ class Verdict:
         """Return the verdict with the names of the JSON."""
         return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
                 'suspects': [one.as_dict() for one in self.suspects]}
+
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Generate whether the model explains the measurements, why not, and what would."""
+        yield 'verdict', f'{self.level}: {_MEANINGS[self.level]}'
+        for reason in self.reasons:
+            yield 'reason', reason
+        for one in self.suspects:
+            values = ', '.join(f'{value:.4g}' for value in one.value)
+            ahead = '' if one.validation_chi2_per_dof is None else \
+                f', chi-square of the validation {one.validation_chi2_per_dof:.3g}'
+            yield 'suspect', f'{one.name} ({values}): chi-square falls by {one.chi2_drop:.4g}' \
+                             f'{ahead}; {one.command}'
 
 
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]

@@ -107,6 +107,15 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
     return UNFINISHED if place.row < stop and place.done < len(times_ns) else FINISHED
 
 
+# A pass of the loop goes to the next requested time in the row, or to the end of the row. It is
+# one of these cases; each marks its code below:
+#   SKIP         a row of a coast in which nothing is asked for: the next row continues the coast
+#   CLOSED FORM  a coast, computed from its beginning
+#   REACHED      the time is that of the last grid point
+#   SHORT STEPS  of rows whose whole interval takes one short step, as many as follow each other
+#   SHORT STEP   one, to a time in such a row
+#   STEPS        on the grid of the segment: the series, or a solver with fixed steps
+# Then an output is stored, and at the end of a row a segment begins, unless a coast goes on.
 # Arrays are taken out of the records before the loop, not in each pass.
 @internal
 def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: Body,
@@ -129,7 +138,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             torques, momentum, motors, space, others, row + 1, linear)
         output = done if len(order) == 0 else order[done]
         asked = times_ns[output] <= now.end_ns
-        if continues and not asked:  # the next row does not change the motion
+        if continues and not asked:  # SKIP
             row += 1
             budget -= 1
             continue
@@ -143,17 +152,17 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
         if by_formula and not prepared:
             coast, prepared = free_motion.prepare(begin, body.frame), True
         if by_formula and coast.kind != free_motion.NEAR_SEPARATRIX:
-            latest = free_motion.at(coast, time_ns - begin_ns)
+            latest = free_motion.at(coast, time_ns - begin_ns)  # CLOSED FORM
             closed[row + 1] = True
             budget -= layout.STEP_COST
-        elif time_ns == grid_ns:
+        elif time_ns == grid_ns:  # REACHED
             latest = grid
             friction.go_back(states)
         elif (not layout.have_others(others) and grid_ns == begin_ns and degree == 0
               and not turning
               and _is_short(grid, time_ns - grid_ns, acceleration, held, body, method)):
             if time_ns == now.end_ns and row >= 0 and not coasts:
-                first = row
+                first = row  # SHORT STEPS
                 grid, grid_ns, row, done = _run_short_steps(
                     grid, Place(grid_ns, begin_ns, row, done),
                     min(row + budget, stop, len(row_times_ns) - 1), outputs, rows, body,
@@ -161,9 +170,9 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
                 begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
                 budget -= row - first
                 continue
-            latest = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
-                                     method.tolerance, held)
-        else:
+            latest = short_step.step(  # SHORT STEP
+                grid, seconds, body.coefficients, body.form, acceleration, method.tolerance, held)
+        else:  # STEPS
             drive = intervals.drive(now, intervals.low_order_parts(torques, row), degree, turning,
                                     body, loads)
             grid, grid_ns, latest, arrived, budget = stepping.advance(

@@ -33,7 +33,7 @@ from rigid_body_ros.scene import Scene
 _FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
 #: Parameters of a scene, and groups of them, that do not change its motion under given torques.
 _OTHERS = frozenset([
-    'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'mode', 'odometry',
+    'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'mode', 'monitor', 'odometry',
     'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf', 'stale_after', 'step',
     'time_source'])
 #: Characters of a longer text, such as that of a URDF, are replaced by their hash.

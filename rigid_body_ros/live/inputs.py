@@ -34,6 +34,7 @@ from rigid_body_ros.live.events import (
 )
 from rigid_body_ros.mechanics.frames import Frame, OffAxisError
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
 from rigid_body_ros.scene import Scene
@@ -65,7 +66,8 @@ class Inputs:
         self._frames = scene.body_frame, scene.space_frame
         self._links = scene.links
         self._scene_body = scene.body
-        self._commands = messages.joint_commands([wheel.name for wheel in scene.named_wheels])
+        self._wheels = Wheels(scene.named_wheels)
+        self._commands = messages.joint_commands(self._wheels.names)
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
 
     def torque(self, data: bytes, source: int) -> Torque:
@@ -79,7 +81,8 @@ class Inputs:
         ------
         RejectedError
             The message is malformed, in an unknown frame, not along the axis of its frame, not
-            finite or far too large; no body has this inertia; or no wheel has such a name.
+            finite or far too large; no body, or none with these wheels, has this inertia; or no
+            wheel has such a name.
 
         """
         if source == BODY:
@@ -123,7 +126,9 @@ class Inputs:
         axes = self._only_body_axes(inertia, 'the inertia')
         entries = messages.inertia_entries(inertia.values)
         try:
-            self._scene_body.with_entries(entries)
+            body = self._scene_body.with_entries(entries)
+            if self._wheels:
+                self._wheels.carrier(body)
         except ValueError as error:
             raise RejectedError(IMPOSSIBLE, str(error)) from error
         if inertia.values[messages.MASS_AND_CENTRE].any():

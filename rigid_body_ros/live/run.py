@@ -108,8 +108,19 @@ class Run:
         self._arrived_ns: dict[int, int] = {}
 
     def initial(self, time_ns: int) -> State:
-        """Return the initial state of the scene, stamped with a time."""
-        return replace(self._scene.start, time_ns=time_ns)
+        """
+        Return the initial state of the scene, stamped with a time, with the speeds of its wheels.
+
+        The marker of every epoch needs them: parameters that are dumped have those of the last.
+        """
+        start, wheels = replace(self._scene.start, time_ns=time_ns), self._scene.named_wheels
+        others, speeds = start.rotor_momentum, np.array([wheel.initial_speed for wheel in wheels])
+        if not others.any():
+            return replace(start, wheel_speeds=speeds)
+        total = sum((wheel.inertia * wheel.initial_speed * np.asarray(wheel.axis)
+                     for wheel in wheels), others)
+        # With speeds, a momentum of zero is that of no other rotors.
+        return replace(start, wheel_speeds=speeds, rotor_momentum=total) if total.any() else start
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         """Begin an epoch and its log; `torques` are those of an earlier one that still act."""

@@ -326,7 +326,11 @@ def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
     return np.array(np.broadcast_to(names == 'space', count))
 
 
-def torque_logs(log: TorqueLog | Sequence[TorqueLog] | None) -> list[TorqueLog]:
+#: The torques on a body: one log, several, which add up, or none.
+Logs = TorqueLog | Sequence[TorqueLog] | None
+
+
+def torque_logs(log: Logs) -> list[TorqueLog]:
     """Return one log, several or none as a list."""
     return [log] if isinstance(log, TorqueLog) else [*(log or ())]
 

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 import time
@@ -26,6 +26,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -44,7 +45,7 @@ from rigid_body_ros.live.events import (
     RejectedError,
     TIME_JUMP,
 )
-from rigid_body_ros.live.inputs import Inputs
+from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.clocks import (
@@ -63,9 +64,12 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
 from rigid_body_ros.sensing.alarms import ERROR, Judgement, WARN
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
-from rigid_body_ros.sensing.reading import KINDS, sample
+from rigid_body_ros.sensing.reading import KINDS, samples
 
 NAME = 'attitude_monitor'
+#: How to decode a message, and what to do with several: stamps, ns, and contents.
+_Decode = Callable[[bytes], Any]
+_Put = Callable[..., None]
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: s; period of the search for windows that are over, and that of diagnostics.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
@@ -129,11 +133,15 @@ class AttitudeMonitor(Node):
         self._attitude, self._rate = (self.create_publisher(Vector3Stamped, f'~/{name}', 10)
                                       for name in ('attitude_error', 'rate_error'))
         self._torque = self.create_publisher(WrenchStamped, '~/residual_torque', 10)
-        #: By number of the source.
+        #: By number of the source: its subscription, how to decode its messages and what to do
+        #: with them, and those that wait, each with the time and the stamp of its arrival, ns.
         self._drains: dict[int, DrainCallback] = {}
+        self._takes: dict[int, tuple[_Decode, _Put]] = {}
+        self._waiting: dict[int, list[tuple[bytes, int, int]]] = {}
         self._begin()
         for source in sources_of(self._scene):
-            self._subscribe(source, source.kind, partial(self._on_torque, source.number))
+            self._subscribe(source, source.kind, partial(
+                self._inputs.torque, source=source.number), self._apply)
         #: s, monotonic clock; when the next report is due, and until when a reading counts.
         self._report_at = self._read_until = 0.0
         self._reading = ClockReading(0, 0)
@@ -144,65 +152,99 @@ class AttitudeMonitor(Node):
         """Begin without any torque or measurement."""
         self._monitor = Monitor(self._scene.problem(), self._settings)
         self._last: Judgement | None = None
-        #: By number of the source: the newest stamp, ns, and whether the topic has attitudes and
-        #: angular velocities.
+        #: By number of the source: the newest stamp, ns, and whether the topic has attitudes (1),
+        #: angular velocities (2) or both (3).
         self._newest_ns: dict[int, int] = {}
-        self._measured: dict[int, tuple[bool, bool]] = {}
+        self._measured: dict[int, int] = {}
         #: s, monotonic clock; when a message was accepted, and when the topic was last not behind
         #: others by more than `history`.
         self._heard_at: dict[int, float] = {}
         self._abreast_at: dict[int, float] = {}
 
-    def _subscribe(self, source: TorqueTopic, kind: type, on_message: Any) -> None:
-        drain = DrainCallback(partial(self._on_message, source.number, on_message), lambda: None,
-                              partial(self._diagnostics.count_lost, source.number))
+    def _subscribe(self, source: TorqueTopic, kind: type, decode: _Decode, put: _Put) -> None:
+        number = source.number
+        drain = DrainCallback(partial(self._on_message, number), lambda: None,
+                              partial(self._diagnostics.count_lost, number))
         with one_line_errors():
             drain.subscription = subscription(self, kind, source.topic, drain, _QOS)
-        self._drains[source.number] = drain
+        self._drains[number], self._waiting[number] = drain, []
+        self._takes[number] = decode, partial(put, number, drain.subscription.topic_name)
 
-    def _on_message(self, source: int, handle: Any, data: bytes, sender: Sender) -> None:
-        self._diagnostics.count(RECEIVED, source)
-        try:
-            now_ns = self._now_ns()
-            if not now_ns:
-                raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
-            stamp_ns, put = handle(data)
-            if not stamp_ns or self._scene.time_source == ARRIVAL:
-                stamp_ns = self._arrivals.stamp()
-            if self._is_simulated:  # a message may overtake the one on /clock sent before it
-                check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
-            else:
-                check_stamp(stamp_ns, now_ns, self._scene.max_future)
-            if not put(stamp_ns):
-                raise RejectedError(LATE, f'stamped {stamp_ns} ns, in a window that was judged '
-                                    f'when a message was newer than its end by history '
-                                    f'({self._scene.history:g} s)')
-            self._newest_ns[source] = max(self._newest_ns.get(source, 0), stamp_ns)
+    def _on_message(self, source: int, data: bytes, sender: Sender) -> None:
+        self._waiting[source].append((data, self._now_ns(), self._arrivals.stamp()))
+
+    def _take(self) -> None:
+        """Take the messages that have arrived, topic by topic: many at once are cheaper."""
+        for source, arrived in self._waiting.items():
+            self._diagnostics.count(RECEIVED, source, len(arrived))
+            decode, put = self._takes[source]
+            stamps_ns, found = [], []
+            for data, now_ns, arrival_ns in arrived:
+                try:
+                    message = decode(data)
+                    stamps_ns.append(self._stamp(message.stamp_ns, now_ns, arrival_ns))
+                    found.append(message)
+                except RejectedError as rejected:
+                    self._diagnostics.reject(rejected, source)
+            arrived.clear()
+            if found:
+                put(np.array(stamps_ns), found)
+
+    def _stamp(self, stamp_ns: int, now_ns: int, arrival_ns: int) -> int:
+        """Return the stamp to use; raise RejectedError if it is not one of the present time."""
+        if not now_ns:
+            raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
+        if not stamp_ns or self._scene.time_source == ARRIVAL:
+            stamp_ns = arrival_ns
+        if self._is_simulated:  # a message may overtake the one on /clock sent before it
+            check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
+        else:
+            check_stamp(stamp_ns, now_ns, self._scene.max_future)
+        return stamp_ns
+
+    def _apply(self, source: int, topic: str, stamps_ns: NDArray[np.int64],
+               found: Sequence[Torque]) -> None:
+        """Put torques into the check."""
+        self._count(source, stamps_ns, self._monitor.apply(
+            stamps_ns, np.array([torque.values for torque in found]),
+            [torque.frame == 'space' for torque in found], source))
+
+    def _measure(self, kind: messages.MessageType, source: int, topic: str,
+                 stamps_ns: NDArray[np.int64], found: Sequence[messages.Stamped]) -> None:
+        """Put measurements into the check."""
+        attitude, rates = samples(kind, np.array([message.values for message in found]))
+        sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])
+        if sent.any():
+            self._measured.setdefault(source, int(sent[sent > 0][0]))
+        # As in a recording, every message of a topic has what the first has.
+        usable = sent == self._measured.get(source, -1)
+        for _ in range(int(np.sum(~usable))):
+            self._diagnostics.reject(RejectedError(
+                NOT_FINITE, 'expected a finite attitude, angular velocity or both, as in the '
+                'first message, found another'), source)
+        self._count(source, stamps_ns[usable], self._monitor.measure(
+            topic, stamps_ns[usable], attitude[usable], rates[usable]))
+
+    def _count(self, source: int, stamps_ns: NDArray[np.int64], fits: NDArray[np.bool_]) -> None:
+        """Count messages, and reject those that do not fit, because they are too late."""
+        for stamp_ns in stamps_ns[~fits].tolist():
+            self._diagnostics.reject(RejectedError(
+                LATE, f'stamped {stamp_ns} ns, in a window that was judged when a message was '
+                f'newer than its end by history ({self._scene.history:g} s)'), source)
+        if fits.any():
+            newest_ns = int(stamps_ns[fits].max())
+            self._newest_ns[source] = max(self._newest_ns.get(source, 0), newest_ns)
             self._heard_at[source] = time.monotonic()
-            self._diagnostics.count(APPLIED, source)
-        except RejectedError as rejected:
-            self._diagnostics.reject(rejected, source)
+            self._diagnostics.count(APPLIED, source, int(fits.sum()))
 
-    def _on_torque(self, source: int, data: bytes) -> tuple[int, Any]:
-        torque = self._inputs.torque(data, source)
-        return torque.stamp_ns, lambda stamp_ns: self._monitor.apply(
-            stamp_ns, torque.values, torque.frame, source)
-
-    def _on_measurement(self, source: int, kind: messages.MessageType,
-                        data: bytes) -> tuple[int, Any]:
+    def _measurement(self, data: bytes, kind: messages.MessageType) -> messages.Stamped:
+        """Return a measurement; raise RejectedError if it is malformed or in another frame."""
         try:
             message = kind.decode(data)
         except ValueError as error:
             raise RejectedError(MALFORMED, str(error)) from error
         self._check_frame(kind, message)
-        attitude, rate = sample(kind, message.values)
-        found = attitude is not None, rate is not None
-        # As in a recording, every message of a topic has what the first has.
-        if not any(found) or found != self._measured.setdefault(source, found):
-            raise RejectedError(NOT_FINITE, 'expected a finite attitude, angular velocity or '
-                                'both, as in the first message, found another')
-        return message.stamp_ns, lambda stamp_ns: self._monitor.measure(
-            self._drains[source].subscription.topic_name, stamp_ns, attitude, rate)
+        return message
 
     def _check_frame(self, kind: messages.MessageType, message: messages.Stamped) -> None:
         space, body = self._scene.space_frame, self._scene.body_frame
@@ -222,6 +264,7 @@ class AttitudeMonitor(Node):
         if reading.now_ns:
             self._arrivals.tick(reading.now_ns)
         if reading.jump_ns and self._scene.on_time_jump != IGNORE:
+            self._take()
             self._diagnostics.event(TIME_JUMP, f'the clock jumped by {1e-9 * reading.jump_ns:.9g} '
                                     's: the check begins again')
             self._begin()
@@ -230,6 +273,7 @@ class AttitudeMonitor(Node):
     def _watch(self) -> None:
         """Judge the windows that are over; once a second, look for topics, and report."""
         now_ns, now = self._now_ns(), time.monotonic()
+        self._take()
         for judgement in self._monitor.judgements(self._complete_ns(now)):
             self._publish(judgement)
         if now > self._report_at:
@@ -280,7 +324,8 @@ class AttitudeMonitor(Node):
         name = names.pop()
         package, _, kind = name.split('/')
         self._subscribe(source, getattr(import_module(f'{package}.msg'), kind),
-                        partial(self._on_measurement, source.number, kinds[name]))
+                        partial(self._measurement, kind=kinds[name]),
+                        partial(self._measure, kinds[name]))
         return []
 
     def _report(self, problems: dict[int, list[str]], now_ns: int) -> None:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+import math
 import time
 from typing import Any
 
@@ -262,9 +263,10 @@ class Lockstep(Mode):
         self._duplicates[torque.source].discard(torque)
 
     def _publish_start(self) -> None:
-        # That of the epoch, with what acts on the wheels.
-        begun = self.run.epoch and self.run.last_state(self._start.time_ns)
-        start = Snapshot(begun or self._start, self._start)
+        # That of the epoch, with what acts on the body and on the wheels.
+        start = Snapshot(self._start, self._start)
+        if self.run.epoch is not None:
+            start = self.run.snapshot(self._start.time_ns, math.inf) or start
         self._publish(start, start)
 
     def _publish(self, snapshot: Snapshot, latest: Snapshot) -> None:

@@ -63,29 +63,32 @@ class Integration:
 
     """
 
-    # As defaults, because most motions have neither and to set these takes time.
-    _others = NO_OTHERS
-    #: What the wheels with names do, and how many of their commands are known to act or not.
-    _wheels: WheelTimeline | None = None
+    # As defaults, because most motions do not need them and to set them takes time.
+    #: How many commands of wheels with names are known to act or not.
     _resolved = refused_commands = 0
-    #: A time at which a new timeline begins, so that each is short.
-    _mark_ns = NEVER_NS
+    #: When the first row begins if not at the start, and the momentum of the rotors there.
+    _earlier: tuple[int, Floats] | None = None
 
     def __init__(self, problem: Problem) -> None:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
-        self._body = problem.body_at(start.time_ns)
+        #: The present body, and the same without the axial inertia of wheels with names.
+        self._body = self._carrier = problem.body_at(start.time_ns)
+        #: A time at which a new timeline begins, so that each is short.
+        self._mark_ns = NEVER_NS
+        #: What the wheels with names do.
+        self._wheels: WheelTimeline | None = None
+        self._others = NO_OTHERS
         if problem.fields or problem.actuators:
             self._others = OtherTorques(problem._fields, problem.lagging())
-        #: The body without the axial inertia of wheels with names.
-        self._carrier = self._body
         if problem.named_wheels:
             self._carrier = problem.named_wheels.carrier(self._body)
             start, axial = problem.named_wheels.begun(start)
             self._wheels = self._wheels_from(axial, start)
         self._start = start
         has_rotors = start._has_rotors or problem.has_friction
-        self._timeline = self._timeline_from(start._rotors if has_rotors else None)
+        self._timeline = self._timeline_from(
+            start.time_ns, start._rotors if has_rotors else None)
         self._progress, self._is_begun = self._begin(), False
 
     def _wheels_from(self, axial: Axial, state: State) -> WheelTimeline:
@@ -111,18 +114,12 @@ class Integration:
                 efforts = efforts.between(end_ns, self._mark_ns)
         return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns)
 
-    def _timeline_from(self, momentum: Floats | None) -> Timeline:
-        """Return what acts from the end of the motion so far on."""
-        self._basis = self._end_ns, momentum
-        #: When the first row begins if not then, and the momentum of the rotors there.
-        self._earlier: tuple[int, Floats] | None = None
-        return self._rebuilt()
-
-    def _rebuilt(self) -> Timeline:
-        """Return the same with the commands of wheels that are now known to act."""
-        (start_ns, momentum), problem = self._basis, self.problem
-        logs = problem.acting_logs
-        wheels = self._wheels.log if self._wheels else problem.wheels
+    def _timeline_from(self, start_ns: int, momentum: Floats | None) -> Timeline:
+        """Return what acts from a time on, the end of the motion so far."""
+        problem = self.problem
+        logs, wheels = problem.acting_logs, problem.wheels
+        if self._wheels:
+            self._basis, wheels = (start_ns, momentum), self._wheels.log
         if problem.changes or self._mark_ns < NEVER_NS:
             # The torques of the other parts would be summed for nothing.
             end_ns = problem.changes.next_ns(start_ns) if problem.changes else NEVER_NS
@@ -133,8 +130,12 @@ class Integration:
         others = self._others
         if problem.has_friction:
             wheels, others = None, others._replace(wheels=self._wheels)
-        timeline = Timeline(logs, wheels, problem.options.timeout_ns, self._body.is_damped,
-                            start_ns, momentum, others)
+        return Timeline(logs, wheels, problem.options.timeout_ns, self._body.is_damped,
+                        start_ns, momentum, others)
+
+    def _rebuilt(self) -> Timeline:
+        """Return the timeline with the commands of wheels that are now known to act."""
+        timeline = self._timeline_from(*self._basis)
         if self._earlier:
             timeline.begin_earlier(*self._earlier)
         return timeline
@@ -186,7 +187,7 @@ class Integration:
         self.problem = problem
         if self._wheels:
             self._wheels = self._wheels_on(self._wheels.axial(self._end_ns))
-        self._timeline = self._timeline_from(momentum)
+        self._timeline, self._earlier = self._timeline_from(self._end_ns, momentum), None
         self._progress['row'], self._is_begun = self._timeline.in_force(self._end_ns), True
 
     def advance(self, at: ArrayLike, until_ns: int | None = None) -> Trajectory:
@@ -248,7 +249,7 @@ class Integration:
         if self._wheels:  # commands at this time meet the rate after the change
             self.refused_commands -= self._wheels.count_refused(time_ns - 1, time_ns)
             self._wheels = self._wheels_from(self._wheels.axial(time_ns - 1), state)
-        self._timeline = self._timeline_from(momentum)
+        self._timeline, self._earlier = self._timeline_from(time_ns, momentum), None
         self._progress = layout.begun(packed, time_ns, packed, time_ns,
                                       self._timeline.in_force(time_ns),
                                       len(self._timeline.times_ns))
@@ -326,7 +327,7 @@ class Integration:
         momenta: Floats | None = None
         if self._is_begun:
             progress['done'] = 0
-        for first, end, rows in self._timeline.chunks(int(progress['row'][0]), stop):
+        for first, end, rows in self._timeline.chunks(progress['row'], stop):
             if rows.terms and rows.terms.friction:
                 rows, momenta = with_momenta(rows, times_ns.size)
             if self._is_begun or end - first < len(closed) - 1:

@@ -56,7 +56,7 @@ from rigid_body_ros.propagation.timeline import OtherTorques, Timeline
 #: Python handles signals.
 _PATIENCE = 0.05
 #: A log of all runs, or one or several of each.
-Logs = TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None
+LogsOfRuns = TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ class Trajectories:
         return np.array([bool(message) for message in self.messages], np.bool_)
 
 
-def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at: ArrayLike,
+def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, *, at: ArrayLike,
                    wheels: TorqueLog | Sequence[TorqueLog] | None = None,
                    fields: Sequence[Field] | Sequence[Sequence[Field]] = (),
                    torque_gains: ArrayLike | None = None, solver: str = Options.solver,
@@ -292,7 +292,7 @@ class _Runs:
         timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
                             int(begins_ns[0]), momentum, OtherTorques(self._fields))
         self._progress['row'][which] = timeline.times_ns.searchsorted(begins_ns, 'right') - 1
-        for begin, end, rows in timeline.chunks(int(self._progress['row'][which].min()),
+        for begin, end, rows in timeline.chunks(self._progress['row'][which],
                                                 len(timeline.times_ns)):
             self._progress['row'][which] -= begin
             going = which[self._progress['stop'][which] != layout.FAILED]

@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import stamps_of, torque_logs, TorqueLog
+from rigid_body_ros.mechanics.torque import Logs, stamps_of, torque_logs, TorqueLog
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.lags import LaggingSources
@@ -38,6 +38,9 @@ from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import rest_ns_of, without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.propagation.wheels import check_named, joined_log, without_wheels
+
+#: The torque on the rotors, or wheels with names.
+Rotors = TorqueLog | Sequence[Wheel] | None
 
 
 class Problem:
@@ -114,41 +117,34 @@ class Problem:
 
     """
 
-    # Most problems have none of these, and to set them takes a hundredth of a short run.
-    wheels: TorqueLog | None = None
-    named_wheels: Wheels | None = None
-    efforts: EffortLog | None = None
-    actuators: tuple[Actuator | None, ...] = ()
-    #: As given: of all logs, or of each.
-    _actuator: Actuators = None
     #: The time at which torques that lag are zero, if it is not that of the start.
     _rest_ns: int | None = None
 
-    def __init__(self, body: RigidBody, start: State,
-                 log: TorqueLog | Sequence[TorqueLog] | None = None, *,
-                 wheels: TorqueLog | Sequence[Wheel] | None = None,
-                 efforts: EffortLog | None = None, fields: Sequence[Field] = (),
+    def __init__(self, body: RigidBody, start: State, log: Logs = None, *,
+                 wheels: Rotors = None, efforts: EffortLog | None = None,
+                 fields: Sequence[Field] = (),
                  changes: BodyLog | None = None, actuator: Actuators = None,
                  solver: str = Options.solver, tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout) -> None:
+        self.fields: tuple[Field, ...] = ()
         #: The fields for the kernels; None without.
         self._fields: NDArray[Any] | None = None
-        self.fields: tuple[Field, ...] = ()
         if fields:
             self.fields = beginning_at(fields, start.time_ns)
             self._fields = packed(self.fields)
-        self.changes = changes if changes else None
-        if efforts:
-            self.efforts = efforts
-        if actuator is not None:
-            self._actuator = actuator
+        self.changes, self.efforts = changes or None, efforts or None
+        self.named_wheels: Wheels | None = None
+        #: As given: of all logs, or of each.
+        self._actuator = actuator
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
 
-    def _set(self, body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None,
-             wheels: TorqueLog | Sequence[Wheel] | None, options: Options) -> None:
+    def _set(self, body: RigidBody, start: State, log: Logs, wheels: Rotors,
+             options: Options) -> None:
         self.body, self.start, self.options = body, start, options
+        self.wheels: TorqueLog | None = None
+        self.actuators: tuple[Actuator | None, ...] = ()
         given = torque_logs(log)
         self.logs = self.acting_logs = tuple([each for each in given if len(each)])
         if self._actuator and given:
@@ -160,13 +156,13 @@ class Problem:
                                  'axes')
         elif wheels:
             self.named_wheels = Wheels(wheels)
-        if not self.named_wheels:
+        if start._axial is not None and not self.named_wheels:
             self.start = without_wheels(start)
         if self.named_wheels or self.efforts:
             check_named(self.named_wheels, self.efforts, self.fields)
-        bodies = (body, *self.changes.bodies) if self.changes else (body,)
-        options.check_terms(any(each.is_damped for each in bodies), self.has_rotors,
-                            bool(self.fields), self.has_friction)
+        is_damped = body.is_damped or (
+            self.changes is not None and any(each.is_damped for each in self.changes.bodies))
+        options.check_terms(is_damped, self.has_rotors, bool(self.fields), self.has_friction)
         if not options.record.takes_torque:
             for each in self.sources:
                 options.check_torque_free(each)
@@ -230,9 +226,8 @@ class Problem:
         return stamps_ns
 
     def replaced(self, *, body: RigidBody | None = None, start: State | None = None,
-                 log: TorqueLog | Sequence[TorqueLog] | None = None,
-                 wheels: TorqueLog | Sequence[Wheel] | None = None,
-                 efforts: EffortLog | None = None, fields: Sequence[Field] | None = None,
+                 log: Logs = None, wheels: Rotors = None, efforts: EffortLog | None = None,
+                 fields: Sequence[Field] | None = None,
                  changes: BodyLog | None = None, actuator: Actuators = None,
                  options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
@@ -256,8 +251,8 @@ class Problem:
 
     def solved_by(self, **options: Any) -> Problem:
         """Return the same problem with other `Options`, except for the timeout of the torques."""
-        timeout = self.options.torque_timeout
-        return self.replaced(options=Options(torque_timeout=timeout, **options))
+        return self.replaced(options=Options(torque_timeout=self.options.torque_timeout,
+                                             **options))
 
     def between(self, start: State, end_ns: int, memory_ns: int = 0) -> Problem:
         """
@@ -396,10 +391,10 @@ class Problem:
         return Integration(self).advance(at)
 
 
-def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None,
-              *, at: ArrayLike, wheels: TorqueLog | Sequence[Wheel] | None = None,
-              efforts: EffortLog | None = None, fields: Sequence[Field] = (),
-              changes: BodyLog | None = None, actuator: Actuators = None,
+def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
+              wheels: Rotors = None, efforts: EffortLog | None = None,
+              fields: Sequence[Field] = (), changes: BodyLog | None = None,
+              actuator: Actuators = None,
               solver: str = Options.solver, tolerance: float = Options.tolerance,
               max_step: float | None = Options.max_step,
               torque_timeout: float = Options.torque_timeout) -> Trajectory:
@@ -408,12 +403,12 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
 
     Parameters
     ----------
+    at : array of int, shape (m,), ns
+        Times to return, in any order, none before the start.
     body, start, log, wheels, efforts, fields, changes, actuator
         As for `Problem`.
     solver, tolerance, max_step, torque_timeout
         As for `Problem`.
-    at : array of int, shape (m,), ns
-        Times to return, in any order, none before the start.
 
     Returns
     -------
@@ -427,7 +422,7 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
         1e9 rad/s.
 
     """
-    return Integration(Problem(
-        body, start, log, wheels=wheels, solver=solver, tolerance=tolerance, max_step=max_step,
-        torque_timeout=torque_timeout, fields=fields, changes=changes,
-        efforts=efforts, actuator=actuator)).advance(at)
+    return Problem(
+        body, start, log, wheels=wheels, efforts=efforts, fields=fields, changes=changes,
+        actuator=actuator, solver=solver, tolerance=tolerance, max_step=max_step,
+        torque_timeout=torque_timeout).propagate(at=at)

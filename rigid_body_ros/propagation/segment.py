@@ -82,9 +82,17 @@ class Sum(NamedTuple):
     #: What remains of torques that lag, beyond their commands; None if none does.
     lags: Lags | None = None
 
+    @property
+    def others(self) -> tuple[Floats, ...]:
+        """Return the torque in space axes beside one in body axes, and that on the rotors."""
+        # Most motions have neither, and to ask arrays of zeros takes a tenth of a short segment.
+        if self.space is self.motors or not (self.space.any() or self.motors.any()):
+            return ()
+        return self.space, self.motors
+
     def is_zero(self) -> bool:
         """Return whether no torque acts."""
-        return not (self.torque.any() or self.space.any() or self.motors.any()
+        return not (self.torque.any() or self.others
                     or (self.lags is not None and self.lags.excess.any()))
 
 
@@ -124,7 +132,7 @@ class Segment:
                  total: Sum, fields: NDArray[Any] | None = None,
                  lagging: Mapping[int, Lagging] = _NO_LAGS,
                  friction: Friction | None = None) -> None:
-        torque, in_space, *others, lags = total
+        lags = total.lags
         #: The sources that lag.
         self.lagging = lagging
         self.coasts = total.is_zero() and fields is None and friction is None and not (
@@ -134,11 +142,14 @@ class Segment:
             if lags is not None and lags.excess.any() else []
         if friction is not None:
             key.append(friction_key(friction))
-        self._rule = options.rule(body, fields, torque, in_space, *others, *key)
+        others = (total.space, total.motors) if key else total.others
+        self._rule = options.rule(body, fields, total.torque, total.in_space, *others, *key)
         origin = origin_of(start, self._rule)
         self._rotors = origin.rotors
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
+        #: Time and state computed last, and those of the last grid point before.
+        self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
         terms: Terms | FieldTerms | LagTerms | FrictionTerms | None = None
         if friction is not None:
             terms = friction_terms(origin.rotors[None], total.motors[None], total.space[None],
@@ -148,15 +159,22 @@ class Segment:
                               lags)
         elif fields is not None:
             terms = FieldTerms(origin.rotors[None], total.motors[None], total.space[None], fields)
-        elif body.is_damped or origin.rotors.any() or any(other.any() for other in others):
+        elif body.is_damped or start._has_rotors or others:
             terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
-        self._rows = held_row(origin.begin_ns, torque, in_space, terms)
+        self._rows = held_row(origin.begin_ns, total.torque, total.in_space, terms)
 
     def state_at(self, time_ns: int, until: float) -> State:
         """Return the state at a time, or raise TimeoutError or ValueError as `Propagator.at`."""
         begin_ns, begin = self._grid_ns[0], self._states[0]
         if time_ns == begin_ns:
             return self._state(time_ns, begin, begin_ns, begin)
+        if time_ns != self._latest[0]:  # the state of an output is that of the next segment, too
+            self._compute(time_ns, until)
+        return self._state(*self._latest)
+
+    def _compute(self, time_ns: int, until: float) -> None:
+        """Compute the latest state, from the last grid point before it."""
+        begin_ns, begin = self._grid_ns[0], self._states[0]
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
         progress = layout.begun(self._states[nearest], self._grid_ns[nearest], begin, begin_ns, 0,
                                 1)
@@ -169,7 +187,7 @@ class Segment:
             self._discard_grid_points(grid_ns - self._history_ns)
         if not done:
             raise timed_out(grid_ns)
-        return self._state(time_ns, latest, grid_ns, grid)
+        self._latest = time_ns, latest, grid_ns, grid
 
     def _state(self, time_ns: int, packed: Floats, grid_ns: int, grid: Floats) -> State:
         begin_ns, rotors = self._grid_ns[0], self._rotors

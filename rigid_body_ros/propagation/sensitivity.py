@@ -25,7 +25,6 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.problem import Problem
 
 #: How often each kind of change is tried.
@@ -62,8 +61,7 @@ def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
         As for `propagate`.
 
     """
-    timeout = problem.options.torque_timeout
-    problem = problem.replaced(options=Options(torque_timeout=timeout))
+    problem = problem.solved_by()
     attitude, random = problem.propagate(at=at).attitude, np.random.default_rng(0)
     kinds = [{'tensors'}, {'tensors', 'start'}]
     if problem.has_torque:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,8 +110,9 @@ def _allocated(count: int, degree: int) -> Sums:
     no time.
     """
     sizes = 2 * degree + 1, degree + 1, degree + 1, 2
-    parts = np.split(np.empty(3 * count * sum(sizes)), 3 * count * np.cumsum(sizes[:-1]))
-    return Sums(*(part.reshape(count, size, 3) for part, size in zip(parts, sizes)))
+    block = np.empty((sum(sizes), 3 * count))
+    ends = accumulate(sizes)  # np.split takes as long as the sum of a few samples
+    return Sums(*(block[end - size:end].reshape(count, size, 3) for size, end in zip(sizes, ends)))
 
 
 def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int,

@@ -81,33 +81,46 @@ class Timeline:
 
     """
 
+    # As defaults, because most motions have none of these and to set them takes time.
+    has_rotors = has_terms = _has_motors = _always_acts = False
+    _fields: NDArray[Any] | None = None
+    _lagging: LaggingSources | None = None
+    #: The wheels with friction.
+    _named: WheelTimeline | None = None
+    #: Constant terms; those of summed rows are in these.
+    _terms: Terms | None = None
+    _summed: Rows | None = None
+    #: The samples that time out before the next one, as indices; None without a timeout.
+    _silent: NDArray[np.intp] | None = None
+
     def __init__(self, logs: Sequence[TorqueLog], wheels: TorqueLog | None, timeout_ns: int,
                  is_damped: bool, start_ns: int, momentum: Floats | None,
                  others: OtherTorques = NO_OTHERS) -> None:
         self._timeout_ns, (fields, lagging, named) = timeout_ns, others
-        self._fields, self._lagging, self._named = fields, lagging, named
-        self._has_motors = wheels is not None and bool(wheels.torques.any())
-        self.has_rotors = momentum is not None or self._has_motors
-        self.has_terms = self.has_rotors or is_damped or fields is not None
-        self._always_acts = momentum is not None or is_damped or fields is not None
-        #: Constant terms; those of summed rows are in these.
-        self._terms = None
-        if self.has_terms:
-            self._terms = Terms((_NO_MOMENTUM if momentum is None else momentum)[None], None, None)
-        self._summed: Rows | None = None
-        if (len(logs) > 1 or wheels is not None or fields is not None or lagging is not None
-                or named is not None):
+        is_summed = (wheels is not None or fields is not None or lagging is not None
+                     or named is not None)
+        if is_summed or is_damped or momentum is not None:
+            self._set_terms(wheels, is_damped, momentum, others)
+        if is_summed or len(logs) > 1:
             self._summed = self._sum(logs, wheels or _NO_LOG, start_ns)
             self.times_ns = self._summed.times_ns
             return
         self._log = logs[0] if logs else _NO_LOG
-        #: The samples that time out before the next one, as indices; None without a timeout.
-        self._silent: NDArray[np.intp] | None = None
         stamps_ns = self.times_ns = self._log.times_ns
         if timeout_ns and len(stamps_ns):
             self._silent = self._log.silent(timeout_ns)
             self.times_ns = np.insert(stamps_ns, self._silent + 1,
                                       stamps_ns[self._silent] + timeout_ns)
+
+    def _set_terms(self, wheels: TorqueLog | None, is_damped: bool, momentum: Floats | None,
+                   others: OtherTorques) -> None:
+        self._fields, self._lagging, self._named = others
+        self._has_motors = wheels is not None and bool(wheels.torques.any())
+        self.has_rotors = momentum is not None or self._has_motors
+        self._always_acts = momentum is not None or is_damped or self._fields is not None
+        self.has_terms = self._always_acts or self._has_motors
+        if self.has_terms:
+            self._terms = Terms((_NO_MOMENTUM if momentum is None else momentum)[None], None, None)
 
     @property
     def has_fields(self) -> bool:
@@ -151,7 +164,12 @@ class Timeline:
 
     def in_force(self, time_ns: int) -> int:
         """Return the row in force at a time, -1 before the first."""
-        return int(self.times_ns.searchsorted(time_ns, 'right')) - 1 if len(self.times_ns) else -1
+        times_ns = self.times_ns
+        if not len(times_ns) or time_ns < times_ns.item(0):
+            return -1
+        if len(times_ns) == 1 or time_ns < times_ns.item(1):  # as at most starts: it is quicker
+            return 0
+        return int(times_ns.searchsorted(time_ns, 'right')) - 1
 
     def held(self, row: int) -> tuple[Floats, bool, list[Floats]] | None:
         """
@@ -197,14 +215,16 @@ class Timeline:
             terms = terms._replace(lags=lags)
         self._summed = _frozen(self._summed._replace(times_ns=self.times_ns, terms=terms))
 
-    def chunks(self, first: int, stop: int) -> Iterable[tuple[int, int, Rows]]:
+    def chunks(self, begun: NDArray[np.int64], stop: int) -> Iterable[tuple[int, int, Rows]]:
         """
         Return the rows in chunks, each as the first, the one after the last, and the rows.
 
         Parameters
         ----------
-        first, stop : int
-            The row to begin with, -1 for the time before the first row, and that to end before.
+        begun : array of int, shape (n,)
+            The rows in force, -1 for the time before the first row; the least one begins.
+        stop : int
+            The row to end before.
 
         Returns
         -------
@@ -218,7 +238,7 @@ class Timeline:
             return (0, stop, self._held()),
         return ((begin, min(begin + _CHUNK, stop), self._interpolated(
             slice(begin, min(begin + _CHUNK, stop) + 1)))
-            for begin in range(max(first, 0), stop, _CHUNK))
+            for begin in range(max(int(begun.min()), 0), stop, _CHUNK))
 
     def _held(self) -> Rows:
         log = self._log
@@ -303,8 +323,8 @@ def _frozen(rows: Rows) -> Rows:
     """Return the same rows, read-only like those of a log: one type for the kernels."""
     array: Any
     terms = rows.terms
-    for array in (*rows[:-1], *(terms or ())[:4], *((terms and terms.lags) or ()),
-                  *((terms and terms.friction) or ())[:2]):
+    for array in rows[:-1] if terms is None else (
+            *rows[:-1], *terms[:4], *(terms.lags or ()), *(terms.friction or ())[:2]):
         if array is not None:
             array.flags.writeable = False
     return rows

@@ -116,14 +116,14 @@ class Topics:
         self.check(scene)
         names, wheel_torque, inertia = self.torques, self.wheel_torque, self.inertia
         if scene.inertia_topic:
-            inertia = inertia or _match(_INERTIA, source.topics(path, [INERTIA]))
+            inertia = inertia or self._beside(_INERTIA, source.topics(path, [INERTIA]))
         command = self.command_in(path, scene)
         if len(names or scene.torque_topics) == 1 and not (scene.wheels or command):
             preferred = '' if names else absolute(scene.torque_topics[0])
             return replace(self, inertia=inertia, preferred=preferred)
         recorded = source.topics(path, TORQUES)
         if scene.wheels and not self.wheel_momentum:
-            wheel_torque = wheel_torque or _match(_WHEEL_TORQUE, recorded)
+            wheel_torque = wheel_torque or self._beside(_WHEEL_TORQUE, recorded)
         if not names:
             others = [topic for topic in recorded if topic != wheel_torque]
             optional = bool(wheel_torque or self.wheel_momentum or command)
@@ -135,7 +135,17 @@ class Topics:
         """Return the topic of the commands of wheels with names, None if there is none."""
         if self.wheel_command or not scene.named_wheels:
             return self.wheel_command
-        return _match(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
+        return self._beside(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
+
+    def _beside(self, name: str, recorded: Sequence[str]) -> str | None:
+        """Return the topic of the scene with a name; of torques that a node logs, its own log."""
+        logs = [topic for topic in recorded if topic.endswith(f'/accepted_{name}')]
+        nodes = {topic.rpartition('/')[0] for topic in self.torques if _ACCEPTED.fullmatch(topic)}
+        if nodes:
+            logs = [topic for topic in logs if topic.rpartition('/')[0] in nodes]
+            return logs[0] if logs else None
+        # Without it a motion would lack what the node took; with other torques it is refused.
+        return _match(name, recorded) or (logs[0] if len(logs) == 1 else None)
 
     def check(self, scene: Scene) -> None:
         """Raise InputError if rotors, wheels or inertia have a topic, but not in the scene."""

@@ -84,6 +84,8 @@ class Regression:
         """Return the facts, one line for each."""
         return lines(f'{name:14}{text}' for name, text in self.rows())
 
+    __str__ = text
+
     def as_dict(self) -> dict[str, Any]:
         """Return what --json writes."""
         return {'equal': self.is_same, **self.found.as_dict()}

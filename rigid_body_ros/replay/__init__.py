@@ -14,6 +14,7 @@
 
 """Compute the motion of a body from recorded torques."""
 
-from rigid_body_ros.replay.single import plot, Replay, replay
+from rigid_body_ros.replay.result import Replay
+from rigid_body_ros.replay.single import replay
 
-__all__ = ['Replay', 'plot', 'replay']
+__all__ = ['Replay', 'replay']

@@ -31,9 +31,10 @@ from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.replay.batches import Collector
-from rigid_body_ros.replay.single import Replay, replay
+from rigid_body_ros.replay.result import Replay
+from rigid_body_ros.replay.single import replay
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.cluster import connected
 from rigid_body_ros.runtime.pool import Processes, WorkerError
 from rigid_body_ros.runtime.terminal import progress
@@ -98,7 +99,7 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         A signal was received; its last argument names the partial outputs, if there are any.
 
     """
-    with files.reading(*paths), files.protected('scene', scene.path):
+    with protection.reading(*paths, scene=scene.path):
         outputs = outputs_in(folder, paths)
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)
@@ -120,7 +121,7 @@ def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
     ------
     InputError
         Two recordings have the same name, the folder has the name of a file, or an output is
-        protected (see `files.protected`) or exists and must not be overwritten.
+        protected (see `protection.protected`) or exists and must not be overwritten.
 
     """
     suffix = files.format_of(folder)
@@ -134,9 +135,9 @@ def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
             if output in outputs:
                 raise InputError(f'{output}: expected recordings with different names, found '
                                  f'{outputs[output]} and {path}')
-            files.check_apart(output)
+            protection.check_apart(output)
             files.check_new(output)
-            earlier.enter_context(files.protected('output', output))
+            earlier.enter_context(protection.protected('output', output))
             outputs[output] = path
     return [*outputs]
 
@@ -222,7 +223,7 @@ class _Replay:
         if not os.path.isdir(self.shared):
             return Outcome(path, output, error=f'{output}: expected a folder that all workers '
                            f'share, not found on {socket.gethostname()}')
-        with files.reading(*self.inputs), files.overwriting(self.overwrite):
+        with protection.reading(*self.inputs), files.overwriting(self.overwrite):
             try:
                 result = replay(path, self.scene, output, **self.options)
             except InputError as error:

@@ -21,8 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.replay.batches import Batch
-from rigid_body_ros.replay.single import Replay
-from rigid_body_ros.replay.summary import rows
+from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
@@ -78,7 +77,7 @@ class PageCollector:
         """Return the page of a replay of the recording `name`."""
         times_ns, keys = self._keys.result()
         body = result.scene.body
-        story = [('recording', name), *rows(result),
+        story = [('recording', name), *result.rows(),
                  ('start', f'attitude {written(result.start.attitude)} (x y z w), body rates '
                            f'{written(result.start.angular_velocity)} rad/s'),
                  ('moments', f'{written(body.principal_moments)} kg m^2')]

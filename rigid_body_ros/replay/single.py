@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 import time
@@ -33,7 +33,7 @@ from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import joint_commands, VECTOR3
-from rigid_body_ros.propagation import Problem, Trajectory
+from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.recording import (
     Logged,
     NotInOrderError,
@@ -45,85 +45,14 @@ from rigid_body_ros.recording import (
 )
 from rigid_body_ros.replay import outputs
 from rigid_body_ros.replay.batches import Batch, Batches, Collector, INPUT, Request
-from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
-from rigid_body_ros.replay.gaps import Gaps
-from rigid_body_ros.runtime import files, interrupts
+from rigid_body_ros.replay.check import drift, last_digits
+from rigid_body_ros.replay.result import Replay
+from rigid_body_ros.runtime import files, interrupts, protection
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
 #: The types of all topics that a motion depends on.
 _KINDS = (*recording.TORQUES, VECTOR3, joint_commands(()))
-
-
-@dataclass(eq=False)
-class Replay:
-    """
-    A replayed recording.
-
-    Attributes
-    ----------
-    scene : Scene
-    interpolation : str
-    topic : str
-        Topic of the torques; several are separated by commas.
-    wheel_source : str
-        Where the torque on the rotors comes from.
-    messages : int
-        Number of torque messages.
-    unordered : int
-        Number of messages whose stamp is not later than the stamp of the previous message.
-    first_ns, last_ns : int
-        First and last torque stamp, ns.
-    damage : str
-        Which part of the recording was lost; '' if none.
-    start, last : State
-        First and last state of the motion.
-    solvers : dict
-        By solver and reason, the length of the motion computed with it, ns.
-    interpolation_differences : dict
-        By other interpolation, the angle, rad, between its final attitude and that of the motion;
-        None if the body spins too fast to compute.
-    check : Check, optional
-        How much the motion, or the part of it that is checked, violates the conservation laws.
-    last_digits : LastDigits, optional
-        How far the motion, or the beginning of it, moves if the last digits of inertia, torques
-        and start change; None if that was not estimated.
-    gaps : tuple of Gaps
-        Those of each log: of the torques in the order of the topics, then on the rotors.
-    seconds : dict
-        Wall time spent to read, propagate and write, s.
-    problem, trajectory : Problem, Trajectory, optional
-        With all torques, and the whole motion, if `keep` was set.
-    collected : optional
-        What `collect` returned.
-    earlier : tuple of Replay
-        Those of the earlier epochs, if the recording has several epochs of a node: this one is of
-        the last epoch.
-
-    """
-
-    scene: Scene
-    interpolation: str
-    topic: str
-    wheel_source: str = ''
-    messages: int = 0
-    unordered: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-    damage: str = ''
-    start: State = field(default_factory=State)
-    last: State = field(default_factory=State)
-    solvers: dict[str, int] = field(default_factory=dict)
-    interpolation_differences: dict[str, float | None] = field(default_factory=dict)
-    check: Check | None = None
-    last_digits: LastDigits | None = None
-    gaps: tuple[Gaps, ...] = ()
-    seconds: dict[str, float] = field(
-        default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
-    problem: Problem | None = None
-    trajectory: Trajectory | None = None
-    collected: Collector | None = None
-    earlier: tuple[Replay, ...] = ()
 
 
 #: An epoch of a node, or a whole recording, before its motion is computed.
@@ -209,7 +138,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     keep = output is None if keep is None else keep
     request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
                       collect)
-    with files.reading(path), files.protected('scene', scene.path), ExitStack() as stack:
+    with protection.reading(path, scene=scene.path), ExitStack() as stack:
         if output is not None:
             files.check((output, suffix_of(output)))
         topics = given.found_in(path, scene)
@@ -233,36 +162,6 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         return _replayed(request, lambda: _whole(request, topics, recording.read_epochs(
             path, scene, topics, request.interpolation, progress('reading', size=len),
             time_source, start)), copied, output, keep)
-
-
-def plot(path: str | Path, result: Replay, name: str) -> None:
-    """
-    Draw a motion and its torques into a PNG file; `replay` must have kept them.
-
-    Parameters
-    ----------
-    path : str or Path
-        A PNG file.
-    result : Replay
-        With log and trajectory.
-    name : str
-        Name of the recording, for the title.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-
-    """
-    from rigid_body_ros.report import figures  # matplotlib takes longer to load than most replays
-    assert result.trajectory is not None
-    assert result.problem is not None
-    sequence = result.scene.euler_sequence
-    problem, motion = result.problem, result.trajectory
-    fields = problem.field_torque(motion.times_ns, motion.attitude) if problem.fields else None
-    with files.atomic_output(path, '.png') as temporary:
-        figures.motion(temporary, motion, problem.logs, sequence, f'{name}: {result.topic}',
-                       result.scene.timeout_ns, fields)
 
 
 def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoch]:

@@ -74,6 +74,22 @@ class Verified:
     compared_epochs: int = 0
     pending: int = 0
 
+    def text(self) -> str:
+        """Return how far the two motions agree, one line per fact."""
+        count = len(self.same)
+        rows = [('compared', f'{count} states of {self.topic}{_epochs(self)}'),
+                ('same bits', f'{np.count_nonzero(self.same)} of {count}'),
+                ('difference', f'at most {self.angles.max():.2g} rad')]
+        if not self.same.all():
+            row = int(np.argmin(self.same))
+            rows.append(('', f'first in state {row + 1}, at {self.stamps_ns[row]} ns: '
+                             f'{self.angles[row]:.2g} rad'))
+        rows += [('made by', f'{name} {there}, here {here}: the last bits may differ')
+                 for name, (there, here) in self.versions.items()]
+        return lines(f'{name:14}{text}' for name, text in rows)
+
+    __str__ = text
+
 
 def verify(path: str | Path, scene: Scene, motion_path: str | Path,
            topics: Topics | None = None, *, motion_topic: str | None = None,
@@ -238,21 +254,6 @@ def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
             f'expected a torque at the stamp of each state, found none for {missing.size} of '
             f'{stamps_ns.size} states, the first at {missing[0]} ns: {where} of the torque log is '
             'missing')
-
-
-def summary(result: Verified) -> str:
-    """Return how far the two motions agree, one line per fact."""
-    count = len(result.same)
-    rows = [('compared', f'{count} states of {result.topic}{_epochs(result)}'),
-            ('same bits', f'{np.count_nonzero(result.same)} of {count}'),
-            ('difference', f'at most {result.angles.max():.2g} rad')]
-    if not result.same.all():
-        row = int(np.argmin(result.same))
-        rows.append(('', f'first in state {row + 1}, at {result.stamps_ns[row]} ns: '
-                         f'{result.angles[row]:.2g} rad'))
-    rows += [('made by', f'{name} {there}, here {here}: the last bits may differ')
-             for name, (there, here) in result.versions.items()]
-    return lines(f'{name:14}{text}' for name, text in rows)
 
 
 def _epochs(result: Verified) -> str:

@@ -21,8 +21,8 @@ replaces an existing output only with --overwrite.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, ExitStack, suppress
 from contextvars import ContextVar
 import errno
 import itertools
@@ -31,10 +31,10 @@ from pathlib import Path
 import secrets
 import shutil
 import stat
-from types import MappingProxyType
 import weakref
 
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime.protection import check_apart, protected, real_path
 
 #: Used in place of a suffix: the output is a folder.
 FOLDER = ''
@@ -46,16 +46,8 @@ _FORMATS = frozenset([
     '.sqlite3', '.svg', '.tar', '.tif', '.tiff', '.toml', '.tsv', '.txt', '.ulg', '.urdf', '.webp',
     '.xlsx', '.xml', '.xz', '.yaml', '.yml', '.zarr', '.zip', '.zst', '.zstd',
 ])
-#: Suffixes of the files that SQLite keeps next to a database.
-_JOURNALS = ('-wal', '-shm', '-journal')
 #: Errors that mean that a file system cannot flush a folder.
 _CANNOT_FLUSH = (errno.EINVAL, errno.EACCES, errno.ENOTSUP)
-
-#: A file or folder under any name: its real path, and its device and inode.
-_Identity = str | tuple[int, int]
-#: Files and folders that no output may replace, with their descriptions for error messages.
-_protected: ContextVar[Mapping[_Identity, str]] = ContextVar(
-    '_protected', default=MappingProxyType({}))
 _may_overwrite: ContextVar[bool] = ContextVar('_may_overwrite', default=True)
 
 
@@ -72,58 +64,6 @@ def overwriting(allowed: bool) -> Iterator[None]:
 def may_overwrite() -> bool:
     """Return whether an output may replace an existing file."""
     return _may_overwrite.get()
-
-
-@contextmanager
-def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
-    """
-    Reject, in the context, any output that would replace these files or be in these folders.
-
-    A path covers every name of its file: relative paths, symbolic links and hard links.
-
-    Parameters
-    ----------
-    role : str
-        Description of the paths in error messages, such as 'scene'.
-    paths : str or Path or None
-        Files and folders; None is ignored.
-
-    """
-    found = {identity: f'{role} {path}' for path in paths if path is not None
-             for identity in _path_and_inode(path)}
-    token = _protected.set({**found, **_protected.get()})
-    try:
-        yield
-    finally:
-        _protected.reset(token)
-
-
-def reading(*recordings: str | Path | None) -> AbstractContextManager[None]:
-    """Protect recordings: files, and whole bags, even if the path names one file of a bag."""
-    return protected('input', *(member for path in recordings if path is not None
-                                for member in _paths_of_recording(os.fspath(path))))
-
-
-def check_apart(path: str | Path) -> None:
-    """
-    Check that an output does not replace a protected file or lie in a protected folder.
-
-    Raises
-    ------
-    InputError
-        The output would do so.
-
-    """
-    known = _protected.get()
-    for identity in _path_and_inode(path):
-        if identity in known:
-            raise InputError(f'{path}: would overwrite the {known[identity]}; '
-                             'choose another name')
-    for folder in filter(os.path.isdir, Path(real_path(path)).parents):
-        for identity in _path_and_inode(folder):
-            if identity in known:
-                raise InputError(f'{path}: would be written into the folder of the '
-                                 f'{known[identity]}; choose another folder')
 
 
 def check_new(path: str | Path) -> None:
@@ -351,14 +291,6 @@ class Part:
             raise _exists(self._name)
 
 
-def real_path(path: str | Path) -> str:
-    """Return a path without symbolic links; raise InputError if it has a null byte."""
-    try:
-        return os.path.realpath(path)
-    except ValueError as error:
-        raise InputError(f'{path}: expected a path, found one with a null byte') from error
-
-
 def flush(path: Path) -> None:
     """Flush a file, or the entries of a folder, to the disk."""
     try:
@@ -374,27 +306,6 @@ def flush(path: Path) -> None:
 
 def _exists(path: str | Path) -> InputError:
     return InputError(f'{path}: output exists; choose another name, or add --overwrite')
-
-
-def _paths_of_recording(path: str) -> Iterator[str]:
-    """Generate the paths of a folder and its files, or of a file, its journals and its bag."""
-    yield path
-    if os.path.isdir(path):
-        with suppress(OSError):  # reported when the folder is read
-            yield from (entry.path for entry in os.scandir(path))
-        return
-    yield from (f'{path}{journal}' for journal in _JOURNALS)
-    for folder in (os.path.dirname(path) or '.', os.path.dirname(real_path(path))):
-        if os.path.isfile(os.path.join(folder, 'metadata.yaml')):
-            yield folder
-
-
-def _path_and_inode(path: str | Path) -> Iterator[_Identity]:
-    """Generate the real path of a file and, if the file exists, its device and inode."""
-    yield real_path(path)
-    with suppress(OSError):
-        found = os.stat(path)
-        yield found.st_dev, found.st_ino
 
 
 def _remove(path: Path) -> None:

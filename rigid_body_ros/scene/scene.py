@@ -26,7 +26,7 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.mechanics import euler, urdf
+from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
@@ -39,6 +39,7 @@ from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Value
 from rigid_body_ros.scene.actuator import actuators_of
+from rigid_body_ros.scene.body import body_of, group, inertia_of_robot, links_of
 from rigid_body_ros.scene.fields import at_start, check_named, fields_of
 from rigid_body_ros.scene.parameters import (
     ARRIVAL,
@@ -47,7 +48,6 @@ from rigid_body_ros.scene.parameters import (
     LOCKSTEP,
     Names,
     OF_ROS,
-    PARAMETERS,
     parameters_with,
     QOS,
 )
@@ -225,14 +225,14 @@ class Scene:
         for name in ignored:
             check_named(name, names.fields)
             check_wheel(name, names.wheels)
-        given = {**given, **_inertia_of_robot(given)}
+        given = {**given, **inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in table.items()}
         try:
-            start = State(values['start_time'], [*_group(values, 'initial_attitude').values()],
-                          [*_group(values, 'initial_angular_velocity').values()],
-                          [*_group(values, 'initial_rotor_momentum').values()])
-            scene = cls(_body(values), start, values, links=_links(values), ignored=ignored)
+            start = State(values['start_time'], [*group(values, 'initial_attitude').values()],
+                          [*group(values, 'initial_angular_velocity').values()],
+                          [*group(values, 'initial_rotor_momentum').values()])
+            scene = cls(body_of(values), start, values, links=links_of(values), ignored=ignored)
             scene._check()
         except ValueError as error:
             raise InputError(str(error)) from error
@@ -296,11 +296,11 @@ class Scene:
             yield (f'body_frame: {quoted(name.removeprefix(self.frame_prefix))} is a link of '
                    f'robot_description, but its axes are not those of link {link}, whose axes '
                    f'are the body axes; expected {link}')
-        norm = math.hypot(*_group(self.values, 'initial_attitude').values())
+        norm = math.hypot(*group(self.values, 'initial_attitude').values())
         if abs(norm - 1.0) > _UNIT:
             yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
                    f'{norm:.3g}; it is normalised; are the numbers angles?')
-        rate = math.hypot(*_group(self.values, 'initial_angular_velocity').values())
+        rate = math.hypot(*group(self.values, 'initial_angular_velocity').values())
         if rate > _FAST:
             yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
                    'turns per second; if the numbers are degrees per second, multiply them by '
@@ -336,37 +336,6 @@ def _other_node(node: str) -> list[str]:
             f'a node of that name alone receives']
 
 
-def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
-    """
-    Return the entries of the tensor in `robot_description`; none if that is empty.
-
-    Raises
-    ------
-    InputError
-        The URDF is not valid, or an `inertia.*` is given and differs from the URDF.
-
-    """
-    text, link = (checked(PARAMETERS[name], given.get(name, ''))
-                  for name in ('robot_description', 'link'))
-    if not text:
-        if link:
-            raise InputError(f'link: expected an empty text, because robot_description is empty, '
-                             f'found {quoted(link)}; set robot_description, or remove link')
-        return {}
-    try:
-        tensor = RigidBody.from_urdf(text, link).inertia
-    except ValueError as error:
-        raise InputError(f'robot_description: {error}') from error
-    entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
-               for i in range(3) for j in range(i, 3)}
-    for name, entry in entries.items():
-        # A dump of a running node has both, and a product that is not given is zero.
-        if given.get(name, 0.0) not in (0.0, entry):
-            raise InputError(f'{name}: expected {entry!r} as in robot_description, or no '
-                             f'value, found {quoted(given[name])}')
-    return entries
-
-
 def _check_text(name: str, text: str) -> None:
     if not text and name.endswith('_frame'):
         raise InputError(f'{name}: expected the name of a frame, found an empty text')
@@ -382,28 +351,3 @@ def _check_topics(key: str, names: Sequence[Any]) -> None:
                              f'found {quoted(name)}')
         if name in names[:number]:
             raise InputError(f'{key}: expected each topic once, found {name!r} twice')
-
-
-def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    return {name.split('.')[1]: value for name, value in values.items()
-            if name.startswith(prefix + '.')}
-
-
-def _links(values: Mapping[str, Any]) -> Frames:
-    robot = values['robot_description']
-    links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
-    return links.prefixed(values['frame_prefix'])
-
-
-def _body(values: Mapping[str, Any]) -> RigidBody:
-    try:
-        return RigidBody(_tensor(values, 'inertia'), _tensor(values, 'damping'))
-    except ValueError as error:
-        keys = 'damping.dxx ... damping.dyz:'
-        raise InputError(str(error).replace('damping:', keys, 1)) from error
-
-
-def _tensor(values: Mapping[str, Any], prefix: str) -> list[list[float]]:
-    """Return the symmetric tensor of a group with the entries xx, yy, zz, xy, xz and yz."""
-    xx, yy, zz, xy, xz, yz = _group(values, prefix).values()
-    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]

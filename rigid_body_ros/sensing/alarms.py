@@ -173,26 +173,28 @@ class Alarms:
         #: By number of windows: the probability of the last test, divided by that of an alarm.
         self._ratios = dict.fromkeys(_TOGETHER, np.inf)
         self._level, self._since_ns = OK, 0
+        # Not when the first window is over: the import takes long.
+        from scipy.special import chdtrc, ndtri
+        self._tail, self._quantile = chdtrc, ndtri
 
     def judged(self, error: WindowError) -> Judgement:
         """Return what the windows so far say, given the next."""
-        from scipy.stats import chi2, norm
         first = 3 if np.isnan(error.attitude[0]) else 0
         change = np.concatenate([error.attitude, error.rate])[first:]
         covariance = error.covariance[first:, first:]
         square = change @ np.linalg.solve(covariance, change)
-        self._ratios[1] = chi2.sf(square, len(change)) / self._usual
+        self._ratios[1] = self._tail(len(change), square) / self._usual
         for sums in self._sums:
             found = sums.add(error.torque, error.torque_covariance)
             if found is not None:
-                self._ratios[sums.windows] = chi2.sf(found, 3) / (sums.windows * self._usual)
+                self._ratios[sums.windows] = self._tail(3, found) / (sums.windows * self._usual)
         windows = min(self._ratios, key=self._ratios.__getitem__)
         ratio = self._ratios[windows]
         level = ERROR if ratio < 1.0 else WARN if ratio < _WARNING else OK
         if level != self._level or not self._since_ns:
             self._level, self._since_ns = level, error.end_ns
         probability = min(ratio * windows * self._usual, 1.0)
-        return Judgement(error, level, float(norm.isf(0.5 * probability)), windows,
+        return Judgement(error, level, float(-self._quantile(0.5 * probability)), windows,
                          _axis(change, covariance), self._since_ns)
 
 

@@ -16,14 +16,14 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
@@ -32,8 +32,8 @@ from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel, noises_
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.windows import window_error
 
-#: What a topic does not measure.
-_NO_ATTITUDE, _NO_RATE = np.full(4, np.nan), np.full(3, np.nan)
+#: Columns of a torque, and whether it is in space axes; of an attitude and an angular velocity.
+_TORQUE, _MEASUREMENT = 4, 7
 #: ns; of a recording, how much is taken at a time, and the first time.
 _PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
 
@@ -93,39 +93,41 @@ class Monitor:
         self._problem, self._settings = problem, settings
         self._window_ns = duration_ns(settings.window, 'window')
         self._history_ns = duration_ns(settings.history, 'history')
-        self._torques = defaultdict[int, _Rows](_Rows)
-        self._sensors = defaultdict[str, _Rows](_Rows)
+        self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE))
+        self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT))
         self.noises: dict[str, tuple[NoiseLevel, NoiseLevel]] = {}
         self._alarms = Alarms(settings.window, settings.false_alarms)
         #: The next window begins here, and the momentum of the rotors then.
         self._begin_ns, self._momentum = 0, problem.start.rotor_momentum
         self.newest_ns = self.skipped = 0
 
-    def apply(self, time_ns: int, torque: Floats, frame: str = 'body', source: int = 0) -> bool:
+    def apply(self, times_ns: ArrayLike, torques: Floats, in_space: ArrayLike = False,
+              source: int = 0) -> NDArray[np.bool_]:
         """
-        Add a torque, N m, as `Propagator.apply` does; WHEELS is the source on the rotors.
+        Add torques of a source, N m, shape (n, 3); WHEELS is the source on the rotors.
 
-        Return False if its window has been judged.
+        Return which of them are of windows that have not been judged, shape (n,).
         """
-        return self._put(self._torques[source], time_ns, torque, frame)
+        values = np.empty((len(torques), _TORQUE))
+        values[:, :3], values[:, 3] = torques, in_space
+        return self._put(self._torques[source], np.asarray(times_ns), values)
 
-    def measure(self, topic: str, time_ns: int, attitude: Floats | None,
-                angular_velocity: Floats | None) -> bool:
+    def measure(self, topic: str, times_ns: ArrayLike, attitude: Floats,
+                angular_velocity: Floats) -> NDArray[np.bool_]:
         """
-        Add what a topic measured: a unit quaternion x y z w, rad/s in body axes, or both.
+        Add what a topic measured: unit quaternions x y z w, shape (n, 4), and rad/s, shape (n, 3).
 
-        Return False if its window has been judged.
+        What it does not measure is NaN. Return which of them are of windows that have not been
+        judged, shape (n,).
         """
-        return self._put(self._sensors[topic], time_ns, np.concatenate([
-            _NO_ATTITUDE if attitude is None else attitude,
-            _NO_RATE if angular_velocity is None else angular_velocity]), '')
+        return self._put(self._sensors[topic], np.asarray(times_ns),
+                         np.concatenate([attitude, angular_velocity], axis=1))
 
-    def _put(self, rows: _Rows, time_ns: int, values: Floats, frame: str) -> bool:
-        if time_ns < self._begin_ns:
-            return False
-        self.newest_ns = max(self.newest_ns, time_ns)
-        rows.put(time_ns, values, frame)
-        return True
+    def _put(self, rows: _Rows, times_ns: NDArray[np.int64], values: Floats) -> NDArray[np.bool_]:
+        fits = times_ns >= self._begin_ns
+        rows.put(times_ns[fits], values[fits])
+        self.newest_ns = int(times_ns[fits].max(initial=self.newest_ns))
+        return np.asarray(fits)
 
     def judgements(self, complete_ns: int | None = None) -> Iterator[Judgement]:
         """
@@ -136,10 +138,8 @@ class Monitor:
         until_ns = self.newest_ns - self._history_ns
         if complete_ns is not None:
             until_ns = min(until_ns, complete_ns)
-        while (begin_ns := self._next_ns()) is not None:
+        while (begin_ns := self._next_ns(until_ns)) is not None:
             end_ns = begin_ns + self._window_ns
-            if end_ns > until_ns:
-                return
             problem = self._between(begin_ns, end_ns)
             sensors = [measured for topic, rows in sorted(self._sensors.items())
                        if (measured := _measured(topic, rows, begin_ns, end_ns))]
@@ -160,20 +160,25 @@ class Monitor:
                 for level, errors in zip(pair, residuals):
                     level.add(errors)
 
-    def _next_ns(self) -> int | None:
-        """Return the begin of the next window that has measurements; None if there is none."""
+    def _next_ns(self, until_ns: int) -> int | None:
+        """Return the begin of the next window with measurements; None if it ends after a time."""
+        last_ns = until_ns - self._window_ns
+        if last_ns < self._begin_ns:
+            return None
         found = [rows.first_ns(self._begin_ns) for rows in self._sensors.values()]
-        first = min((stamp_ns for stamp_ns in found if stamp_ns is not None), default=None)
-        return first if first is None else \
-            max(self._begin_ns, first // self._window_ns * self._window_ns)
+        first_ns = min(found, default=NEVER_NS)
+        begin_ns = max(self._begin_ns, first_ns // self._window_ns * self._window_ns)
+        return begin_ns if begin_ns <= last_ns else None
 
     def _between(self, begin_ns: int, end_ns: int) -> Problem:
         """Return the problem of a window."""
         # The momentum of the rotors is that of the end of the window before.
         start_ns = self._begin_ns or begin_ns
         start = State(start_ns, self._problem.start.attitude, np.zeros(3), self._momentum)
-        logs = {source: TorqueLog(*rows.between(start_ns, end_ns, 1))
-                for source, rows in sorted(self._torques.items())}
+        logs = {}
+        for source, rows in sorted(self._torques.items()):
+            times_ns, values = rows.between(start_ns, end_ns, 1)
+            logs[source] = TorqueLog(times_ns, values[:, :3], values[:, 3] > 0.0)
         return self._problem.replaced(start=start, wheels=logs.pop(WHEELS, None),
                                       log=[*logs.values()])
 
@@ -204,15 +209,12 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
     for end_ns in range(first_ns + _PIECE_NS, last_ns + _PIECE_NS + 1, _PIECE_NS):
         for source, log in logs.items():
             rows = slice(*np.searchsorted(log.times_ns, [begin_ns, end_ns]).tolist())
-            for time_ns, torque, in_space in zip(log.times_ns[rows].tolist(), log.torques[rows],
-                                                 log.in_space[rows]):
-                monitor.apply(time_ns, torque, 'space' if in_space else 'body', source)
+            monitor.apply(log.times_ns[rows], log.torques[rows], log.in_space[rows], source)
         for sensor in sensors:
             part = sensor.between(begin_ns, end_ns)
-            for row, time_ns in enumerate(part.stamps_ns.tolist()):
-                monitor.measure(sensor.topic, time_ns, *(
-                    None if values is None else values[row]
-                    for values in (part.attitude, part.angular_velocity)))
+            monitor.measure(sensor.topic, part.stamps_ns, *(
+                np.full((len(part), size), np.nan) if values is None else values
+                for values, size in ((part.attitude, 4), (part.angular_velocity, 3))))
         begin_ns = end_ns
         yield from monitor.judgements(end_ns)
 
@@ -220,42 +222,48 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
 class _Rows:
     """Values by stamp; one that comes later replaces one with the same stamp."""
 
-    def __init__(self) -> None:
-        self._stamps_ns: list[int] = []
-        self._values: dict[int, tuple[Floats, str]] = {}
+    def __init__(self, columns: int) -> None:
+        self._new: list[tuple[NDArray[np.int64], Floats]] = []
+        self._sorted = np.empty(0, np.int64), np.empty((0, columns))
 
-    def put(self, stamp_ns: int, values: Floats, frame: str) -> None:
-        if stamp_ns not in self._values:
-            insort(self._stamps_ns, stamp_ns)
-        self._values[stamp_ns] = values, frame
+    def put(self, stamps_ns: NDArray[np.int64], values: Floats) -> None:
+        self._new.append((stamps_ns, values))
+
+    def _all(self) -> tuple[NDArray[np.int64], Floats]:
+        """Return all stamps and values, in the order of the stamps."""
+        if self._new:
+            stamps_ns, values = map(np.concatenate, zip(self._sorted, *self._new))
+            order = np.argsort(stamps_ns, kind='stable')
+            order = order[np.append(np.diff(stamps_ns[order]) != 0, True)]
+            self._sorted, self._new = (stamps_ns[order], values[order]), []
+        return self._sorted
 
     def forget(self, before_ns: int) -> None:
         """Forget what is before a time, but for the newest of it."""
-        row = max(bisect_left(self._stamps_ns, before_ns) - 1, 0)
-        for stamp_ns in self._stamps_ns[:row]:
-            del self._values[stamp_ns]
-        del self._stamps_ns[:row]
+        stamps_ns, values = self._all()
+        row = max(int(stamps_ns.searchsorted(before_ns)) - 1, 0)
+        self._sorted = stamps_ns[row:].copy(), values[row:].copy()
 
-    def first_ns(self, since_ns: int) -> int | None:
-        """Return the first stamp from a time on; None if there is none."""
-        row = bisect_left(self._stamps_ns, since_ns)
-        return self._stamps_ns[row] if row < len(self._stamps_ns) else None
+    def first_ns(self, since_ns: int) -> int:
+        """Return the first stamp from a time on; NEVER_NS if there is none."""
+        stamps_ns, _ = self._all()
+        row = stamps_ns.searchsorted(since_ns)
+        return int(stamps_ns[row]) if row < len(stamps_ns) else NEVER_NS
 
     def between(self, begin_ns: int, end_ns: int,
-                earlier: int = 0) -> tuple[list[int], list[Floats], list[str]]:
-        """Return stamps, values and frames between two times, and so many from before."""
-        first = max(bisect_left(self._stamps_ns, begin_ns) - earlier, 0)
-        stamps_ns = self._stamps_ns[first:bisect_left(self._stamps_ns, end_ns)]
-        found = [self._values[stamp_ns] for stamp_ns in stamps_ns]
-        return stamps_ns, [values for values, _ in found], [frame for _, frame in found]
+                earlier: int = 0) -> tuple[NDArray[np.int64], Floats]:
+        """Return stamps and values between two times, and so many from before."""
+        stamps_ns, values = self._all()
+        first, stop = stamps_ns.searchsorted([begin_ns, end_ns]).tolist()
+        rows = slice(max(first - earlier, 0), stop)
+        return stamps_ns[rows], values[rows]
 
 
 def _measured(topic: str, rows: _Rows, begin_ns: int, end_ns: int) -> Measured | None:
     """Return what a topic measured between two times; None if nothing."""
-    stamps_ns, values, _ = rows.between(begin_ns, end_ns)
-    if not stamps_ns:
+    stamps_ns, values = rows.between(begin_ns, end_ns)
+    if not len(stamps_ns):
         return None
-    found = np.array(values)
-    attitude, rates = found[:, :4], found[:, 4:]
-    return Measured(topic, np.array(stamps_ns), None if np.isnan(attitude).any() else attitude,
+    attitude, rates = values[:, :4], values[:, 4:]
+    return Measured(topic, stamps_ns, None if np.isnan(attitude).any() else attitude,
                     None if np.isnan(rates).any() else rates)

@@ -130,30 +130,33 @@ def read_measured(path: str | Path, topic: str | None = None, *,
                    frames=_other_frames(where, recorded, kind, (space_frame, body_frame)))
 
 
-def sample(kind: MessageType, values: Floats) -> tuple[Floats | None, Floats | None]:
+def samples(kind: MessageType, values: Floats) -> tuple[Floats, Floats]:
     """
-    Return what one message measured: attitude and angular velocity; None where it has none.
+    Return what messages measured: attitudes and angular velocities, NaN where there are none.
 
     Parameters
     ----------
     kind : MessageType
         One of `KINDS`.
-    values : array
-        Its doubles.
+    values : array, shape (n, doubles)
+        Their doubles.
 
     Returns
     -------
-    attitude : array, shape (4,), or None
-        Unit quaternion x y z w.
-    angular_velocity : array, shape (3,), or None
-        rad/s.
+    attitude : array, shape (n, 4)
+        Unit quaternions x y z w.
+    angular_velocity : array, shape (n, 3), rad/s
 
     """
-    layout, rows = _LAYOUTS[kind], values[None]
-    attitude = _given(rows, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
-    rate = _given(rows, layout.rate, layout.rate_covariance, kind, _is_slow)
-    return (so3.normalize(values[layout.attitude]) if attitude is not None and attitude[0] else
-            None, values[layout.rate] if rate is not None and rate[0] else None)
+    layout, found = _LAYOUTS[kind], (np.full((len(values), 4), np.nan),
+                                     np.full((len(values), 3), np.nan))
+    attitude = _given(values, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
+    rate = _given(values, layout.rate, layout.rate_covariance, kind, _is_slow)
+    if attitude is not None:
+        found[0][attitude] = so3.normalize(values[attitude, layout.attitude])
+    if rate is not None:
+        found[1][rate] = values[rate, layout.rate]
+    return found
 
 
 def _is_rotation(attitude: Floats) -> NDArray[np.bool_]:

@@ -25,8 +25,9 @@ a target on the stretch is recommended only if it also meets the target on the w
 """
 
 from rigid_body_ros.tradeoff.choices import Choice, Error, Measurement, recommend
+from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import Setting
-from rigid_body_ros.tradeoff.trade import measure, TARGET, Tradeoff
+from rigid_body_ros.tradeoff.trade import measure, TARGET
 
 __all__ = ['TARGET', 'Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure',
            'recommend']

@@ -21,10 +21,14 @@ from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST
 from rigid_body_ros.tradeoff.settings import Setting
 
 #: Part of the spread that the error of the integration may be.
 _PART = 0.1
+#: Cost of a reference, in runs of the Taylor series.
+_REFERENCE_COST = 14.0
 
 
 class Error(NamedTuple):
@@ -118,6 +122,65 @@ class Advice(NamedTuple):
         """Return the time that the setting saves in all runs, at least 0."""
         per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
         return self.spread.runs * max(per_run, 0.0)
+
+
+class OnWhole:
+    """
+    The errors of settings on the whole log, measured as long as time allows.
+
+    Parameters
+    ----------
+    whole, stretch : Case
+    reference : Reference
+        Of the stretch.
+    measurements : sequence of Measurement
+        On the stretch.
+    seconds : float
+        Wall time to spend.
+
+    Attributes
+    ----------
+    reference : Reference or None
+        Of the whole log, None as long as no error was measured there.
+
+    """
+
+    def __init__(self, whole: Case, stretch: Case, reference: Reference,
+                 measurements: Sequence[Measurement], seconds: float) -> None:
+        self.reference = reference if stretch is whole else None
+        self._whole, self._is_measured = whole, stretch is whole
+        self._growth, self._remaining = whole.seconds / stretch.seconds, seconds
+        self._series = min((one.seconds for one in measurements
+                            if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
+        self._found: dict[Measurement, float] = {}
+
+    def __call__(self, measurement: Measurement) -> float | None:
+        """Return the largest attitude error, rad, or None if that takes too long to compute."""
+        if self._is_measured:
+            assert self.reference
+            return measurement.error.attitude + self.reference.guaranteed_error
+        if measurement not in self._found:
+            runs = 0.0 if self.reference else _REFERENCE_COST
+            cost = self._growth * (measurement.seconds + runs * self._series)
+            if cost > self._remaining:
+                return None
+            self._remaining -= cost
+            self._found[measurement] = self._measured(measurement)
+        return self._found[measurement]
+
+    @property
+    def least(self) -> float | None:
+        """Return the smallest error that was measured, rad; None if none was."""
+        return min(self._found.values(), default=None)
+
+    def _measured(self, measurement: Measurement) -> float:
+        self.reference = self.reference or Reference.of(self._whole)
+        try:
+            motion = self._whole.run(**measurement.setting.options)
+        except ValueError:
+            return math.inf
+        error = so3.angle_between(motion.attitude, self.reference.trajectory.attitude)
+        return float(error.max()) + self.reference.guaranteed_error
 
 
 def recommend(measurements: Sequence[Measurement], target: float, floor: float, growth: float,

@@ -30,8 +30,8 @@ from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
+from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
-from rigid_body_ros.tradeoff.trade import Tradeoff
 
 #: s; about how long runs are timed, in how many rounds, and how many runs at most.
 _TIMED, _ROUNDS, _MOST_RUNS = 0.01, 5, 256

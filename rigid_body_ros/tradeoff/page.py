@@ -22,9 +22,8 @@ import numpy as np
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.tradeoff import summary
 from rigid_body_ros.tradeoff.choices import Choice
-from rigid_body_ros.tradeoff.trade import Tradeoff
+from rigid_body_ros.tradeoff.result import Tradeoff, value
 
 #: Smaller errors are not meaningful.
 _LEAST = float(np.finfo(float).eps)
@@ -47,7 +46,7 @@ def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
 
     """
     copied = [_parameters(target, choice) for target, choice in result.choices.items() if choice]
-    return Page(title, [*summary.rows(result)], [_work_precision(result)],
+    return Page(title, [*result.rows()], [_work_precision(result)],
                 warnings=scene.warnings, copied=copied, scene=scene, command=command)
 
 
@@ -58,7 +57,7 @@ def _parameters(target: float, choice: Choice) -> str:
 
 def _work_precision(result: Tradeoff) -> Panel:
     curves, texts = [], []
-    for solver, (errors, costs) in summary.curves(result).items():
+    for solver, (errors, costs) in result.curves().items():
         cost = np.array(costs)[:, None]
         curves.append(Curves(np.maximum(errors, _LEAST), cost, cost, [solver]))
         texts.append([*_texts(result, solver)])
@@ -68,7 +67,7 @@ def _work_precision(result: Tradeoff) -> Panel:
 
 def _lines(result: Tradeoff) -> Iterator[tuple[str, float]]:
     """Generate descriptions of errors to mark, and the errors, rad."""
-    for name, error in sorted(summary.reference_errors(result).items(), key=lambda line: line[1]):
+    for name, error in sorted(result.reference_errors().items(), key=lambda line: line[1]):
         error = max(error, _LEAST)
         yield name if name.endswith('rad') else f'{name} {error:.0e} rad', error
 
@@ -78,6 +77,6 @@ def _texts(result: Tradeoff, solver: str) -> Iterator[str]:
     for one in result.measurements:
         if one.setting.solver == solver and not one.failure:
             optimal = '; Pareto-optimal' if one.pareto_optimal else ''
-            yield f'{summary.value(one.setting)}, attitude error {one.error.attitude:.1e} rad, ' \
+            yield f'{value(one.setting)}, attitude error {one.error.attitude:.1e} rad, ' \
                   f'{one.seconds / span:.2e} s per simulated second, {span / one.seconds:.3g} ' \
                   f'times real time{optimal}'

@@ -16,8 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 import math
 import time
 
@@ -25,155 +25,17 @@ import numpy as np
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.runtime.terminal import no_progress, Track
-from rigid_body_ros.tradeoff.choices import Advice, Choice, Error, Measurement, NO_ERROR, recommend
-from rigid_body_ros.tradeoff.interpolation import (
-    better_interpolation,
-    final_differences,
-    interpolation_errors,
-    InterpolationError,
-)
-from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST, turned_angle, whole
+from rigid_body_ros.tradeoff.choices import Error, Measurement, NO_ERROR, OnWhole, recommend
+from rigid_body_ros.tradeoff.interpolation import final_differences, interpolation_errors
+from rigid_body_ros.tradeoff.problem import Case, Reference, turned_angle, whole
+from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import Setting, settings_of
 
 #: rad; the target of `measure` and of --target by default.
 TARGET = 1e-6
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
-#: Cost of a reference, in runs of the Taylor series.
-_REFERENCE_COST = 14.0
 #: s; shorter runs depend on what ran before, so each is repeated once before it is timed.
 _BRIEF = 0.01
-
-
-class OnWhole:
-    """
-    The errors of settings on the whole log, measured as long as time allows.
-
-    Parameters
-    ----------
-    whole, stretch : Case
-    reference : Reference
-        Of the stretch.
-    measurements : sequence of Measurement
-        On the stretch.
-    seconds : float
-        Wall time to spend.
-
-    Attributes
-    ----------
-    reference : Reference or None
-        Of the whole log, None as long as no error was measured there.
-
-    """
-
-    def __init__(self, whole: Case, stretch: Case, reference: Reference,
-                 measurements: Sequence[Measurement], seconds: float) -> None:
-        self.reference = reference if stretch is whole else None
-        self._whole, self._is_measured = whole, stretch is whole
-        self._growth, self._remaining = whole.seconds / stretch.seconds, seconds
-        self._series = min((one.seconds for one in measurements
-                            if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
-        self._found: dict[Measurement, float] = {}
-
-    def __call__(self, measurement: Measurement) -> float | None:
-        """Return the largest attitude error, rad, or None if that takes too long to compute."""
-        if self._is_measured:
-            assert self.reference
-            return measurement.error.attitude + self.reference.guaranteed_error
-        if measurement not in self._found:
-            runs = 0.0 if self.reference else _REFERENCE_COST
-            cost = self._growth * (measurement.seconds + runs * self._series)
-            if cost > self._remaining:
-                return None
-            self._remaining -= cost
-            self._found[measurement] = self._measured(measurement)
-        return self._found[measurement]
-
-    @property
-    def least(self) -> float | None:
-        """Return the smallest error that was measured, rad; None if none was."""
-        return min(self._found.values(), default=None)
-
-    def _measured(self, measurement: Measurement) -> float:
-        self.reference = self.reference or Reference.of(self._whole)
-        try:
-            motion = self._whole.run(**measurement.setting.options)
-        except ValueError:
-            return math.inf
-        error = so3.angle_between(motion.attitude, self.reference.trajectory.attitude)
-        return float(error.max()) + self.reference.guaranteed_error
-
-
-@dataclass(frozen=True, eq=False)
-class Tradeoff:
-    """
-    All measurements, and the recommended setting for each target.
-
-    Attributes
-    ----------
-    stretch, whole : Case
-    angle : float
-        Angle that the body turns through over the stretch, rad.
-    measurements : tuple of Measurement
-    reference : Reference
-        Of the stretch.
-    interpolation_errors : tuple of InterpolationError
-        On the stretch.
-    interpolation_differences : dict
-        By interpolation, the angle of its final attitude from the scene's, rad; see
-        `final_differences`.
-    choices : dict
-        By target, rad, the recommended setting, or None if no setting meets the target.
-    error_on_whole : OnWhole
-        Returns the attitude error of a measurement on the whole log; see `recommend`.
-    ensemble : Advice, optional
-        For the ensemble that sets one of the targets.
-
-    """
-
-    stretch: Case
-    whole: Case
-    angle: float
-    measurements: tuple[Measurement, ...]
-    reference: Reference
-    interpolation_errors: tuple[InterpolationError, ...]
-    interpolation_differences: Mapping[str, float | None]
-    choices: Mapping[float, Choice | None]
-    error_on_whole: OnWhole
-    ensemble: Advice | None = None
-
-    @property
-    def growth(self) -> float:
-        """Return the length of the whole log relative to the stretch."""
-        return self.whole.seconds / self.stretch.seconds
-
-    @property
-    def interpolation_error(self) -> InterpolationError | None:
-        """Return the estimated error of the scene's interpolation, None if there is none."""
-        return next((error for error in self.interpolation_errors
-                     if error.interpolation == self.stretch.interpolation), None)
-
-    @property
-    def better_interpolation(self) -> InterpolationError | None:
-        """Return the best interpolation if it is clearly better than the scene's."""
-        own = self.interpolation_error
-        return better_interpolation(self.interpolation_errors, own) if own else None
-
-    def dominant(self, target: float, held: bool = False) -> str:
-        """
-        Return the largest source of error; without a recommendation, of the best setting.
-
-        A torque that is held between its samples has no error of the interpolation.
-        """
-        floor, own = self.reference.floor, self.interpolation_error
-        choice = self.choices[target]
-        errors = [one.error.attitude for one in self.measurements if not one.failure]
-        solver = choice.measurement.error.attitude if choice else min(errors, default=math.inf)
-        shares = {'rounding': floor, 'solver': solver, 'last digits': self.reference.last_digits,
-                  'interpolation': own.estimate if own and not held else 0.0}
-        # The error of a solver at the floor is rounding.
-        if solver <= 2.0 * floor:
-            shares['solver'] = 0.0
-        return max(shares, key=lambda name: shares[name])
 
 
 def measure(problem: Problem, *, end_ns: int | None = None,

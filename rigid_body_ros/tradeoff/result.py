@@ -12,19 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Format a measured trade-off as text and as data for a JSON file."""
+"""What a measured trade-off returns."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from importlib import metadata
+import math
 import platform
 from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row, lines
-from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement
+from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement, OnWhole
+from rigid_body_ros.tradeoff.interpolation import better_interpolation, InterpolationError
+from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.settings import Setting
-from rigid_body_ros.tradeoff.trade import Tradeoff
 
 _WIDTH = 18
 #: What the floor is without rotors, damping and fields, and with them.
@@ -44,85 +47,156 @@ _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'moment
 _ROW = '{:1} {:14} {:>17} {:>10} {:>11} {:>9} {:>9} {:>9} {:>9} {:>11}'
 
 
-def summary(result: Tradeoff, all_rows: bool = False) -> str:
+@dataclass(frozen=True, eq=False)
+class Tradeoff:
     """
-    Return the recommended settings, the table and the limits of accuracy as text.
+    All measurements, and the recommended setting for each target.
 
-    Parameters
+    Attributes
     ----------
-    result : Tradeoff
-        From `measure`.
-    all_rows : bool
-        Whether the table has all settings, or only the Pareto-optimal ones.
+    stretch, whole : Case
+    angle : float
+        Angle that the body turns through over the stretch, rad.
+    measurements : tuple of Measurement
+    reference : Reference
+        Of the stretch.
+    interpolation_errors : tuple of InterpolationError
+        On the stretch.
+    interpolation_differences : dict
+        By interpolation, the angle of its final attitude from the scene's, rad; see
+        `final_differences`.
+    choices : dict
+        By target, rad, the recommended setting, or None if no setting meets the target.
+    error_on_whole : OnWhole
+        Returns the attitude error of a measurement on the whole log; see `recommend`.
+    ensemble : Advice, optional
+        For the ensemble that sets one of the targets.
 
     """
-    recommended = [line for target in result.choices for line in _recommended(result, target)]
-    return lines([*recommended, *_table(result, all_rows), '', *map(_pair, _facts(result))])
 
+    stretch: Case
+    whole: Case
+    angle: float
+    measurements: tuple[Measurement, ...]
+    reference: Reference
+    interpolation_errors: tuple[InterpolationError, ...]
+    interpolation_differences: Mapping[str, float | None]
+    choices: Mapping[float, Choice | None]
+    error_on_whole: OnWhole
+    ensemble: Advice | None = None
 
-def rows(result: Tradeoff) -> Iterator[tuple[str, str]]:
-    """Generate what was found for each target, and the limits of accuracy, without the table."""
-    for target, choice in result.choices.items():
-        aim, (name, text), *limits = _found(result, target)
-        setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
-        yield from (aim, (name, setting + text), *limits)
-    yield from _facts(result)
+    @property
+    def growth(self) -> float:
+        """Return the length of the whole log relative to the stretch."""
+        return self.whole.seconds / self.stretch.seconds
 
+    @property
+    def interpolation_error(self) -> InterpolationError | None:
+        """Return the estimated error of the scene's interpolation, None if there is none."""
+        return next((error for error in self.interpolation_errors
+                     if error.interpolation == self.stretch.interpolation), None)
 
-def as_data(result: Tradeoff) -> dict[str, Any]:
-    """Return all results for a JSON file; each key names its unit."""
-    span = result.stretch.seconds
-    targets = [_target_data(result, target) for target in result.choices]
-    return {
-        'machine': platform.platform(), 'processor': platform.processor() or platform.machine(),
-        'versions': {'python': platform.python_version(),
-                     **{name: metadata.version(name) for name in ('numpy',)}},
-        'stretch_s': span, 'stretch_angle_rad': result.angle, 'whole_s': result.whole.seconds,
-        'samples': result.stretch.samples, 'outputs': len(result.stretch.times_ns),
-        'interpolation': result.stretch.interpolation,
-        'torque_free': result.stretch.torque_free,
-        'rounding_floor_rad': result.reference.floor,
-        'rounding_floor_is': ' '.join(_FLOORS[result.stretch.has_terms]),
-        'last_digit_effect_rad': result.reference.last_digits,
-        **targets[0], 'targets': targets, 'ensemble': _ensemble_data(result.ensemble),
-        'readings': [{'interpolation': error.interpolation, 'thinned_by_two_rad': error.thinned,
-                      'estimated_error_rad': error.estimate}
-                     for error in result.interpolation_errors],
-        'interpolation_differences_rad': dict(result.interpolation_differences),
-        'runs': [_measurement_data(one, span) for one in result.measurements],
-    }
+    @property
+    def better_interpolation(self) -> InterpolationError | None:
+        """Return the best interpolation if it is clearly better than the scene's."""
+        own = self.interpolation_error
+        return better_interpolation(self.interpolation_errors, own) if own else None
 
+    def dominant(self, target: float, held: bool = False) -> str:
+        """
+        Return the largest source of error; without a recommendation, of the best setting.
 
-def curves(result: Tradeoff) -> dict[str, tuple[list[float], list[float]]]:
-    """
-    Return the points of each solver's curve, in the order of its settings.
+        A torque that is held between its samples has no error of the interpolation.
+        """
+        floor, own = self.reference.floor, self.interpolation_error
+        choice = self.choices[target]
+        errors = [one.error.attitude for one in self.measurements if not one.failure]
+        solver = choice.measurement.error.attitude if choice else min(errors, default=math.inf)
+        shares = {'rounding': floor, 'solver': solver, 'last digits': self.reference.last_digits,
+                  'interpolation': own.estimate if own and not held else 0.0}
+        # The error of a solver at the floor is rounding.
+        if solver <= 2.0 * floor:
+            shares['solver'] = 0.0
+        return max(shares, key=lambda name: shares[name])
 
-    Errors below the rounding floor are replaced by the floor: they are not significant, and would
-    bend the end of a curve.
+    def text(self, all_rows: bool = False) -> str:
+        """
+        Return the recommended settings, the table and the limits of accuracy as text.
 
-    Returns
-    -------
-    dict
-        By solver, largest attitude errors, rad, and costs, s per simulated second.
+        Parameters
+        ----------
+        all_rows : bool
+            Whether the table has all settings, or only the Pareto-optimal ones.
 
-    """
-    found: dict[str, tuple[list[float], list[float]]] = {}
-    for one in result.measurements:
-        if not one.failure:
-            errors, costs = found.setdefault(one.setting.solver, ([], []))
-            errors.append(max(one.error.attitude, result.reference.floor))
-            costs.append(one.seconds / result.stretch.seconds)
-    return found
+        """
+        recommended = [line for target in self.choices for line in _recommended(self, target)]
+        return lines([*recommended, *_table(self, all_rows), '', *map(_pair, _facts(self))])
 
+    def __str__(self) -> str:
+        return self.text()
 
-def reference_errors(result: Tradeoff) -> dict[str, float]:
-    """Return the errors, rad, that a plot draws as lines next to the curves, by their labels."""
-    found = {'rounding floor': result.reference.floor,
-             'last-digit effect': result.reference.last_digits}
-    found.update({f'target {target:g} rad': target for target in result.choices})
-    if error := result.interpolation_error:
-        found[f'{error.interpolation} interpolation'] = error.estimate
-    return found
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Generate what was found for each target, and the limits of accuracy."""
+        for target, choice in self.choices.items():
+            aim, (name, text), *limits = _found(self, target)
+            setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
+            yield from (aim, (name, setting + text), *limits)
+        yield from _facts(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all results for a JSON file; each key names its unit."""
+        span = self.stretch.seconds
+        targets = [_target_data(self, target) for target in self.choices]
+        return {
+            'machine': platform.platform(),
+            'processor': platform.processor() or platform.machine(),
+            'versions': {'python': platform.python_version(),
+                         **{name: metadata.version(name) for name in ('numpy',)}},
+            'stretch_s': span, 'stretch_angle_rad': self.angle, 'whole_s': self.whole.seconds,
+            'samples': self.stretch.samples, 'outputs': len(self.stretch.times_ns),
+            'interpolation': self.stretch.interpolation,
+            'torque_free': self.stretch.torque_free,
+            'rounding_floor_rad': self.reference.floor,
+            'rounding_floor_is': ' '.join(_FLOORS[self.stretch.has_terms]),
+            'last_digit_effect_rad': self.reference.last_digits,
+            **targets[0], 'targets': targets, 'ensemble': _ensemble_data(self.ensemble),
+            'readings': [{'interpolation': error.interpolation,
+                          'thinned_by_two_rad': error.thinned,
+                          'estimated_error_rad': error.estimate}
+                         for error in self.interpolation_errors],
+            'interpolation_differences_rad': dict(self.interpolation_differences),
+            'runs': [_measurement_data(one, span) for one in self.measurements],
+        }
+
+    def curves(self) -> dict[str, tuple[list[float], list[float]]]:
+        """
+        Return the points of each solver's curve, in the order of its settings.
+
+        Errors below the rounding floor are replaced by the floor: they are not significant, and
+        would bend the end of a curve.
+
+        Returns
+        -------
+        dict
+            By solver, largest attitude errors, rad, and costs, s per simulated second.
+
+        """
+        found: dict[str, tuple[list[float], list[float]]] = {}
+        for one in self.measurements:
+            if not one.failure:
+                errors, costs = found.setdefault(one.setting.solver, ([], []))
+                errors.append(max(one.error.attitude, self.reference.floor))
+                costs.append(one.seconds / self.stretch.seconds)
+        return found
+
+    def reference_errors(self) -> dict[str, float]:
+        """Return the errors, rad, that a plot draws as lines, by their labels."""
+        found = {'rounding floor': self.reference.floor,
+                 'last-digit effect': self.reference.last_digits}
+        found.update({f'target {target:g} rad': target for target in self.choices})
+        if error := self.interpolation_error:
+            found[f'{error.interpolation} interpolation'] = error.estimate
+        return found
 
 
 def _recommended(result: Tradeoff, target: float) -> Iterator[str]:

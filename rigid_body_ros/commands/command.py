@@ -1,0 +1,223 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a command is: its options, and what it does with them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import sys
+from typing import Any, NoReturn
+
+from rigid_body_ros.common.errors import InputError, printable
+from rigid_body_ros.runtime.terminal import show
+
+
+@dataclass(frozen=True)
+class Command:
+    """
+    A command.
+
+    Parameters
+    ----------
+    name, description : str
+    examples : sequence of str
+        Arguments to show at the end of the help; the files are those of the repository.
+    add_arguments : callable
+        Adds the options of the command to a parser.
+    run : callable
+        Does what the options ask for, and returns the exit status.
+    rest : str
+        The usage of what may follow '--', which `options.rest` then has; '' if nothing may.
+
+    """
+
+    name: str
+    description: str
+    examples: Sequence[str]
+    add_arguments: Callable[[Parser], None]
+    run: Callable[[argparse.Namespace], int]
+    rest: str = ''
+
+    def __call__(self, arguments: Sequence[str] | None) -> int:
+        """Run the command with arguments (default: those of the process)."""
+        return self.run(self.parsed(arguments))
+
+    def parsed(self, arguments: Sequence[str] | None) -> argparse.Namespace:
+        """Return the options; raise InputError if standard output is closed."""
+        if sys.stdout is None:
+            raise InputError('cannot write to standard output: it is closed')
+        given = [*(sys.argv[1:] if arguments is None else arguments)]
+        end = given.index('--') if self.rest and '--' in given else len(given)
+        options = self.parser().parse_args(given[:end])
+        options.arguments, options.rest = given, given[end + 1:]
+        return options
+
+    def parser(self) -> Parser:
+        """Return the parser of the arguments."""
+        parser = Parser(self)
+        self.add_arguments(parser)
+        if self.rest:
+            usage = parser.format_usage().removeprefix('usage: ').rstrip()
+            parser.usage = f'{usage} -- {self.rest}'
+        return parser
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that rejects repeated options and adds those that commands share."""
+
+    def __init__(self, command: Command) -> None:
+        super().__init__(prog=command.name, description=command.description)
+        self.register('action', None, _Once)
+        self.add_argument('--version', action=_Version, nargs=0, default=argparse.SUPPRESS,
+                          help='show the version and exit')
+        self.set_defaults(command=command.name)
+        self._examples = [f'{command.name} {arguments}' for arguments in command.examples]
+
+    def error(self, message: str) -> NoReturn:
+        """Report an error; unlike argparse, escape what a terminal would not print."""
+        super().error(printable(message))
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; unlike argparse, raise InputError if it cannot be written."""
+        examples = '\n  '.join(['examples, in a clone of the repository:', *self._examples])
+        show(f'{self.format_help()}\n{examples}')
+
+    def add_scene(self) -> None:
+        """Add the option for the scene."""
+        self.add_argument('--scene', required=True, metavar='FILE',
+                          help='ROS 2 parameter file with the inertia and the initial state, as '
+                          'for attitude_node')
+
+    def add_torques(self) -> None:
+        """Add the options for the topics of the torques."""
+        self.add_argument('--topic', action='append',
+                          help='topic of the torques; repeat it for torques that add up (default: '
+                          'the torque_topics of the scene; if scene and recording have one topic '
+                          'each, the names may differ)')
+        self.add_argument('--wheel-torque', metavar='TOPIC',
+                          help='topic of the torque of the motors on the rotors (default: '
+                          'wheel_torque, if the recording has it); needs a scene with wheels: '
+                          'true')
+        self.add_argument('--wheel-momentum', metavar='TOPIC',
+                          help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
+                          's, body axes), linear between samples; needs a scene with wheels: true')
+        self.add_argument('--wheel-command', metavar='TOPIC',
+                          help='topic of the efforts of wheels with names (JointState; default: '
+                          'wheel_command, if the recording has it); needs a scene with '
+                          'wheel_names')
+        self.add_argument('--inertia', metavar='TOPIC',
+                          help='topic of the inertia of a body that changes (InertiaStamped; '
+                          'default: inertia, if the recording has it); needs a scene with '
+                          'inertia_topic: true')
+
+    def add_interpolation(self) -> None:
+        """Add the option for the interpolation of the torques."""
+        self.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
+                          help='interpolation of the torques between samples (default: the '
+                          "scene's)")
+
+    def add_time_source(self, times: str) -> None:
+        """Add the option for the source of times; the help describes what they are."""
+        self.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
+                          help=f'{times} was logged or published (default: header)')
+
+    def add_measured(self, topics: str) -> None:
+        """Add the options for torques and measurements; the help describes the measured topics."""
+        self.add_argument('--measured', action='append', metavar='TOPIC', help=topics)
+        self.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
+                          help='the two frames of measured transforms or odometry (default: those '
+                          'of the scene)')
+        self.add_torques()
+        self.add_interpolation()
+        self.add_time_source('time of torques and measurements: the stamp in the header, or when '
+                             'the message')
+
+    def add_outputs(self, *, report: str, json: str = '', plot: str = '') -> None:
+        """Add the options for those outputs of which there is help, and --overwrite."""
+        if json:
+            self.add_argument('--json', metavar='OUT', help=json)
+        if plot:
+            self.add_argument('--plot', metavar='PNG', help=plot)
+        self.add_argument('--report', metavar='HTML',
+                          help=f'write a page for any browser, without network, that shows '
+                          f'{report}')
+        self.add_argument('--overwrite', action='store_true',
+                          help='replace output files that exist; folders are never replaced')
+
+    def add_degrees(self) -> None:
+        """Add the option for the unit of angles."""
+        self.add_argument('--degrees', action='store_true',
+                          help='print angles in degrees, and show them so on the page; JSON, and '
+                          'what the verdict says, stay in radians')
+
+
+class _Once(argparse.Action):
+    """Store the value of an option, and reject a second value."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
+                 values: Any, option_string: str | None = None) -> None:
+        """
+        Store a value.
+
+        Raises
+        ------
+        InputError
+            The option already has a value.
+
+        """
+        given = vars(namespace).setdefault('given', {})
+        if self.dest in given:
+            raise InputError(f'{option_string}: expected the option at most once, found '
+                             f'{given[self.dest]!r} and {values!r}')
+        given[self.dest] = values
+        setattr(namespace, self.dest, values)
+
+
+class _Version(argparse.Action):
+    """Show the version of the package, and exit."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
+                 values: Any, option_string: str | None = None) -> None:
+        """Show the version; raise InputError if it cannot be written."""
+        from rigid_body_ros.runtime.fingerprint import build_info
+        show(f"{parser.prog} {build_info()['version']}")
+        parser.exit()
+
+
+def add_scheduler(parser: argparse._ActionsContainer) -> None:
+    """Add the option for a Dask scheduler."""
+    parser.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
+                        'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that it '
+                        'wrote; it does not change the results')
+
+
+def within(low: float, high: float, what: str = 'a number',
+           kind: Callable[[str], Any] = float) -> Callable[[str], Any]:
+    """Return a function that reads a number between limits, as the type of an option."""
+    def read(text: str) -> Any:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            limits = f'{low} to {high}' if kind is int else f'{low:g} to {high:g}'
+            raise argparse.ArgumentTypeError(f'expected {what} from {limits}, found {text!r}')
+        return value
+    return read
+
+
+positive = within(1e-9, 1e9)

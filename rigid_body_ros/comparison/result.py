@@ -1,0 +1,269 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a comparison returns."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.comparison.align import align as aligned_by
+from rigid_body_ros.comparison.align import apart, errors_of, START
+from rigid_body_ros.comparison.alignment import Alignment
+from rigid_body_ros.comparison.errors import Errors, QUANTITIES, statistics
+from rigid_body_ros.comparison.horizons import Horizon
+from rigid_body_ros.comparison.motion import divided, inside, Motion
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.report.text import lines, rounded, scaled
+from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.residual_torque import ResidualTorque
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """
+    A measured motion compared with the propagated one.
+
+    Attributes
+    ----------
+    measured : tuple of Measured
+        As given.
+    alignments : tuple of Alignment
+        Of each sensor.
+    errors : tuple of Errors
+        Of each sensor, after alignment.
+    left_out : int
+        Number of samples outside of the motion.
+    horizons : tuple of Horizon
+    residual_torque : ResidualTorque, optional
+        None for a recorded motion, or the measurement is too short.
+    motion : Problem or Recorded
+        With the fitted start.
+    recording : str
+        Name of the recording, if there is one.
+    causes : tuple
+        Likely causes of the errors; see `find_causes`.
+    predictable_s : float, optional
+        After this time the measured uncertainty of the start alone explains errors of 0.1 rad;
+        None if it does not before the end, and for a recorded motion.
+
+    """
+
+    measured: tuple[Measured, ...]
+    alignments: tuple[Alignment, ...]
+    errors: tuple[Errors, ...]
+    left_out: int
+    horizons: tuple[Horizon, ...]
+    residual_torque: ResidualTorque | None
+    motion: Motion
+    recording: str = ''
+    causes: tuple[Any, ...] = ()
+    predictable_s: float | None = None
+
+    @property
+    def alignment(self) -> Alignment:
+        """Return the alignment of the first measured attitude, else of the first sensor."""
+        return next((one for one, sensor in zip(self.alignments, self.measured)
+                     if sensor.attitude is not None), self.alignments[0])
+
+    @property
+    def samples(self) -> int:
+        """Return the number of samples that are compared."""
+        return sum(len(errors.times_ns) for errors in self.errors)
+
+    @property
+    def span_s(self) -> float:
+        """Return the time from the first sample to the last, s."""
+        times_ns = np.concatenate([errors.times_ns for errors in self.errors])
+        return 1e-9 * float(np.ptp(times_ns))
+
+    @property
+    def aligned(self) -> tuple[Measured, ...]:
+        """Return the measurements in the time and the axes of the motion."""
+        return tuple(_within(self.motion, one.applied(sensor))
+                     for one, sensor in zip(self.alignments, self.measured))
+
+    def of(self, name: str) -> list[Errors]:
+        """Return the errors of the sensors that measure 'rotation_vectors' or 'rates'."""
+        return [errors for errors in self.errors
+                if getattr(errors, name) is not None and len(errors.times_ns)]
+
+    def pooled(self, name: str) -> Floats | None:
+        """
+        Return the 'rotation_vectors' or 'rates' of all sensors in the order of time.
+
+        None if no sensor measures that within the motion.
+        """
+        chosen = self.of(name)
+        if not chosen:
+            return None
+        times_ns = np.concatenate([errors.times_ns for errors in chosen])
+        values = np.concatenate([getattr(errors, name) for errors in chosen])
+        return np.asarray(values[np.argsort(times_ns, kind='stable')])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as JSON types; units are in the names."""
+        torque = self.residual_torque
+        found: dict[str, Any] = {
+            'recording': self.recording, 'measured': [errors.topic for errors in self.errors],
+            'samples': self.samples, 'span_s': self.span_s, 'left_out': self.left_out,
+            'rejected': sum(sensor.rejected for sensor in self.measured),
+            'alignment': self.alignment.as_dict(),
+            'alignments': {sensor.topic: one.of_sensor()
+                           for one, sensor in zip(self.alignments, self.measured)},
+            'attitude_error_rad': statistics(self.pooled('rotation_vectors'), final=True),
+            'rate_error_rad_s': statistics(self.pooled('rates'), final=True),
+            'horizons': [_horizon_dict(horizon) for horizon in self.horizons],
+            'residual_torque_N_m': statistics(torque.torques if torque else None),
+            'predictable_s': self.predictable_s,
+            'likely_causes': [cause.as_dict() for cause in self.causes]}
+        if torque:
+            found['residual_torque_N_m'] |= {'noise': torque.noise.tolist(),
+                                             'window_s': torque.window_s}
+        return found
+
+    def text(self, degrees: bool = False) -> str:
+        """Return a summary, one line per fact."""
+        return lines(f'{name:17}{text}' for name, text in self.rows(degrees))
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
+        """Generate the facts: names, which are empty if a fact continues, and texts."""
+        topics = ', '.join(errors.topic for errors in self.errors)
+        yield 'measured', f'{self.samples} samples of {topics}, over {self.span_s:.9g} s'
+        rejected = sum(sensor.rejected for sensor in self.measured)
+        if rejected:
+            yield 'rejected', f'{rejected} messages without a finite value up to {FASTEST:g} rad/s'
+        if self.left_out:
+            count = self.left_out
+            yield 'left out', f'{count} sample{"s" if count > 1 else ""} outside of the motion'
+        for damage in dict.fromkeys(sensor.damage for sensor in self.measured if sensor.damage):
+            yield 'lost', damage
+        if isinstance(self.motion, Problem) and not self.motion.sources:
+            yield 'torques', 'none in the recording: the body is free'
+        yield from _alignments(self, degrees)
+        for label, unit, attribute in QUANTITIES:
+            yield from _errors(label, *scaled(unit, degrees), self.pooled(attribute), True)
+        factor, unit = scaled('rad', degrees)
+        for horizon in self.horizons:
+            angles = factor * horizon.angles
+            text = f'rms {math.sqrt(np.mean(angles ** 2)):.3g}, 95 % ' \
+                   f'{np.percentile(angles, 95.0):.3g} {unit} in {len(angles)} windows' \
+                if len(angles) else 'no window, or no measured attitude'
+            yield f'after {horizon.seconds:g} s', text
+        if self.predictable_s is not None:
+            yield 'predictable', f'for {self.predictable_s:.4g} s from the start; later ' \
+                                 'errors say nothing about the model, those after horizons do'
+        torque = self.residual_torque
+        if torque:
+            yield from _errors('residual torque', 1.0, 'N m', torque.torques)
+            yield '', f'noise {written(torque.noise)} N m, in windows of {torque.window_s:.3g} s'
+        for cause in self.causes:
+            name = 'likely cause' if cause.explains else 'reduces'
+            yield name, f'{cause.text} ({cause.evidence})'
+
+
+def compared(motion: Motion, measured: Sequence[Measured],
+             align: Collection[str], most: int | None = None) -> Comparison:
+    """Return the errors after alignment with at most so many samples, without anything else."""
+    alignments = aligned_by(motion, measured, align, most)
+    if START in align and isinstance(motion, Problem):
+        motion = motion.replaced(start=alignments[0].start)
+    sensors = [one.applied(sensor) for one, sensor in zip(alignments, measured)]
+    within = [_within(motion, sensor) for sensor in sensors]
+    if not any(len(sensor) for sensor in within):
+        raise apart(motion, sensors)
+    states = motion.propagate(at=np.concatenate([sensor.stamps_ns for sensor in within]))
+    errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, part))
+                   for sensor, part in zip(within, divided(states, within)))
+    left_out = sum(map(len, sensors)) - sum(map(len, within))
+    return Comparison(tuple(measured), alignments, errors, left_out, (), None, motion)
+
+
+def _within(motion: Motion, sensor: Measured) -> Measured:
+    return sensor.rows(inside(motion, sensor.stamps_ns))
+
+
+def _horizon_dict(horizon: Horizon) -> dict[str, Any]:
+    values = statistics(horizon.angles[:, None])
+    return {'seconds': horizon.seconds, 'windows': len(horizon.angles),
+            **{f'attitude_{name}_rad': values[name] for name in ('rms', 'median', 'p95')},
+            **({'monitor': [one.as_dict() for one in horizon.judgements]}
+               if horizon.judgements else {})}
+
+
+def _alignments(comparison: Comparison, degrees: bool) -> Iterator[tuple[str, str]]:
+    for one, sensor in zip(comparison.alignments, comparison.measured):
+        sigma = one.sigma or {}
+        of = f' of {sensor.topic}' if len(comparison.measured) > 1 else ''
+        if 'clock_offset_s' in sigma:
+            spread = float(sigma['clock_offset_s'])
+            yield 'clock offset', f'{rounded(one.clock_offset_s, spread)} s ' \
+                                  f'({_known(spread, "s")}), added to the measured stamps{of}'
+        if 'mount_rad' in sigma:
+            yield 'mounting', _turn(one.mount, sigma['mount_rad'], degrees) + of
+    yield from _common(comparison.alignment, degrees)
+
+
+def _turn(quaternion: Floats, sigma: Floats, degrees: bool) -> str:
+    return 'rotation vector ' + _vector(so3.log(quaternion), sigma, *scaled('rad', degrees))
+
+
+def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
+    """Generate the alignment that all sensors share."""
+    sigma = alignment.sigma or {}
+    if 'space_rad' in sigma:
+        yield 'space axes', _turn(alignment.space, sigma['space_rad'], degrees)
+    if alignment.start:
+        text = f'attitude xyzw {written(alignment.start.attitude)}'
+        if 'initial_attitude_rad' in sigma:
+            factor, unit = scaled('rad', degrees)
+            text += f' ({_known(factor * np.max(sigma["initial_attitude_rad"]), unit)})'
+        yield 'start', text
+        yield '', 'angular velocity ' + _vector(
+            alignment.start.angular_velocity, sigma['initial_angular_velocity_rad_s'],
+            *scaled('rad/s', degrees))
+
+
+def _vector(values: Floats, sigma: Any, factor: float, unit: str) -> str:
+    """Return a vector, each component rounded to its standard deviation, and the largest one."""
+    spreads = factor * np.broadcast_to(sigma, 3)
+    texts = ', '.join(rounded(factor * value, spread) for value, spread in zip(values, spreads))
+    return f'({texts}) {unit} ({_known(float(spreads.max()), unit)})'
+
+
+def _known(sigma: float, unit: str) -> str:
+    return f'sigma {sigma:.2g} {unit}' if math.isfinite(sigma) else \
+        'the measurement does not determine it'
+
+
+def _errors(name: str, factor: float, unit: str, vectors: Floats | None,
+            final: bool = False) -> Iterator[tuple[str, str]]:
+    if vectors is None or not len(vectors):
+        return
+    values = statistics(factor * vectors, final)
+    axes = written(np.array(values.pop('axes_rms')))
+    names = {'rms': 'rms', 'median': 'median', 'p95': '95 %', 'max': 'max', 'final': 'at the end'}
+    parts = ', '.join(f'{names[key]} {value:.3g}' for key, value in values.items())
+    yield name, f'{parts} {unit}'
+    yield '', f'rms about the body axes {axes} {unit}'

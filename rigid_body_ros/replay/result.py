@@ -1,0 +1,181 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a replay returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import euler
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem, Trajectory
+from rigid_body_ros.replay.batches import Collector
+from rigid_body_ros.replay.check import Check, LastDigits
+from rigid_body_ros.replay.gaps import Gaps
+from rigid_body_ros.report.text import interpolation_row, lines
+from rigid_body_ros.scene import fields, Scene, wheels
+
+#: The effect of the last digits is reported if it exceeds the rounding error by this factor.
+_REPORTED = 10.0
+
+
+@dataclass(eq=False)
+class Replay:
+    """
+    A replayed recording.
+
+    Attributes
+    ----------
+    scene : Scene
+    interpolation : str
+    topic : str
+        Topic of the torques; several are separated by commas.
+    wheel_source : str
+        Where the torque on the rotors comes from.
+    messages : int
+        Number of torque messages.
+    unordered : int
+        Number of messages whose stamp is not later than the stamp of the previous message.
+    first_ns, last_ns : int
+        First and last torque stamp, ns.
+    damage : str
+        Which part of the recording was lost; '' if none.
+    start, last : State
+        First and last state of the motion.
+    solvers : dict
+        By solver and reason, the length of the motion computed with it, ns.
+    interpolation_differences : dict
+        By other interpolation, the angle, rad, between its final attitude and that of the motion;
+        None if the body spins too fast to compute.
+    check : Check, optional
+        How much the motion, or the part of it that is checked, violates the conservation laws.
+    last_digits : LastDigits, optional
+        How far the motion, or the beginning of it, moves if the last digits of inertia, torques
+        and start change; None if that was not estimated.
+    gaps : tuple of Gaps
+        Those of each log: of the torques in the order of the topics, then on the rotors.
+    seconds : dict
+        Wall time spent to read, propagate and write, s.
+    problem, trajectory : Problem, Trajectory, optional
+        With all torques, and the whole motion, if `keep` was set.
+    collected : optional
+        What `collect` returned.
+    earlier : tuple of Replay
+        Those of the earlier epochs, if the recording has several epochs of a node: this one is of
+        the last epoch.
+
+    """
+
+    scene: Scene
+    interpolation: str
+    topic: str
+    wheel_source: str = ''
+    messages: int = 0
+    unordered: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    damage: str = ''
+    start: State = field(default_factory=State)
+    last: State = field(default_factory=State)
+    solvers: dict[str, int] = field(default_factory=dict)
+    interpolation_differences: dict[str, float | None] = field(default_factory=dict)
+    check: Check | None = None
+    last_digits: LastDigits | None = None
+    gaps: tuple[Gaps, ...] = ()
+    seconds: dict[str, float] = field(
+        default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
+    problem: Problem | None = None
+    trajectory: Trajectory | None = None
+    collected: Collector | None = None
+    earlier: tuple[Replay, ...] = ()
+
+    def text(self) -> str:
+        """Return a summary, one line per fact."""
+        return lines(f'{name:14}{text}' for name, text in self.rows())
+
+    __str__ = text
+
+    def rows(self) -> list[tuple[str, object]]:
+        """Return the facts of a summary: names and texts."""
+        last, epochs = self.last, (*self.earlier, self)
+        sequence = self.scene.euler_sequence
+        seconds = {name: sum(one.seconds[name] for one in epochs) for name in self.seconds}
+        split = ', '.join(f'{name} {taken:.2g} s' for name, taken in seconds.items())
+        speed = sum(map(_span, epochs)) / sum(seconds.values())
+        return [
+            *_earlier(self),
+            ('torques', f'{self.messages} on {self.topic}, over '
+                        f'{(self.last_ns - self.first_ns) * 1e-9:.9g} s'),
+            *([('lost', self.damage)] if self.damage else []),
+            *([('order', f'{self.unordered} of {self.messages} stamps were not later than the '
+                         'previous one: sorted; of messages with equal stamps, the last is used')]
+              if self.unordered else []),
+            *_gaps(self),
+            ('interpolation', interpolation_row(self.interpolation,
+                                                self.interpolation_differences)),
+            ('body', self.scene.body.symmetry),
+            *(('fields', text) for text in fields.described(self.scene.values)),
+            *(('wheels', text) for text in wheels.described(self.scene.values)),
+            *([('rotors', self.wheel_source)] if self.scene.has_rotors else []),
+            *(('solver', text) for text in _solvers(self)),
+            ('final state', f'{_span(self):.9g} s after the start'),
+            ('  attitude', f'{_numbers(last.attitude)}  (x y z w)'),
+            (f'  {sequence}', f'{_numbers(euler.from_quaternion(last.attitude, sequence))}  rad'),
+            ('  body rates', f'{_numbers(last.angular_velocity)}  rad/s'),
+            *([('  rotors', f'{_numbers(last.rotor_momentum)}  N m s')]
+              if self.scene.has_rotors else []),
+            ('check', self.check),
+            *([('last digits', self.last_digits)] if _is_reported(self.last_digits) else []),
+            ('speed', f'{speed:.3g} times real time ({split})'),
+        ]
+
+
+def _earlier(result: Replay) -> list[tuple[str, object]]:
+    """Return the facts of the earlier epochs, if there are any, a line for each."""
+    if not result.earlier:
+        return []
+    return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows after '
+                       'these, plots and pages are of the last one'),
+            *((f'  epoch {number}', f'from {one.start.time_ns} ns on, over {_span(one):.9g} s, to '
+               f'attitude {_numbers(one.last.attitude)} (x y z w) and body rates '
+               f'{_numbers(one.last.angular_velocity)} rad/s')
+              for number, one in enumerate(result.earlier, 1))]
+
+
+def _gaps(result: Replay) -> list[tuple[str, object]]:
+    """Return the longest gap in the log that has the longest one, and warnings about all logs."""
+    gaps = [gaps for gaps in result.gaps if gaps.longest.length_ns]
+    longest = sorted(gaps, key=lambda one: one.longest.length_ns)[-1:]
+    return [*(('longest gap', str(one)) for one in longest),
+            *(('warning', one.warning) for one in gaps if one.warning)]
+
+
+def _span(result: Replay) -> float:
+    return (result.last.time_ns - result.start.time_ns) * 1e-9
+
+
+def _is_reported(digits: LastDigits | None) -> bool:
+    return digits is not None and digits.effect > _REPORTED * digits.rounding
+
+
+def _solvers(result: Replay) -> list[str]:
+    if len(result.solvers) == 1:
+        return [*result.solvers]
+    return [f'{span_ns * 1e-9:.9g} s by {name}' for name, span_ns in result.solvers.items()]
+
+
+def _numbers(values: Floats) -> str:
+    return ' '.join(f'{value:.15g}' for value in values)
