@@ -501,12 +501,15 @@ def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
 @pytest.mark.parametrize('log', [
     None, TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]]),
     TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]], frame='space')])
-def test_the_check_of_a_motion_knows_its_wheels(log):
+@pytest.mark.parametrize('wheels', [LIMITED, SLOWED])
+def test_the_check_of_a_motion_knows_its_wheels(log, wheels):
     efforts = EffortLog([0, SECOND, 2 * SECOND], [[0.3, 0.1, 0.0, -0.3], [0.5] * 4, [-0.1] * 4])
-    problem = Problem(BODY, START, log, wheels=LIMITED, efforts=efforts)
+    problem = Problem(BODY, START, log, wheels=wheels, efforts=efforts)
     at = np.arange(0, 10 * SECOND, SECOND // 10)
     motion = problem.propagate(at=at)
     assert float(re.search(r'[\d.]+e[-+]\d+', drift(problem, motion).finding)[0]) < 1e-9
+    if problem.has_friction:
+        return
     other = problem.carried().propagate(at=at)
     assert np.array_equal(other.attitude, motion.attitude)
     assert np.array_equal(other.angular_velocity, motion.angular_velocity)
