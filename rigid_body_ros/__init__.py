@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from rigid_body_ros.mechanics.bodies import RigidBodies
     from rigid_body_ros.mechanics.body import RigidBody
     from rigid_body_ros.mechanics.changes import BodyLog
+    from rigid_body_ros.mechanics.efforts import EffortLog
     from rigid_body_ros.mechanics.fields import GravityGradient, UniformField
     from rigid_body_ros.mechanics.state import State
     from rigid_body_ros.mechanics.states import States
     from rigid_body_ros.mechanics.torque import TorqueLog
-    from rigid_body_ros.mechanics.wheels import EffortLog, Wheel
+    from rigid_body_ros.mechanics.wheels import Wheel
     from rigid_body_ros.propagation import (
         Problem,
         propagate,
@@ -47,7 +48,7 @@ else:
               'Actuator': 'mechanics.actuator', 'BodyLog': 'mechanics.changes',
               'State': 'mechanics.state', 'States': 'mechanics.states',
               'GravityGradient': 'mechanics.fields', 'UniformField': 'mechanics.fields',
-              'TorqueLog': 'mechanics.torque', 'EffortLog': 'mechanics.wheels',
+              'TorqueLog': 'mechanics.torque', 'EffortLog': 'mechanics.efforts',
               'Wheel': 'mechanics.wheels', 'euler': 'mechanics.euler',
               'frames': 'mechanics.frames', 'so3': 'mechanics.so3', 'urdf': 'mechanics.urdf',
               'Propagator': 'propagation', 'Trajectories': 'propagation',

@@ -121,10 +121,11 @@ def checked(tmp_path, live, torques=TORQUES[:1]):
     return problem, result
 
 
-def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
+@pytest.mark.parametrize('friction', [0.0, pytest.param(2e-5, marks=pytest.mark.nightly)])
+def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, friction):
     random = np.random.default_rng(38)
-    with Wheels(SCENE, domain, *SOURCES, *PATIENT, *ACTUATOR,
-                '-p', 'torque_timeout:=0.05') as live:
+    with Wheels(SCENE, domain, *SOURCES, *PATIENT, *ACTUATOR, '-p', 'torque_timeout:=0.05',
+                '-p', f'rw_skewed.friction:={friction}') as live:
         disturbance = live.node.create_publisher(WrenchStamped, 'disturbance', 1000)
         live.wait_until(disturbance.get_subscription_count, 'the node to subscribe')
         start_ns, plan = live.now_ns(), []
@@ -164,13 +165,16 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
     np.testing.assert_array_equal(motion.wheel_efforts, [found[t][1] for t in sorted(found)])
 
 
-def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(tmp_path, domain):
+@pytest.mark.parametrize('friction', [0.0, 2e-5])
+def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(tmp_path, domain,
+                                                                               friction):
     run = scene.load(SCENE)
     with Wheels(SCENE, domain, *LOCKSTEP, '-p', 'history:=0.1', '-p', 'max_future:=0.05',
-                '-p', 'rw_x.max_speed:=5.0') as live:
+                '-p', 'rw_x.max_speed:=5.0', '-p', f'rw_skewed.friction:={friction}') as live:
         # Only the controller of wheels sends.
         live.disconnect()
         first, *others = run.named_wheels
+        others[-1] = replace(others[-1], friction=friction)
         judge = Propagator(run.body, replace(run.start, time_ns=SECOND), history=10.0,
                            wheels=[replace(first, max_speed=5.0), *others])
         for number in range(100):
@@ -354,6 +358,11 @@ def test_compare_knows_the_wheels_and_other_commands_refuse_them(tmp_path, capsy
     assert found['attitude_error_rad']['max'] < 1e-15
     assert found['horizons'][-1]['attitude_p95_rad'] < 1e-11
     capsys.readouterr()
+    slowed = tmp_path / 'slowed.yaml'
+    slowed.write_text(SCENE.read_text() + '    rw_x.friction: 1.0e-5\n')
+    assert main.attitude_compare([str(path), '--scene', str(slowed)]) == 2
+    assert 'wheels: expected none with friction, which only a propagation computes, found rw_x' \
+        in capsys.readouterr().err
     for command, options in ((main.attitude_identify, arguments),
                              (main.attitude_tradeoff, ['--recording', *arguments])):
         assert command(options) == 2

@@ -15,6 +15,7 @@
 """Wheels with names: exact to rounding, and the same bits in any order of arrival."""
 
 from dataclasses import replace
+from itertools import product
 import re
 
 import numpy as np
@@ -65,6 +66,9 @@ PYRAMID = [Wheel(name, axis, 0.05, speed, max_torque=0.3) for name, axis, speed 
     ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 40.0), ('c', (-1, -1, 1), -3.0),
     ('d', (1, -1, 1), 9.0))]
 LIMITED = [replace(wheel, max_speed=10.0) for wheel in PYRAMID]
+#: One of them turns without friction.
+SLOWED = [replace(wheel, friction=friction)
+          for wheel, friction in zip(LIMITED, (0.02, 0.05, 0.0, 0.01))]
 
 
 def same(one, other):
@@ -87,17 +91,20 @@ def arrivals(log, wheels=PYRAMID):
         wheels, row) if effort == effort}) for stamp, row in zip(log.times_ns, log.efforts)]
 
 
-@pytest.mark.parametrize('name', ['wheels_spin_up'])
+@pytest.mark.parametrize('name', ['wheels_spin_up', 'wheels_friction'])
 def test_motions_agree_with_fifty_digits(name, fifty_digits):
     body, start, values = terms.reference(name)
-    rows = values['efforts_t_ns_each']
+    rows, logs = values['efforts_t_ns_each'], [
+        TorqueLog([row[0] for row in source['t_ns_x_y_z']],
+                  [row[1:] for row in source['t_ns_x_y_z']], source['frame'])
+        for source in values.get('sources', ())]
     terms.assert_agrees(Problem(
-        body, start, wheels=[Wheel(**wheel) for wheel in values['wheels']],
+        body, start, logs, wheels=[Wheel(**wheel) for wheel in values['wheels']],
         efforts=EffortLog([row[0] for row in rows], [row[1:] for row in rows])), values)
 
 
-@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED])
-@pytest.mark.parametrize('solver', ['auto', 'taylor', 'rk4', 'explicit_euler'])
+@pytest.mark.parametrize(('solver', 'wheels'), [
+    *product(['auto', 'taylor', 'rk4', 'explicit_euler'], [PYRAMID, LIMITED]), ('auto', SLOWED)])
 @pytest.mark.parametrize('keep', ['rate', 'momentum'])
 def test_any_order_of_arrival_gives_the_same_bits(keep, solver, wheels):
     rng = np.random.default_rng(38)
@@ -135,8 +142,9 @@ def test_any_order_of_arrival_gives_the_same_bits(keep, solver, wheels):
             assert np.array_equal(state.wheel_speeds, expected.wheel_speeds[row])
 
 
-def test_momentum_in_space_is_constant_with_wheels_alone():
-    motion = propagate(BODY, START, at=np.arange(0, 100 * SECOND, 10 ** 8), wheels=PYRAMID,
+@pytest.mark.parametrize('wheels', [PYRAMID, SLOWED])
+def test_momentum_in_space_is_constant_with_wheels_alone(wheels):
+    motion = propagate(BODY, START, at=np.arange(0, 100 * SECOND, 10 ** 8), wheels=wheels,
                        efforts=EffortLog(np.arange(100) * SECOND, 0.3 * np.random.default_rng(
                            1).normal(size=(100, 4))))
     momentum = motion.angular_momentum_space
@@ -145,6 +153,70 @@ def test_momentum_in_space_is_constant_with_wheels_alone():
     by_hand = BODY.angular_momentum(motion.angular_velocity) + 0.05 * motion.wheel_speeds @ \
         np.array([wheel.axis for wheel in PYRAMID])
     assert np.abs(so3.rotate(motion.attitude, by_hand) - momentum[0]).max() < 1e-14 * largest
+
+
+def energy(body, wheels, motion):
+    """Return the kinetic energy of a body with its wheels, J, shape (m,)."""
+    inertia = np.array([wheel.inertia for wheel in wheels])
+    turns = motion.angular_velocity @ np.array([wheel.axis for wheel in wheels]).T
+    whole = motion.wheel_speeds + turns
+    return motion.kinetic_energy + 0.5 * (whole ** 2 - turns ** 2) @ inertia
+
+
+def test_friction_takes_energy_until_the_wheels_turn_with_the_body():
+    at = np.arange(0, 300 * SECOND, SECOND // 10)
+    wheels = [replace(wheel, friction=0.02) for wheel in PYRAMID]
+    motion = propagate(BODY, START, at=at, wheels=wheels)
+    change = np.diff(energy(BODY, wheels, motion))
+    assert (change < 1e-14).all()
+    assert change[:100].max() < -1e-4
+    loss = 0.02 * (motion.wheel_speeds[:-1] ** 2 + motion.wheel_speeds[1:] ** 2).sum(axis=1) / 2
+    assert change[:100] == pytest.approx(-0.1 * loss[:100], rel=1e-2)
+    # What is left is a body with wheels that are locked but for its rotation.
+    assert abs(motion.wheel_speeds[-1]).max() < 0.1
+    momentum = motion.angular_momentum_space
+    assert abs(momentum - momentum[0]).max() < 4e-15 * np.linalg.norm(momentum[0])
+
+
+def test_a_wheel_along_the_axis_of_rotation_slows_as_an_exponential():
+    wheel = Wheel('w', (0, 0, 1), 0.1, 50.0, friction=0.03)
+    body = RigidBody(np.diag([2.0, 3.0, 4.0]))
+    at = np.arange(0, 30 * SECOND, SECOND)
+    motion = propagate(body, State(), at=at, wheels=[wheel], efforts=EffortLog([0], [[0.3]]))
+    rate = 0.03 * (1.0 / 0.1 + 1.0 / 3.9)
+    last = 0.3 / 0.03  # where friction balances the motor
+    expected = last + (50.0 - last) * np.exp(-rate * at * 1e-9)
+    np.testing.assert_allclose(motion.wheel_speeds[:, 0], expected, rtol=2e-15)
+    np.testing.assert_allclose(motion.angular_velocity[:, 2], 0.1 * (50.0 - expected) / 4.0,
+                               rtol=2e-14, atol=1e-15)
+
+
+def test_no_friction_changes_no_bit_and_a_little_is_close():
+    efforts, at = commands(np.random.default_rng(11)), np.arange(0, 4 * SECOND, SECOND // 7)
+    without = propagate(BODY, START, at=at, wheels=LIMITED, efforts=efforts)
+    none = [replace(wheel, friction=0.0) for wheel in SLOWED]
+    assert same(propagate(BODY, START, at=at, wheels=none, efforts=efforts), without)
+    little = [replace(wheel, friction=1e-18) for wheel in LIMITED]
+    found = propagate(BODY, START, at=at, wheels=little, efforts=efforts)
+    assert abs(found.attitude - without.attitude).max() < 2e-15
+    assert abs(found.wheel_speeds - without.wheel_speeds).max() < 1e-13
+
+
+@pytest.mark.parametrize('friction', [50.0, 5e4])
+def test_friction_far_faster_than_a_step_stops_the_wheels(friction):
+    # Time constants of 1 ms and 1 us, and commands every 100 ms.
+    wheels = [replace(wheel, friction=friction, max_speed=0.0) for wheel in SLOWED]
+    stamps = np.arange(2) * SECOND // 100
+    efforts = EffortLog(stamps, 0.3 * np.random.default_rng(12).normal(size=(2, 4)))
+    at = np.array([0, SECOND // 100, SECOND // 50])
+    motion = propagate(BODY, START, at=at, wheels=wheels, efforts=efforts)
+    assert abs(motion.wheel_speeds[1:]).max() < 0.3 / friction * 2.0 + 0.05 / friction
+    momentum = motion.angular_momentum_space
+    assert abs(momentum - momentum[0]).max() < 1e-14 * np.linalg.norm(motion.rotor_momentum[0])
+    # The wheels turn with the body, as if they were locked.
+    whole = so3.rotate(so3.conjugate(motion.attitude[1:]), momentum[1:])
+    assert motion.angular_velocity[1:] == pytest.approx(
+        np.linalg.solve(BODY.inertia, whole.T).T, abs=1.0 / friction)
 
 
 def test_a_command_that_would_speed_up_a_fast_wheel_acts_as_zero():
@@ -219,7 +291,7 @@ def test_all_commands_time_out_after_the_last_of_them():
     assert motion.wheel_efforts.tolist() == [[0.3, 0.2, 0.0, 0.0], [0.0] * 4]
 
 
-@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED])
+@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED, SLOWED])
 @pytest.mark.parametrize('timeout', [0.0, 0.1])
 def test_a_motion_in_pieces_has_the_same_bits(wheels, timeout):
     rng = np.random.default_rng(3)
@@ -248,7 +320,7 @@ def test_a_motion_in_pieces_has_the_same_bits(wheels, timeout):
     assert run.refused_commands == whole.refused_commands
 
 
-@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED])
+@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED, SLOWED])
 def test_a_state_restarts_with_the_same_bits(wheels):
     rng = np.random.default_rng(5)
     efforts = commands(rng)
@@ -307,7 +379,18 @@ def test_without_efforts_the_axial_momentum_of_each_wheel_is_constant():
     (lambda: Wheel('w', (0, 0, 0), 1.0), "axis of wheel 'w': expected a direction, found zeros"),
     (lambda: Wheel('w', (1, 0, 0), 0.0), "inertia of wheel 'w': expected kg m^2 greater than"),
     (lambda: Wheel('w', (1, 0, 0), 1.0, max_speed=-1.0), "max_speed of wheel 'w': expected zero"),
-    (lambda: Wheel('w', (1, 0, 0), 1.0, friction=0.1), "friction of wheel 'w': expected 0, "),
+    (lambda: Wheel('w', (1, 0, 0), 1.0, friction=-0.1), "friction of wheel 'w': expected zero"),
+    (lambda: Problem(BODY, START, wheels=[Wheel(f'w{k}', (1, 0, 0), 0.01, friction=0.1)
+                                          for k in range(9)]),
+     'wheels: expected at most 8 if one of them has friction, found 9'),
+    (lambda: propagate(BODY, START, at=[0], wheels=[Wheel('w', (1, 0, 0), 0.01, friction=2e7)]),
+     'wheels: expected friction whose quotients by the moments of inertia are at most 1e+09 1/s'),
+    (lambda: Problem(BODY, START, wheels=SLOWED, solver='rk4', max_step=0.01),
+     "solver 'rk4' handles no friction of wheels, which auto and taylor do"),
+    (lambda: Propagator(BODY, START, wheels=SLOWED, solver='explicit_euler', max_step=0.01),
+     "solver 'explicit_euler' handles no friction of wheels, "),
+    (lambda: Problem(BODY, START, wheels=SLOWED).carried(),
+     'wheels: expected none with friction, which only a propagation computes, found a, b, d'),
     (lambda: EffortLog([0], [[np.inf]]), 'effort 0 at 0 ns: expected finite numbers, or NaN'),
     (lambda: EffortLog([0], [1.0]), 'efforts: expected shape (1, wheels), found (1,)'),
     (lambda: Problem(BODY, START, wheels=PYRAMID, efforts=EffortLog([0], [[1.0]])),
@@ -357,7 +440,9 @@ def test_a_scene_names_wheels():
 @pytest.mark.parametrize(('values', 'message'), [
     ({'wheels': True}, 'wheel_names: expected none with wheels: true, found rw_x, rw_yz'),
     ({'rw_x.axis.x': 0.0}, 'rw_x.axis: expected rw_x.axis.x, .y or .z other than 0, found zeros'),
-    ({'rw_x.friction': 0.1}, "friction of wheel 'rw_x': expected 0, because wheels with friction"),
+    ({'rw_x.friction': -0.1}, 'rw_x.friction: expected a finite number not less than 0'),
+    ({'rw_x.friction': 0.1, 'solver': 'rk4', 'max_step': 0.1},
+     "solver 'rk4' handles no friction of wheels"),
     ({'rw_x.inertia': 0.0}, 'rw_x.inertia: expected a finite number greater than 0'),
     ({'rw_x.inertia': None}, 'rw_x.inertia: expected a number (kg m^2), found none'),
     ({'rw_x.inertia': 1.9}, 'wheels: expected axial inertia that the body can have, found'),
@@ -425,12 +510,15 @@ def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
 @pytest.mark.parametrize('log', [
     None, TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]]),
     TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]], frame='space')])
-def test_the_check_of_a_motion_knows_its_wheels(log):
+@pytest.mark.parametrize('wheels', [LIMITED, SLOWED])
+def test_the_check_of_a_motion_knows_its_wheels(log, wheels):
     efforts = EffortLog([0, SECOND, 2 * SECOND], [[0.3, 0.1, 0.0, -0.3], [0.5] * 4, [-0.1] * 4])
-    problem = Problem(BODY, START, log, wheels=LIMITED, efforts=efforts)
+    problem = Problem(BODY, START, log, wheels=wheels, efforts=efforts)
     at = np.arange(0, 10 * SECOND, SECOND // 10)
     motion = problem.propagate(at=at)
     assert float(re.search(r'[\d.]+e[-+]\d+', drift(problem, motion).finding)[0]) < 1e-9
+    if problem.has_friction:
+        return
     other = problem.carried().propagate(at=at)
     assert np.array_equal(other.attitude, motion.attitude)
     assert np.array_equal(other.angular_velocity, motion.angular_velocity)

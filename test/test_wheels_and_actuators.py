@@ -14,6 +14,8 @@
 
 """Wheels with names, actuators and changes of the body together: one motion, bit for bit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rigid_body_ros import (
@@ -35,11 +37,12 @@ SMALLER = RigidBody.from_moments(1.5, 2.2, 2.6, 0.05, -0.1)
 START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2), (0.2, -0.1, 0.4))
 WHEELS = [Wheel(name, axis, 0.05, speed, max_torque=0.3, max_speed=9.0) for name, axis, speed in (
     ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 9.0), ('c', (1, -1, 1), -8.0))]
+SLOWED = [replace(wheel, friction=0.0005) for wheel in WHEELS]
 #: Of three sources: with a lag, ideal, and with another lag.
 ACTUATORS = (Actuator(0.05, 0.02, (0.8, 0.0, 0.5)), None, Actuator(0.02, 0.1))
 
 
-def problem_of(rng, keep, **options):
+def problem_of(rng, keep, wheels=WHEELS, **options):
     """
     Return a problem with everything, and the calls that apply it.
 
@@ -64,7 +67,7 @@ def problem_of(rng, keep, **options):
         for stamp, row in zip(efforts.times_ns, efforts.efforts)]
     calls += [('apply_body', int(stamp), body, keep)
               for stamp, body in zip(changes.times_ns, changes.bodies)]
-    return Problem(BODY, START, logs, wheels=WHEELS, efforts=efforts, changes=changes,
+    return Problem(BODY, START, logs, wheels=wheels, efforts=efforts, changes=changes,
                    actuator=ACTUATORS, **options), calls
 
 
@@ -75,19 +78,20 @@ def all_of(motion):
 
 
 @pytest.mark.parametrize('timeout', [0.0, 0.04, 0.3])
-@pytest.mark.parametrize('solver', ['auto', 'rk4'])
+@pytest.mark.parametrize(('solver', 'wheels'), [
+    ('auto', WHEELS), ('rk4', WHEELS), ('auto', SLOWED)])
 @pytest.mark.parametrize('keep', ['rate', 'momentum'])
-def test_any_order_of_arrival_gives_the_bits_of_the_whole_logs(keep, solver, timeout):
+def test_any_order_of_arrival_gives_the_bits_of_the_whole_logs(keep, solver, wheels, timeout):
     rng = np.random.default_rng(45)
     options = {'solver': solver, 'max_step': 0.01 if solver == 'rk4' else None,
                'torque_timeout': timeout}
-    problem, calls = problem_of(rng, keep, **options)
+    problem, calls = problem_of(rng, keep, wheels, **options)
     at = np.union1d(rng.integers(0, 3 * SECOND, 40), problem.stamps_ns[problem.stamps_ns > 0])
     run = Integration(problem)
     expected = all_of(run.advance(at))
     assert run.refused_commands >= 4
     for _ in range(2):
-        propagator = Propagator(BODY, START, wheels=WHEELS, actuator=ACTUATORS, history=10.0,
+        propagator = Propagator(BODY, START, wheels=wheels, actuator=ACTUATORS, history=10.0,
                                 **options)
         for number in rng.permutation(len(calls)):
             name, *values = calls[number]
@@ -104,8 +108,9 @@ def test_any_order_of_arrival_gives_the_bits_of_the_whole_logs(keep, solver, tim
             assert np.array_equal(all_of(motion), expected[row:])
 
 
-def test_short_timelines_of_wheels_change_no_bit_of_what_lags(monkeypatch):
-    problem, _ = problem_of(np.random.default_rng(46), 'rate')
+@pytest.mark.parametrize('wheels', [WHEELS, SLOWED])
+def test_short_timelines_of_wheels_change_no_bit_of_what_lags(monkeypatch, wheels):
+    problem, _ = problem_of(np.random.default_rng(46), 'rate', wheels)
     at = np.linspace(0, 3 * SECOND, 100).astype(np.int64)
     expected = all_of(problem.propagate(at=at))
     monkeypatch.setattr(integration, '_SPAN', 4)

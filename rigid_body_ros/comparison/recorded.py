@@ -77,7 +77,10 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         searched = LARGEST_OFFSET if moves_clocks else 0.0
         stated, during = read_observed(path, scene, reading, searched, may_command=True)
         # A part of the motion begins with the momentum of the rotors, not with speeds of wheels.
-        moved = stated.carried()
+        try:
+            moved = stated.carried()
+        except ValueError as error:
+            raise InputError(f'{path}: {error}') from error
     else:
         moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
     try:

@@ -32,6 +32,8 @@ from rigid_body_ros.kernels.lags import MOST as MOST_LAGS
 from rigid_body_ros.kernels.layout import (
     FASTEST,
     FieldTerms,
+    Friction,
+    FrictionTerms,
     Lags,
     LagTerms,
     Rows,
@@ -39,6 +41,7 @@ from rigid_body_ros.kernels.layout import (
     Sums,
     Terms,
 )
+from rigid_body_ros.kernels.state_layout import MOST_WHEELS
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
 __all__ = [
@@ -48,7 +51,10 @@ __all__ = [
     'FIELDS',
     'MOST_FIELDS',
     'MOST_LAGS',
+    'MOST_WHEELS',
     'FieldTerms',
+    'Friction',
+    'FrictionTerms',
     'LagTerms',
     'Lags',
     'Rows',

@@ -31,6 +31,7 @@ from rigid_body_ros.kernels import (
     euler_equations,
     fields,
     four,
+    friction,
     lags,
     layout,
     linear_terms,
@@ -78,7 +79,8 @@ class Loads(NamedTuple):
     low_momentum: vector.Vector
     #: Of the body.
     constants: linear_terms.Constants
-    #: Degree of the momentum; negative: there are neither rotors nor damping.
+    #: Degree of the momentum, without that of wheels with friction; negative: there are neither
+    #: rotors nor damping.
     linear_degree: int
     #: Torque in space axes, N m, beside a drive in body axes, and its degree; negative: none.
     space_torque: vector.Polynomial
@@ -87,6 +89,8 @@ class Loads(NamedTuple):
     fields: NDArray[Any] | None
     #: The torques that lag; None without.
     lags: lags.RowLags | None
+    #: The wheels with friction; None without.
+    friction: friction.RowFriction | None
 
 
 @inlined
@@ -191,18 +195,23 @@ def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None,
     (a, b, c, d), degree = _polynomial_or(zero, motors, row)
     torque, space_degree = _polynomial_or(zero, space, row)
     varies = not is_zero((a, b, c, d))
-    acts = varies or not (vector.is_zero(first) and linear_terms.is_zero(
-        constants.damping.matrix))
+    acts = varies or fields.exist(others.friction) or not (
+        vector.is_zero(first) and linear_terms.is_zero(constants.damping.matrix))
     return Loads((first, vector.scale(span, a), vector.scale(span / 2, b),
                   vector.scale(span / 3, c), vector.scale(span / 4, d)),
                  low, constants, (degree + 1 if varies else 0) if acts else -1,
                  torque, -1 if is_zero(torque) else space_degree, others.fields,
-                 _row_lags(others.lags, row))
+                 _row_lags(others.lags, row), _row_friction(others.friction, row))
 
 
 @optional
 def _row_lags(found: layout.Lags, row: int) -> lags.RowLags:
     return lags.RowLags(found.excess, found.time_constants, row)
+
+
+@optional
+def _row_friction(found: layout.Friction, row: int) -> friction.RowFriction:
+    return friction.RowFriction(found.efforts, found.wheels, row)
 
 
 @inlined
@@ -236,7 +245,7 @@ def rotors_change(loads: Loads | None) -> bool:
     """Return whether the momentum of the rotors changes."""
     if loads is None:
         return False
-    return loads.linear_degree > 0
+    return loads.linear_degree > 0 or fields.exist(loads.friction)
 
 
 @inlined

@@ -60,9 +60,11 @@ METHOD = record([
 #: What a motion has reached, see `GridStates` and `Place`, and how far it is to go: the row to
 #: stop at, and the units of work after which to return.
 PROGRESS = record([
-    ('grid', np.float64, state_layout.SIZE), ('begin', np.float64, state_layout.SIZE),
-    ('latest', np.float64, state_layout.SIZE), ('grid_ns', np.int64), ('begin_ns', np.int64),
-    ('row', np.int64), ('done', np.int64), ('stop', np.int64), ('budget', np.int64)])
+    ('grid', np.float64, state_layout.WITH_WHEELS),
+    ('begin', np.float64, state_layout.WITH_WHEELS),
+    ('latest', np.float64, state_layout.WITH_WHEELS), ('grid_ns', np.int64),
+    ('begin_ns', np.int64), ('row', np.int64), ('done', np.int64), ('stop', np.int64),
+    ('budget', np.int64)])
 #: The integers of PROGRESS.
 _COUNTS = struct.Struct('6q')
 #: Value of `stop` of a run, among many, whose body became too fast.
@@ -101,9 +103,10 @@ class Terms(NamedTuple):
     motors: Annotated[Floats, 'n d+1 3'] | None
     #: The same of a torque in space axes beside one in body axes; None if none is.
     space: Annotated[Floats, 'n d+1 3'] | None
-    #: None without; see `FieldTerms` and `LagTerms`.
+    #: None without; see `FieldTerms`, `LagTerms` and `FrictionTerms`.
     fields: None = None
     lags: None = None
+    friction: None = None
 
 
 class FieldTerms(NamedTuple):
@@ -115,6 +118,7 @@ class FieldTerms(NamedTuple):
     #: The torques that depend on the attitude.
     fields: Annotated[NDArray[Any], '1', FIELDS]
     lags: None = None
+    friction: None = None
 
 
 class Lags(NamedTuple):
@@ -135,9 +139,32 @@ class LagTerms(NamedTuple):
     space: Annotated[Floats, 'n d+1 3']
     fields: Annotated[NDArray[Any], '1', FIELDS]
     lags: Lags
+    friction: None = None
 
 
-AnyTerms = Terms | FieldTerms | LagTerms
+class Friction(NamedTuple):
+    """Wheels with friction, see `friction`, with zeros for the missing ones of the last four."""
+
+    #: N m: the torque of the motor of each wheel in each row.
+    efforts: Annotated[Floats, 'n 4g']
+    #: See `friction.SIZE`.
+    wheels: Annotated[Floats, '24g']
+    #: N m s: the axial momenta at the requested times.
+    momenta: Annotated[Floats, 'm 4g', WRITTEN]
+
+
+class FrictionTerms(NamedTuple):
+    """The same with friction; the fields and the lags may be none, and no motors act in rows."""
+
+    momentum: Annotated[Floats, 'n|1 2 3']
+    motors: Annotated[Floats, 'n d+1 3']
+    space: Annotated[Floats, 'n d+1 3']
+    fields: Annotated[NDArray[Any], '1', FIELDS]
+    lags: Lags
+    friction: Friction
+
+
+AnyTerms = Terms | FieldTerms | LagTerms | FrictionTerms
 
 
 class Others(NamedTuple):
@@ -145,6 +172,7 @@ class Others(NamedTuple):
 
     fields: NDArray[Any] | None
     lags: Lags | None
+    friction: Friction | None
 
 
 class Rows(NamedTuple):
@@ -229,7 +257,7 @@ def begun(grid: Floats, grid_ns: int, begin: Floats, begin_ns: int, row: int,
 
     Parameters
     ----------
-    grid, begin : array, shape (state_layout.SIZE,)
+    grid, begin : array, shape (state_layout.WITH_WHEELS,)
         The states on the grid and at the beginning of the segment.
     grid_ns, begin_ns : int
         Their times.
@@ -265,7 +293,13 @@ def load_body(constants: Floats) -> Body:
 @optional
 def others_of(terms: AnyTerms) -> Others:
     """Return what acts besides torques that are held or polynomials; None without terms."""
-    return Others(terms.fields, terms.lags)
+    return Others(terms.fields, terms.lags, terms.friction)
+
+
+@optional
+def friction_of(others: Others) -> Friction | None:
+    """Return the wheels with friction, None without."""
+    return others.friction
 
 
 @inlined
@@ -273,7 +307,7 @@ def have_others(others: Others | None) -> bool:
     """Return whether anything acts besides torques that are held or polynomials."""
     if others is None:
         return False
-    return exist(others.fields) or exist(others.lags)
+    return exist(others.fields) or exist(others.lags) or exist(others.friction)
 
 
 @optional

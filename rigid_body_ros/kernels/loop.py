@@ -42,6 +42,7 @@ from rigid_body_ros.kernels import (
     body_layout,
     euler_equations,
     free_motion,
+    friction,
     intervals,
     layout,
     motion_layout,
@@ -127,6 +128,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
     momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
     space, others = layout.space_of(terms), layout.others_of(terms)
     table = scratch(WORKSPACE)
+    states = friction.states_of(layout.friction_of(others), progress)
     coast, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
     while row < stop and done < len(times_ns) and budget > 0:
         now = intervals.interval(row_times_ns, torques, spans, row)
@@ -155,6 +157,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             budget -= layout.STEP_COST
         elif time_ns == grid_ns:  # REACHED
             latest = grid
+            friction.go_back(states)
         elif (not layout.have_others(others) and grid_ns == begin_ns and degree == 0
               and not turning
               and _is_short(grid, time_ns - grid_ns, acceleration, held, body, method)):
@@ -173,14 +176,16 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             drive = intervals.drive(now, intervals.low_order_parts(torques, row), degree, turning,
                                     body, loads)
             grid, grid_ns, latest, arrived, budget = stepping.advance(
-                grid, grid_ns, time_ns, drive, body, method, table, budget, loads)
+                grid, grid_ns, time_ns, drive, body, method, table, budget, loads, states)
             if not arrived:
                 break
         if asked:
             motion_layout.store(latest, output, motion)
+            friction.store(states, output, layout.friction_of(others))
             done += 1
         if time_ns == now.end_ns and not continues:
             grid, grid_ns, begin, begin_ns, prepared = latest, time_ns, latest, time_ns, False
+            friction.begin_segment(states)
             row += 1
         budget -= 1
     return Place(grid_ns, begin_ns, row, done), GridStates(grid, begin, latest)

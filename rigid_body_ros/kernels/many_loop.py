@@ -201,7 +201,7 @@ def _is_left(progress: Any, outputs: int, stop: int) -> bool:
 @optional
 def _of_run(terms: ManyTerms | ManyFieldTerms, run: int) -> Terms:
     return Terms(terms.momentum[run % len(terms.momentum)], terms.motors, terms.space,
-                 _fields_of_run(terms.fields, run), None)
+                 _fields_of_run(terms.fields, run), None, None)
 
 
 @optional

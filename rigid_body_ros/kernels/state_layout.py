@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-The layout of a state: 16 doubles, which are four vectors of four.
+The layout of a state: 16 doubles, which are four vectors of four, and the momenta of wheels.
 
 They are the angular velocity (rad/s, body axes) and a zero, the attitude x y z w, and the
-low-order parts of both, with which a restarted run continues bit for bit.
+low-order parts of both, with which a restarted run continues bit for bit. If wheels have friction,
+their axial momenta (N m s) and the low-order parts follow; otherwise zeros do.
 """
 
 from __future__ import annotations
@@ -30,12 +31,16 @@ from rigid_body_ros.kernels.jit import internal
 #: Offsets.
 RATES, ATTITUDE, _LOST_RATES, _LOST_ATTITUDE = range(0, 16, 4)
 SIZE = 16
+#: Most wheels with friction.
+MOST_WHEELS = 8
+MOMENTA, LOST_MOMENTA = SIZE, SIZE + MOST_WHEELS
+WITH_WHEELS = LOST_MOMENTA + MOST_WHEELS
 
 
 def pack(rates: ArrayLike, attitude: ArrayLike,
          lost_rates: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
     """
-    Return a state as an array, shape (SIZE,).
+    Return a state without momenta of wheels as an array, shape (WITH_WHEELS,).
 
     Parameters
     ----------
@@ -47,7 +52,7 @@ def pack(rates: ArrayLike, attitude: ArrayLike,
         Low-order part of the angular velocity.
 
     """
-    packed = np.zeros(SIZE)
+    packed = np.zeros(WITH_WHEELS)
     packed[RATES:RATES + 3] = rates
     packed[ATTITUDE:ATTITUDE + 4] = attitude
     packed[_LOST_RATES:_LOST_RATES + 3] = lost_rates
@@ -62,6 +67,11 @@ def angular_velocity(packed: Floats) -> Floats:
 def attitude(packed: Floats) -> Floats:
     """Return a view of the attitude, shape (4,), x y z w."""
     return packed[ATTITUDE:ATTITUDE + 4]
+
+
+def momenta(packed: Floats) -> Floats:
+    """Return a view of the axial momenta and their low-order parts, N m s, (2, MOST_WHEELS)."""
+    return packed[MOMENTA:].reshape(2, MOST_WHEELS)
 
 
 @internal

@@ -40,6 +40,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
     field_series,
     fields,
+    friction,
     intervals,
     lag_series,
     lags,
@@ -50,6 +51,7 @@ from rigid_body_ros.kernels import (
     vector,
 )
 from rigid_body_ros.kernels.field_series import WORKSPACE
+from rigid_body_ros.kernels.friction import WORKSPACE as FRICTION_WORKSPACE
 from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, internal, optional, scratch
 from rigid_body_ros.kernels.lag_series import WORKSPACE as LAG_WORKSPACE
@@ -78,20 +80,23 @@ class LocalLoads(NamedTuple):
     #: N m s, in the fraction of the interval.
     momentum: linear_terms.Momentum
     linear: linear_terms.Linear
-    #: The sum of `linear_terms.square_rate` of the matrix, the square of that of an orbit, and
-    #: `lags.square_rate`, 1/s^2.
+    #: The sum of `linear_terms.square_rate` of the matrix, the square of that of an orbit,
+    #: `lags.square_rate` and `friction.square_rate`, 1/s^2.
     square_rate: float
-    #: Bound on the change of the rate, by the rotors and by fields, 1/s^2.
+    #: Bound on the change of the rate, by the rotors, by fields and by friction, 1/s^2.
     growth: float
     #: See `field_series.prepared`.
     field_work: Floats | None
     #: Workspace of the lags; None without.
     lag_work: Floats | None
+    #: Workspace of the wheels with friction; None without.
+    friction_work: Floats | None
 
 
 @internal
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
-            method: Method, table: Floats, budget: int, loads: Loads | None) -> Reached:
+            method: Method, table: Floats, budget: int, loads: Loads | None,
+            states: friction.States | None) -> Reached:
     """
     Step to the last grid point before a time, and from there to the time.
 
@@ -109,6 +114,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         Units of work after which to return; a step costs `layout.STEP_COST`.
     loads : Loads or None
         What acts besides the drive.
+    states : States or None
+        With the momenta of wheels with friction; changed.
 
     Returns
     -------
@@ -117,8 +124,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     """
     # Here, because what an inlined function has on the stack ends with it.
     work = scratch(WORKSPACE)
-    lag_work = scratch(LAG_WORKSPACE)
-    latest, now = grid, _local(loads, drive, grid_ns, body, work, lag_work)
+    works = work, scratch(LAG_WORKSPACE), scratch(FRICTION_WORKSPACE)
+    latest, now = grid, _local(loads, drive, grid, grid_ns, body, states, works)
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
@@ -128,15 +135,17 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         last = step_ns >= rest_ns
         if last:
             step_ns = rest_ns
-        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now)
+        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now,
+                       states)
         if last:
             break
         grid = latest
+        friction.accept(states)
         grid_ns += step_ns
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
         if intervals.rotors_change(loads):
-            now = _local(loads, drive, grid_ns, body, work, lag_work)
+            now = _local(loads, drive, grid, grid_ns, body, states, works)
     return Reached(grid, grid_ns, latest, True, budget)
 
 
@@ -175,18 +184,23 @@ def full_step_ns(seconds: float, method: Method) -> int:
 
 
 @optional
-def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body, work: Floats,
-           lag_work: Floats) -> LocalLoads:
+def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, body: Body,
+           states: friction.States | None, works: tuple[Floats, Floats, Floats]) -> LocalLoads:
     # Return the linear terms from a grid point on.
     orbit, lag_rate = fields.rate_bound(loads.fields), lags.square_rate(loads.lags)
-    lagged = lag_series.workspace(loads.lags, lag_work)
+    lagged = lag_series.workspace(loads.lags, works[1])
     by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
-    prepared = field_series.prepared(loads.fields, work, body.coefficients)
+    prepared = field_series.prepared(loads.fields, works[0], body.coefficients)
+    slowed = friction.workspace(loads.friction, works[2])
     if loads.linear_degree <= 0:
-        linear = linear_terms.at(loads.constants, loads.momentum[0], loads.low_momentum)
+        linear = linear_terms.at(loads.constants, *friction.momentum(
+            loads.friction, states, loads.momentum[0], loads.low_momentum))
         return LocalLoads(loads.momentum, linear,
-                          linear_terms.square_rate(linear.matrix) + orbit * orbit + lag_rate,
-                          by_fields, prepared, lagged)
+                          linear_terms.square_rate(linear.matrix) + orbit * orbit + lag_rate
+                          + friction.square_rate(loads.friction, body.frame),
+                          by_fields + friction.acceleration(
+                              loads.friction, states, grid[0], body.coefficients, body.form),
+                          prepared, lagged, slowed)
     change, momentum = _rotors_from(loads.momentum,
                                     (grid_ns - drive.origin_ns) / 1e9 / drive.span)
     first, low = vector.two_sum(loads.momentum[0], change)
@@ -197,7 +211,7 @@ def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body, work: Floats,
             linear_terms.rotor_matrix(loads.constants, momentum[i])))
     return LocalLoads(momentum, linear,
                       linear_terms.square_rate(linear.matrix) + orbit * orbit + lag_rate,
-                      growth / drive.span + by_fields, prepared, lagged)
+                      growth / drive.span + by_fields, prepared, lagged, slowed)
 
 
 @inlined
@@ -233,8 +247,8 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
 
 
 @optional
-def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
-            seconds: float) -> taylor.SeriesLoads:
+def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads, seconds: float,
+            states: friction.States | None) -> taylor.SeriesLoads:
     # Return the same for a step of the series.
     none = vector.of(0.0, 0.0, 0.0)
     one = two = three = four = none, none, none
@@ -247,7 +261,8 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
                               field_series.of_step(loads.fields, stage.field_angle,
                                                    now.field_work),
-                              lag_series.of_step(loads.lags, stage.since, now.lag_work))
+                              lag_series.of_step(loads.lags, stage.since, now.lag_work),
+                              friction.of_step(loads.friction, states, now.friction_work))
 
 
 @inlined
@@ -258,8 +273,8 @@ def _change(constants: linear_terms.Constants, seconds: float,
 
 @inlined
 def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
-          method: Method, table: Floats, loads: Loads | None,
-          now: LocalLoads | None) -> vector.KernelState:
+          method: Method, table: Floats, loads: Loads | None, now: LocalLoads | None,
+          states: friction.States | None) -> vector.KernelState:
     local = drive.polynomial
     if drive.degree != 0:
         local = vector.shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
@@ -275,4 +290,4 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
                                        stage)
     series = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
     return taylor.step(state, seconds, body.coefficients, body.form, series, method.tolerance,
-                       table, _series(loads, now, stage, seconds))
+                       table, _series(loads, now, stage, seconds, states))

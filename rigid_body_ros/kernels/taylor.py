@@ -42,6 +42,7 @@ from rigid_body_ros.kernels import (
     euler_equations,
     field_series,
     four,
+    friction,
     lag_series,
     lanes,
     linear_terms,
@@ -113,6 +114,8 @@ class SeriesLoads(NamedTuple):
     fields: field_series.StepFields | None
     #: None without torques that lag.
     lags: lag_series.StepLags | None
+    #: None without wheels with friction.
+    friction: friction.StepFriction | None
 
 
 @njit
@@ -179,13 +182,17 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     """
     lag_series.begin(_lags_of(loads), state)
     acceleration = drive.bound + field_series.begin(_fields_of(loads), state, coefficients, form)
+    if loads is not None:
+        acceleration += friction.begin(loads.friction, state, coefficients, form)
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
+    friction.weigh(_friction_of(loads), angle, seconds)
     error_bound = tolerance * angle
     order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, without_fourth(table, four.load(table, row_of(table, k) + U)))
         delta_q = add(delta_q, four.load(table, row_of(table, k) + rotation_of(table)))
+    friction.end(_friction_of(loads), order)
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
     norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series is not of unit norm
     rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))
@@ -200,6 +207,11 @@ def _fields_of(loads: SeriesLoads) -> field_series.StepFields | None:
 @optional
 def _lags_of(loads: SeriesLoads) -> lag_series.StepLags | None:
     return loads.lags
+
+
+@optional
+def _friction_of(loads: SeriesLoads) -> friction.StepFriction | None:
+    return loads.friction
 
 
 @inlined
@@ -224,7 +236,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
     small, powers = lanes.no_count(error_bound), degree
     if loads is not None:
         powers = max(degree, loads.space_degree, loads.linear_degree,
-                     field_series.lowest_order(loads.fields), lag_series.lowest_order(loads.lags))
+                     field_series.lowest_order(loads.fields), lag_series.lowest_order(loads.lags),
+                     friction.lowest_order(loads.friction))
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     vectors = field_series.vectors_of(_fields_of(loads))
     for k in range(MAX_ORDER):
@@ -249,6 +262,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
             u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients,
                                               form)
             u = lag_series.add_acceleration(u, loads.lags, table, k, seconds, coefficients, form)
+            u = friction.add_acceleration(u, loads.friction, table, k, seconds, coefficients,
+                                          form)
             past = (latest[0], past[0], past[1], past[2])
         reciprocal = float(RECIPROCALS[k])
         u = scale(reciprocal, u)
@@ -259,7 +274,9 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
             rotation = four.choose(small >= powers + 2, zero, rotation)
         latest = store_term(table, k + 1, u, rotation)
         # The bound on errors of w is tighter, because the errors of attitude they cause add up.
-        size = total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u)))
+        size = friction.with_momenta(
+            total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u))),
+            _friction_of(loads), k + 1)
         small = lanes.counted(size > error_bound, small)
         if lanes.every(small >= powers + 2):
             return k + 1

@@ -110,10 +110,10 @@ def changed(state: State, before: RigidBody, after: RigidBody, keep: str) -> Sta
         See `BodyLog`.
 
     """
-    rates, attitude, lost_rates, lost_attitude = state._packed.reshape(4, 4)
+    rates, attitude, lost_rates, lost_attitude, *momenta = state._packed.reshape(-1, 4)
     if keep == MOMENTUM:
         rates, lost_rates = _rates_that_keep_momentum(rates, lost_rates, before, after)
-    packed = np.concatenate([rates, attitude, lost_rates, lost_attitude])
+    packed = np.concatenate([rates, attitude, lost_rates, lost_attitude, *momenta])
     return State._as_computed(state.time_ns, packed, None, state._rotors)
 
 

@@ -119,8 +119,8 @@ class States:
 
     @property
     def _packed(self) -> Floats:
-        """All states, shape (n, state_layout.SIZE)."""
-        packed = np.zeros((len(self), state_layout.SIZE))
+        """All states, shape (n, state_layout.WITH_WHEELS)."""
+        packed = np.zeros((len(self), state_layout.WITH_WHEELS))
         for rows, value in ((state_layout.attitude(packed.T), self.attitude),
                             (state_layout.angular_velocity(packed.T), self.angular_velocity)):
             rows[:] = value.T

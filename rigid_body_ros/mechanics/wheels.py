@@ -27,15 +27,16 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
+from functools import cached_property, reduce
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import instants, NEVER_NS
-from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.engine import MOST_WHEELS, state_layout
+from rigid_body_ros.mechanics.body import FASTEST_DAMPING, RigidBody
 from rigid_body_ros.mechanics.fields import direction
 from rigid_body_ros.mechanics.state import State
 
@@ -59,7 +60,8 @@ class Wheel:
     initial_speed : float, rad/s
         Relative to the body.
     friction : float, N m s/rad
-        Only 0: a wheel without friction.
+        Viscous: a torque of this times the speed slows the wheel, and its opposite acts on the
+        body.
     max_torque : float, N m
         Of the motor; 0: no limit. A larger command is clipped.
     max_speed : float, rad/s
@@ -91,88 +93,10 @@ class Wheel:
         if not math.isfinite(self.initial_speed):
             raise ValueError(f'initial speed of wheel {self.name!r}: expected rad/s, found '
                              f'{self.initial_speed}')
-        for name in ('max_torque', 'max_speed'):
+        for name in ('friction', 'max_torque', 'max_speed'):
             if not 0.0 <= float(getattr(self, name)) < math.inf:
                 raise ValueError(f'{name} of wheel {self.name!r}: expected zero or more, found '
                                  f'{getattr(self, name)}')
-        if self.friction != 0.0:
-            raise ValueError(f'friction of wheel {self.name!r}: expected 0, because wheels with '
-                             f'friction are not supported yet, found {self.friction}')
-
-
-class EffortLog:
-    """
-    The commands of wheels with names: the torques of their motors, held.
-
-    Before its first command a wheel has none. With a timeout, all commands end together: that long
-    after the last of them, whichever wheel it was for.
-
-    Parameters
-    ----------
-    times_ns : array of int, shape (n,), ns
-        In any order. Of commands for one wheel with equal stamps, the later one in the array is
-        used.
-    efforts : array, shape (n, k), N m
-        On k wheels, in their order. NaN: the wheel keeps its command.
-
-    Attributes
-    ----------
-    times_ns : array of int64, shape (m,), ns
-        Strictly ascending.
-    efforts : array, shape (m, k), N m
-
-    Raises
-    ------
-    ValueError
-        The shapes do not match, a time is not an integer that fits int64, the times span 292 years
-        or more, or an effort is infinite.
-
-    """
-
-    def __init__(self, times_ns: ArrayLike, efforts: ArrayLike) -> None:
-        stamps_ns, values = instants(times_ns), np.array(efforts, float)
-        if values.ndim != 2 or len(values) != stamps_ns.size:
-            raise ValueError(f'efforts: expected shape ({stamps_ns.size}, wheels), found '
-                             f'{values.shape}')
-        if np.isinf(values).any():
-            row = int(np.flatnonzero(np.isinf(values).any(axis=1))[0])
-            raise ValueError(f'effort {row} at {stamps_ns[row]} ns: expected finite numbers, or '
-                             f'NaN to keep a command, found {values[row].tolist()}')
-        if stamps_ns.size and int(stamps_ns.max()) - int(stamps_ns.min()) >= NEVER_NS:
-            raise ValueError('times_ns: expected times within 292 years of each other, found '
-                             f'{stamps_ns.min()} ns and {stamps_ns.max()} ns')
-        commands = ~np.isnan(values)
-        found, rows = np.unique(stamps_ns[commands.any(axis=1)], return_inverse=True)
-        values, commands = values[commands.any(axis=1)], commands[commands.any(axis=1)]
-        merged = np.full((len(found), values.shape[1]), np.nan)
-        for wheel in range(values.shape[1]):  # of repeated indices, numpy uses the last
-            merged[rows[commands[:, wheel]], wheel] = values[commands[:, wheel], wheel]
-        self.times_ns: NDArray[np.int64] = found
-        self.efforts: Floats = merged
-        self.times_ns.flags.writeable = self.efforts.flags.writeable = False
-
-    def __len__(self) -> int:
-        return len(self.times_ns)
-
-    def __repr__(self) -> str:
-        return f'EffortLog({len(self)} commands of {self.efforts.shape[1]} wheels)'
-
-    def between(self, begin_ns: int, end_ns: int) -> EffortLog:
-        """Return a log of the commands that are in force between two times, ns."""
-        first = max(int(self.times_ns.searchsorted(begin_ns, 'right')) - 1, 0)
-        stop = int(self.times_ns.searchsorted(end_ns, 'right'))
-        begun = filled(self.efforts[:first + 1], np.full(self.efforts.shape[1], np.nan))[-1:]
-        return EffortLog(self.times_ns[first:stop], np.concatenate(
-            [begun, self.efforts[first + 1:stop]])[:max(stop - first, 0)])
-
-
-def filled(rows: Floats, before: Floats) -> Floats:
-    """Return rows, shape (n, m), with the last number of the same column in place of NaN."""
-    if not np.isnan(rows).any():
-        return rows
-    rows = np.concatenate([before[None], rows])
-    last = np.where(np.isnan(rows), 0, np.arange(len(rows))[:, None])
-    return np.take_along_axis(rows, np.maximum.accumulate(last), axis=0)[1:]
 
 
 class Axial(NamedTuple):
@@ -181,8 +105,9 @@ class Axial(NamedTuple):
     #: ns; when it begins, and the stamp of the last command, -NEVER_NS before the first.
     since_ns: int
     stamp_ns: int
-    #: N m s, shape (2, n): the axial momenta H where it begins, and their low-order parts.
-    momenta: Floats
+    #: N m s, shape (2, n): the axial momenta H where it begins, and their low-order parts. None
+    #: with friction: each state has them, because they depend on the motion.
+    momenta: Floats | None
     #: N m, shape (n,): the commands in force, clipped, and what acts of them, but for a timeout.
     commanded: Floats
     acting: Floats
@@ -210,13 +135,13 @@ class Wheels:
     ----------
     wheels : tuple of Wheel
     names : tuple of str
-    is_limited : bool
-        Whether a wheel has a largest speed.
+    is_limited, has_friction : bool
+        Whether a wheel has a largest speed, and whether one has friction.
 
     Raises
     ------
     ValueError
-        Two wheels have the same name.
+        Two wheels have the same name, or there are too many with friction.
 
     """
 
@@ -232,12 +157,30 @@ class Wheels:
         self._max_torque[self._max_torque == 0.0] = np.inf
         self._max_speed[self._max_speed == 0.0] = np.inf
         self.is_limited = bool(np.isfinite(self._max_speed).any())
+        self._friction = self._column('friction')
+        self.has_friction = bool(self._friction.any())
+        if self.has_friction and len(self) > MOST_WHEELS:
+            raise ValueError(f'wheels: expected at most {MOST_WHEELS} if one of them has '
+                             f'friction, found {len(self)}')
 
     def __len__(self) -> int:
         return len(self.wheels)
 
     def _column(self, name: str) -> Floats:
         return np.array([getattr(wheel, name) for wheel in self.wheels], float)
+
+    @cached_property
+    def constants(self) -> Floats:
+        """Return the constants of wheels with friction for the kernels, see `layout.Friction`."""
+        inverse = [1 / Fraction(inertia) for inertia in self._inertia.tolist()]
+        rows = np.concatenate([self._axes.T, _pair(inverse), self._friction[None]])
+        packed = self.padded(rows).reshape(len(rows), -1, 4).swapaxes(0, 1).ravel()
+        packed.flags.writeable = False
+        return packed
+
+    def padded(self, rows: Floats) -> Floats:
+        """Return rows of numbers of the wheels with zeros for the missing ones of four."""
+        return np.ascontiguousarray(np.pad(rows, [(0, 0), (0, -len(self) % 4)]))
 
     def carrier(self, body: RigidBody) -> RigidBody:
         """
@@ -246,7 +189,8 @@ class Wheels:
         Raises
         ------
         ValueError
-            The wheels have more inertia than a body with this one can carry.
+            The wheels have more inertia than a body with this one can carry, or their friction
+            is too strong for it.
 
         """
         # As sums of two doubles: a difference of moments loses no digits.
@@ -258,7 +202,16 @@ class Wheels:
             raise ValueError('wheels: expected axial inertia that the body can have, found that '
                              f'the rest is impossible: {error}') from None
         carrier._set_constants(exact)
+        rate = self.decay_rate(carrier)
+        if rate > FASTEST_DAMPING:
+            raise ValueError('wheels: expected friction whose quotients by the moments of inertia '
+                             f'are at most {FASTEST_DAMPING:g} 1/s, found {rate:.6g} 1/s')
         return carrier
+
+    def decay_rate(self, carrier: RigidBody) -> float:
+        """Return a bound on the rate at which friction slows the wheels, 1/s."""
+        return float((self._friction / self._inertia).max()
+                     + self._friction.sum() / carrier.principal_moments[0])
 
     def _axial_inertia(self) -> list[list[Fraction]]:
         axes = [[Fraction(entry) for entry in axis] for axis in self._axes.tolist()]
@@ -270,6 +223,10 @@ class Wheels:
         """Return commands, N m, shape (..., n), within the limits of the motors."""
         return np.clip(efforts, -self._max_torque, self._max_torque)
 
+    def slowed(self, efforts: Floats, speeds: Floats) -> Floats:
+        """Return torques of motors less those of friction, N m, shape (..., n)."""
+        return efforts - self._friction * speeds
+
     def count_clipped(self, efforts: Floats) -> int:
         """Return how many commands are beyond the limits of the motors; NaN does not count."""
         return int((np.abs(efforts) > self._max_torque).sum())
@@ -279,12 +236,30 @@ class Wheels:
         return _sum_along(efforts, self._axes)
 
     def speeds(self, momenta: Floats, rates: Floats) -> Floats:
-        """Return speeds, rad/s, shape (m, n), from axial momenta (m, 2, n) and rates (m, 3)."""
-        return momenta[:, 0] / self._inertia - self._axial_rates(rates)
+        """Return speeds, rad/s, shape (..., n), from axial momenta and rates of the body."""
+        return momenta[..., :len(self)] / self._inertia - self._axial_rates(rates)
 
     def of_body(self, rates: Floats) -> Floats:
         """Return the sum of I a (a . w), the momentum that wheels have as parts of the body."""
         return _sum_along(self._inertia * self._axial_rates(rates), self._axes)
+
+    def relative(self, rotors: Floats, momenta: Floats, rates: Floats) -> Floats:
+        """
+        Return the momentum of all rotors relative to the body, N m s, body axes, shape (..., 3).
+
+        Parameters
+        ----------
+        rotors : array, shape (..., 3), N m s, body axes
+            That of the rotors of the carrier, see `begun`.
+        momenta : array, shape (..., n), N m s
+            The axial momenta.
+        rates : array, shape (..., 3), rad/s, body axes
+            Of the body.
+
+        """
+        if self.has_friction:
+            rotors = rotors + self.torque(momenta)
+        return rotors - self.of_body(rates)
 
     def _axial_rates(self, rates: Floats) -> Floats:
         # In BLAS the order of a sum depends on the processor.
@@ -299,7 +274,8 @@ class Wheels:
         """
         Return a start as the carrier has it, and what its wheels do.
 
-        The momentum of the rotors of this start is that of the others, and the sum of H a.
+        The momentum of the rotors of this start is that of the others, and the sum of H a. With
+        friction it is only that of the others, and the start has the momenta H.
 
         Raises
         ------
@@ -308,23 +284,29 @@ class Wheels:
 
         """
         found = start._axial
-        if isinstance(found, Axial) and len(found.acting) == len(self):
+        if isinstance(found, Axial) and len(found.acting) == len(self) and (
+                (found.momenta is None) == self.has_friction):
             return start, found
         speeds = start.wheel_speeds if len(start.wheel_speeds) else self._column('initial_speed')
         if len(speeds) != len(self):
             raise ValueError(f'start: expected the speeds of {len(self)} wheels, found '
                              f'{len(speeds)}')
-        high, low = start._packed.reshape(4, 4)[[0, 2], :3].tolist()
+        high, low = start._packed[:state_layout.SIZE].reshape(4, 4)[[0, 2], :3].tolist()
         rates = [Fraction(a) + Fraction(b) for a, b in zip(high, low)]
         others = [Fraction(value) for value in self.others(start).tolist()]
         exact = []
         for wheel, speed, axis in zip(self.wheels, speeds.tolist(), self._axes.tolist()):
             turn = sum((Fraction(a) * rate for a, rate in zip(axis, rates)), Fraction(speed))
             exact.append(Fraction(float(wheel.inertia)) * turn)
-            others = [other + exact[-1] * Fraction(a) for other, a in zip(others, axis)]
-        none = np.zeros(len(self))
-        axial = Axial(start.time_ns, -NEVER_NS, _pair(exact), none, none, none > 0.0)
-        return State._as_computed(start.time_ns, start._packed, None, _pair(others)), axial
+            if not self.has_friction:
+                others = [other + exact[-1] * Fraction(a) for other, a in zip(others, axis)]
+        packed, momenta, none = start._packed, _pair(exact), np.zeros(len(self))
+        if self.has_friction:
+            packed = packed.copy()
+            state_layout.momenta(packed)[:, :len(self)] = momenta
+        axial = Axial(start.time_ns, -NEVER_NS, None if self.has_friction else momenta, none,
+                      none, none > 0.0)
+        return State._as_computed(start.time_ns, packed, None, _pair(others)), axial
 
     def others(self, start: State) -> Floats:
         """Return the momentum of the rotors without a name, N m s, body axes, shape (3,)."""
@@ -338,8 +320,8 @@ class Wheels:
     def shown(self, state: State, axial: Axial, momenta: Floats) -> State:
         """Return a state of the carrier with the speeds of the wheels, of momenta (2, n), too."""
         rates = state.angular_velocity
-        speeds = self.speeds(momenta[None], rates[None])[0]
-        momentum = state._rotors[0] - self.of_body(rates)
+        speeds = self.speeds(momenta[0], rates)
+        momentum = self.relative(state._rotors[0], momenta[0], rates)
         for array in (speeds, momentum):
             array.flags.writeable = False
         state.__dict__.update(wheel_speeds=speeds, wheel_efforts=axial.efforts.copy(),

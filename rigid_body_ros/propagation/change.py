@@ -22,7 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.mechanics.wheels import Axial, EffortLog
+from rigid_body_ros.mechanics.efforts import EffortLog
+from rigid_body_ros.mechanics.wheels import Axial
 from rigid_body_ros.propagation.acting import ActingSamples
 from rigid_body_ros.propagation.segment import NewBody, Sample, Segment
 

@@ -31,6 +31,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial, Wheels
 from rigid_body_ros.propagation.acting import ActingSamples
 from rigid_body_ros.propagation.change import Active, Change, Commands, no_commands, time_of
+from rigid_body_ros.propagation.friction import friction_of
 from rigid_body_ros.propagation.lags import Lagging
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
@@ -42,7 +43,7 @@ from rigid_body_ros.propagation.segment import (
     summed,
     timed_out,
 )
-from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_at
+from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_of
 
 
 class History:
@@ -80,6 +81,7 @@ class History:
         #: What the wheels do at the start.
         self._axial: Axial | None = None
         self._start = start
+        self._has_friction = wheels is not None and wheels.has_friction
         if wheels:
             self._start, self._axial = wheels.begun(start)
         self.changes = [Change(start.time_ns, {}, self.new_body(-NEVER_NS, body, RATE),
@@ -146,15 +148,15 @@ class History:
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = first.begins_at(start.time_ns, self._acting)
         acts = not total.is_zero() or self._fields is not None or (
-            first.body.body.is_damped or start._has_rotors)
-        first.active = Active(self._segment(without_origin(start) if begins and acts else start,
-                                            total, first.body, lagging), axial)
+            first.body.body.is_damped or start._has_rotors or self._has_friction)
+        first.active = self._active_from(without_origin(start) if begins and acts else start,
+                                         total, first.body, lagging, axial)
 
     def _axial_at_start(self, commands: Commands) -> Axial | None:
         if self._wheels is None or self._axial is None:
             return None
-        return in_force(self._wheels, self._axial, commands.log, self._start.time_ns,
-                        self._start.angular_velocity, self._options.timeout_ns)
+        return in_force(self._wheels, self._axial, commands.log, self._start,
+                        self._options.timeout_ns)
 
     def index_of(self, time_ns: int) -> int:
         """Return the index of the change in force at a time, or -1."""
@@ -170,7 +172,9 @@ class History:
              before: Mapping[int, Lagging]) -> tuple[Sum, Mapping[int, Lagging]]:
         """Return the sum of all torques, and the sources that lag, given those before."""
         acting = self._acting
-        motors = self._wheels.torque(axial.efforts)[None] if self._wheels and axial else None
+        motors = None
+        if self._wheels and axial and not self._has_friction:
+            motors = self._wheels.torque(axial.efforts)[None]
         total = summed(acting.acting(change.samples), time_ns, self._options.timeout_ns, motors)
         if not acting.lag:
             return total, before
@@ -224,23 +228,23 @@ class History:
         axial = active.axial
         if self._wheels and axial:
             end = start or segment.end_at(time_ns, until)
-            axial = self._next_axial(axial, change.commands, time_ns, end)
+            axial = self._next_axial(axial, change.commands, end)
         total, lagging = self._sum(change, time_ns, axial, segment.lagging)
         if start is None:
             if segment.coasts and total.is_zero():
                 return Active(segment, axial)
             start = end or segment.end_at(time_ns, until)
-        return Active(self._segment(start, total, body, lagging), axial)
+        return self._active_from(start, total, body, lagging, axial)
 
-    def _next_axial(self, axial: Axial, commands: Commands, time_ns: int, state: State) -> Axial:
-        """Return what the wheels do from a time on, at which the body has a state."""
+    def _next_axial(self, axial: Axial, commands: Commands, state: State) -> Axial:
+        """Return what the wheels do from a state on."""
         assert self._wheels
+        time_ns = state.time_ns
         if commands.stamp_ns == time_ns:
-            return commanded(self._wheels, axial, time_ns, commands.given_at(time_ns),
-                             state.angular_velocity)
+            return commanded(self._wheels, axial, commands.given_at(time_ns), state)
         if 0 < self._options.timeout_ns == time_ns - commands.stamp_ns:
-            return axial._replace(since_ns=time_ns, momenta=momenta_at(axial, time_ns),
-                                  is_silent=True)
+            momenta = None if axial.momenta is None else momenta_of(axial, state)
+            return axial._replace(since_ns=time_ns, momenta=momenta, is_silent=True)
         return axial
 
     def new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
@@ -248,7 +252,11 @@ class History:
         carrier = self._wheels.carrier(body) if self._wheels else body
         return NewBody(stamp_ns, body, keep, carrier)
 
-    def _segment(self, start: State, total: Sum, body: NewBody,
-                 lagging: Mapping[int, Lagging]) -> Segment:
-        return Segment(body.carrier, self._options, self._history_ns, start, total, self._fields,
-                       lagging)
+    def _active_from(self, start: State, total: Sum, body: NewBody,
+                     lagging: Mapping[int, Lagging], axial: Axial | None) -> Active:
+        friction = None
+        if self._wheels and axial and self._has_friction:
+            friction = friction_of(self._wheels, axial.efforts[None])
+        segment = Segment(body.carrier, self._options, self._history_ns, start, total,
+                          self._fields, lagging, friction)
+        return Active(segment, axial)

@@ -28,6 +28,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial
+from rigid_body_ros.propagation.friction import with_momenta
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.requested import checked_times
@@ -83,17 +84,18 @@ class Integration:
         if problem.named_wheels:
             self._carrier = problem.named_wheels.carrier(self._body)
             start, axial = problem.named_wheels.begun(start)
-            self._wheels = self._wheels_from(axial, start.angular_velocity)
+            self._wheels = self._wheels_from(axial, start)
         self._start = start
+        has_rotors = start._has_rotors or problem.has_friction
         self._timeline = self._timeline_from(
-            start.time_ns, start._rotors if start._has_rotors else None)
+            start.time_ns, start._rotors if has_rotors else None)
         self._progress, self._is_begun = self._begin(), False
 
-    def _wheels_from(self, axial: Axial, rates: Floats) -> WheelTimeline:
+    def _wheels_from(self, axial: Axial, state: State) -> WheelTimeline:
         """Return what the wheels do; commands that are in force begin, unless they have."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
-        begun = in_force(problem.named_wheels, axial, problem.efforts, end_ns, rates,
+        begun = in_force(problem.named_wheels, axial, problem.efforts, state,
                          problem.options.timeout_ns)
         if begun is not axial and begun.stamp_ns == end_ns:
             self.refused_commands += int(begun.refused.sum())
@@ -125,8 +127,11 @@ class Integration:
             logs = tuple(log.between(*span) for log in logs)
             wheels = wheels and wheels.between(*span)
         self._sources = (*logs, wheels) if wheels else logs
+        others = self._others
+        if problem.has_friction:
+            wheels, others = None, others._replace(wheels=self._wheels)
         return Timeline(logs, wheels, problem.options.timeout_ns, self._body.is_damped,
-                        start_ns, momentum, self._others)
+                        start_ns, momentum, others)
 
     def _rebuilt(self) -> Timeline:
         """Return the timeline with the commands of wheels that are now known to act."""
@@ -162,7 +167,7 @@ class Integration:
                      for log in self._sources) and (acts or self._timeline.has_terms)
         if lagging and not others.pop().any():
             lagging = None
-        key = [lagging.key(start_ns)] if lagging else []
+        key = [*([lagging.key(start_ns)] if lagging else []), *self._timeline.key(row)]
         return None if begins else problem.options.rule(
             self._carrier, problem._fields, torque, in_space, *others, *key)
 
@@ -243,8 +248,7 @@ class Integration:
         self._body, self._carrier = body, carrier
         if self._wheels:  # commands at this time meet the rate after the change
             self.refused_commands -= self._wheels.count_refused(time_ns - 1, time_ns)
-            self._wheels = self._wheels_from(self._wheels.axial(time_ns - 1),
-                                             state.angular_velocity)
+            self._wheels = self._wheels_from(self._wheels.axial(time_ns - 1), state)
         self._timeline, self._earlier = self._timeline_from(time_ns, momentum), None
         self._progress = layout.begun(packed, time_ns, packed, time_ns,
                                       self._timeline.in_force(time_ns),
@@ -270,13 +274,13 @@ class Integration:
             self._resolve(self._wheels, end_ns)
             self.refused_commands += self._wheels.count_refused(begin_ns, end_ns)
         motion = motion_layout.allocate(times_ns.size)
-        closed = self._fill(times_ns, order, motion, stop)
+        closed, momenta = self._fill(times_ns, order, motion, stop)
         self._end_ns = end_ns
         usage = SolverUsage(self._body, self.problem.options, self._timeline, begin_ns,
                             end_ns, closed, self._wheels)
         if times_ns.size > count:
             times_ns = times_ns[:count]
-        return Trajectory(times_ns, motion, (usage,))
+        return Trajectory(times_ns, motion, (usage,), momenta)
 
     def _resolve(self, wheels: WheelTimeline, end_ns: int) -> None:
         """Find out which commands up to a time act: each depends on the motion before it."""
@@ -304,23 +308,28 @@ class Integration:
     def _speeds_at(self, wheels: WheelTimeline, times_ns: NDArray[np.int64]) -> Floats:
         """Return the speeds of wheels, rad/s, shape (m, wheels), and go on to the last time."""
         motion = motion_layout.allocate(times_ns.size)
-        self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
-        return wheels.speeds(times_ns, motion_layout.angular_velocity(motion))
+        _, momenta = self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
+        if momenta is None:
+            momenta = wheels.momenta(times_ns)[:, 0]
+        return wheels.wheels.speeds(momenta, motion_layout.angular_velocity(motion))
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momentum of the rotors in this piece at times, N m s, shape (m, 3)."""
         return self._timeline.momentum(times_ns)[:, 0]
 
     def _fill(self, times_ns: NDArray[np.int64], order: NDArray[np.intp], motion: Floats,
-              stop: int) -> NDArray[np.bool_]:
-        """Fill the motion up to a row, and return `SolverUsage.closed`."""
+              stop: int) -> tuple[NDArray[np.bool_], Floats | None]:
+        """Fill the motion up to a row; return `SolverUsage.closed` and `Trajectory._momenta`."""
         closed = np.zeros(len(self._timeline.times_ns) + 1, np.bool_)
         progress, problem = self._progress, self.problem
         if not times_ns.size:
-            return closed
+            return closed, None
+        momenta: Floats | None = None
         if self._is_begun:
             progress['done'] = 0
         for first, end, rows in self._timeline.chunks(progress['row'], stop):
+            if rows.terms and rows.terms.friction:
+                rows, momenta = with_momenta(rows, times_ns.size)
             if self._is_begun or end - first < len(closed) - 1:
                 progress['row'] -= first
                 progress['stop'] = end - first
@@ -338,4 +347,6 @@ class Integration:
             grid = progress['grid'][0]
             motion_layout.attitude(motion)[again] = state_layout.attitude(grid)
             motion_layout.angular_velocity(motion)[again] = state_layout.angular_velocity(grid)
-        return closed
+            if momenta is not None:
+                momenta[again] = state_layout.momenta(grid)[0, :momenta.shape[1]]
+        return closed, momenta

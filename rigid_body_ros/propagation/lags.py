@@ -171,11 +171,9 @@ class LaggingSources:
         integrals = -constants * np.expm1(-seconds / constants)
         return np.einsum('nl,nlij->nij', integrals, self.excess(times_ns[:-1]))
 
-    def terms(self, times_ns: NDArray[np.int64], momentum: Floats, motors: Floats, space: Floats,
-              fields: NDArray[Any] | None) -> LagTerms:
-        """Return the terms of rows at these times."""
-        return lag_terms(momentum, motors, space, fields,
-                         Lags(self.excess(times_ns), self._time_constants))
+    def lags(self, times_ns: NDArray[np.int64]) -> Lags:
+        """Return the lags of rows at these times."""
+        return Lags(self.excess(times_ns), self._time_constants)
 
 
 def lag_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,

@@ -98,7 +98,8 @@ class Options:
                           self.tolerance, kernels.step_angle(self.tolerance), self.max_step_ns)],
                         layout.METHOD)
 
-    def check_terms(self, damping: bool, rotors: bool, fields: bool = False) -> None:
+    def check_terms(self, damping: bool, rotors: bool, fields: bool = False,
+                    friction: bool = False) -> None:
         """Raise ValueError if the scene has terms that the solver does not handle."""
         if fields and not self.record.takes_torque:
             raise ValueError(f'solver {self.solver!r} handles torque-free motion only, found '
@@ -106,6 +107,9 @@ class Options:
         if (damping or rotors) and not self.record.takes_linear_terms:
             raise ValueError(f'solver {self.solver!r} handles neither rotors nor damping, found '
                              + ('damping' if damping else 'rotors'))
+        if friction and self.record.fixed_step:
+            raise ValueError(f'solver {self.solver!r} handles no friction of wheels, which auto '
+                             'and taylor do')
 
     def check_torque_free(self, log: TorqueLog) -> None:
         """Raise ValueError if a log has a torque other than zero."""

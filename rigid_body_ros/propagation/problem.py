@@ -27,10 +27,11 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, Actuators, actuators_of
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
+from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import Logs, stamps_of, torque_logs, TorqueLog
-from rigid_body_ros.mechanics.wheels import EffortLog, Wheel, Wheels
+from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.propagation.options import Options, validated
@@ -161,7 +162,7 @@ class Problem:
             check_named(self.named_wheels, self.efforts, self.fields)
         is_damped = body.is_damped or (
             self.changes is not None and any(each.is_damped for each in self.changes.bodies))
-        options.check_terms(is_damped, self.has_rotors, bool(self.fields))
+        options.check_terms(is_damped, self.has_rotors, bool(self.fields), self.has_friction)
         if not options.record.takes_torque:
             for each in self.sources:
                 options.check_torque_free(each)
@@ -193,6 +194,11 @@ class Problem:
         """Return whether there are rotors that turn, or motors that turn them."""
         return bool(self.start._has_rotors or self.named_wheels
                     or (self.wheels and self.wheels.torques.any()))
+
+    @property
+    def has_friction(self) -> bool:
+        """Return whether wheels with names have friction."""
+        return self.named_wheels is not None and self.named_wheels.has_friction
 
     @property
     def has_torque(self) -> bool:
@@ -293,9 +299,19 @@ class Problem:
 
         It is the same motion of bodies without the axial inertia of the wheels; the problem itself
         if there are no such wheels.
+
+        Raises
+        ------
+        ValueError
+            A wheel has friction: what the rotors do is then part of the motion.
+
         """
         if not self.named_wheels:
             return self
+        if self.has_friction:
+            found = ', '.join(one.name for one in self.named_wheels.wheels if one.friction)
+            raise ValueError('wheels: expected none with friction, which only a propagation '
+                             f'computes, found {found}')
         carrier, changes = self.named_wheels.carrier, self.changes
         start, _ = self.named_wheels.begun(self.start)
         end_ns = self.efforts.times_ns.max(initial=self.start.time_ns) if self.efforts else \

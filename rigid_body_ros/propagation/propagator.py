@@ -38,7 +38,7 @@ from rigid_body_ros.propagation.history import History
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import with_rest
 from rigid_body_ros.propagation.segment import COMMANDS, NewBody, Sample, WHEELS
-from rigid_body_ros.propagation.wheels import check_named, momenta_at, without_wheels
+from rigid_body_ros.propagation.wheels import check_named, momenta_of, without_wheels
 
 
 class Propagator:
@@ -79,7 +79,8 @@ class Propagator:
         #: ns, at least 1; a torque older than the newest stamp by this much or more is dropped.
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._wheels = Wheels(wheels) if wheels else None
-        self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields))
+        self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields),
+                                  bool(self._wheels and self._wheels.has_friction))
         self._start_ns = start.time_ns
         if self._wheels:
             check_named(self._wheels, None, fields)
@@ -346,7 +347,7 @@ class Propagator:
         if self._acting.lag:
             state = with_rest(state, self._start_ns)
         if self._wheels and axial:
-            return self._wheels.shown(state, axial, momenta_at(axial, time_ns))
+            return self._wheels.shown(state, axial, momenta_of(axial, state))
         return state
 
     def torque(self, state: State) -> Floats:

@@ -25,9 +25,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import FieldTerms, kernels, Lags, LagTerms, layout, motion_layout, Terms
+from rigid_body_ros.engine import (
+    FieldTerms,
+    Friction,
+    FrictionTerms,
+    kernels,
+    Lags,
+    LagTerms,
+    layout,
+    motion_layout,
+    Terms,
+)
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation.friction import friction_key, friction_terms
 from rigid_body_ros.propagation.lags import lag_terms, Lagging
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
@@ -119,15 +130,18 @@ class Segment:
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
                  total: Sum, fields: NDArray[Any] | None = None,
-                 lagging: Mapping[int, Lagging] = _NO_LAGS) -> None:
+                 lagging: Mapping[int, Lagging] = _NO_LAGS,
+                 friction: Friction | None = None) -> None:
         lags = total.lags
         #: The sources that lag.
         self.lagging = lagging
-        self.coasts = total.is_zero() and fields is None and not (
+        self.coasts = total.is_zero() and fields is None and friction is None and not (
             body.is_damped or start._has_rotors)
         self.body, self._options, self._history_ns = body, options, history_ns
         key = [np.concatenate([each.key for each in lagging.values()])] \
             if lags is not None and lags.excess.any() else []
+        if friction is not None:
+            key.append(friction_key(friction))
         others = (total.space, total.motors) if key else total.others
         self._rule = options.rule(body, fields, total.torque, total.in_space, *others, *key)
         origin = origin_of(start, self._rule)
@@ -136,8 +150,11 @@ class Segment:
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
         #: Time and state computed last, and those of the last grid point before.
         self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
-        terms: Terms | FieldTerms | LagTerms | None = None
-        if lags is not None:
+        terms: Terms | FieldTerms | LagTerms | FrictionTerms | None = None
+        if friction is not None:
+            terms = friction_terms(origin.rotors[None], total.motors[None], total.space[None],
+                                   fields, lags, friction)
+        elif lags is not None:
             terms = lag_terms(origin.rotors[None], total.motors[None], total.space[None], fields,
                               lags)
         elif fields is not None:

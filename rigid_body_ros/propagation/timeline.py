@@ -17,16 +17,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cached_property, reduce
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import FieldTerms, kernels, LagTerms, Rows, Terms
+from rigid_body_ros.engine import FieldTerms, kernels, layout, Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import summation
-from rigid_body_ros.propagation.lags import LaggingSources
+from rigid_body_ros.propagation.friction import friction_key, friction_of, friction_terms
+from rigid_body_ros.propagation.lags import lag_terms, LaggingSources
+
+if TYPE_CHECKING:
+    from rigid_body_ros.propagation.wheels import WheelTimeline
 
 #: Number of samples whose polynomials are computed at a time.
 _CHUNK = 65536
@@ -39,6 +43,8 @@ class OtherTorques(NamedTuple):
     fields: NDArray[Any] | None = None
     #: The sources whose torques lag; the logs have their commands.
     lagging: LaggingSources | None = None
+    #: The wheels with friction.
+    wheels: WheelTimeline | None = None
 
 
 NO_OTHERS = OtherTorques()
@@ -79,6 +85,8 @@ class Timeline:
     has_rotors = has_terms = _has_motors = _always_acts = False
     _fields: NDArray[Any] | None = None
     _lagging: LaggingSources | None = None
+    #: The wheels with friction.
+    _named: WheelTimeline | None = None
     #: Constant terms; those of summed rows are in these.
     _terms: Terms | None = None
     _summed: Rows | None = None
@@ -88,8 +96,9 @@ class Timeline:
     def __init__(self, logs: Sequence[TorqueLog], wheels: TorqueLog | None, timeout_ns: int,
                  is_damped: bool, start_ns: int, momentum: Floats | None,
                  others: OtherTorques = NO_OTHERS) -> None:
-        self._timeout_ns, (fields, lagging) = timeout_ns, others
-        is_summed = wheels is not None or fields is not None or lagging is not None
+        self._timeout_ns, (fields, lagging, named) = timeout_ns, others
+        is_summed = (wheels is not None or fields is not None or lagging is not None
+                     or named is not None)
         if is_summed or is_damped or momentum is not None:
             self._set_terms(wheels, is_damped, momentum, others)
         if is_summed or len(logs) > 1:
@@ -105,7 +114,7 @@ class Timeline:
 
     def _set_terms(self, wheels: TorqueLog | None, is_damped: bool, momentum: Floats | None,
                    others: OtherTorques) -> None:
-        self._fields, self._lagging = others
+        self._fields, self._lagging, self._named = others
         self._has_motors = wheels is not None and bool(wheels.torques.any())
         self.has_rotors = momentum is not None or self._has_motors
         self._always_acts = momentum is not None or is_damped or self._fields is not None
@@ -127,19 +136,25 @@ class Timeline:
 
     def _sum(self, logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int) -> Rows:
         momentum = self._terms.momentum[0] if self._terms else _NO_MOMENTUM
+        marks_ns = [each.marks_ns for each in (self._lagging, self._named) if each]
         times_ns, in_space, sums = summation.summed(
             logs, wheels, start_ns, momentum, self._timeout_ns,
-            self._lagging.marks_ns if self._lagging else None)
+            reduce(np.union1d, marks_ns) if marks_ns else None)
         axes = [log.in_space for log in (*logs, wheels) if len(log)]
         in_two = any(each.any() for each in axes) and not all(each.all() for each in axes)
         spans = _NO_SPANS
         if sums.torques.shape[1] > 1:
             spans = np.append(np.diff(times_ns) / 1e9, 1.0)
         has_motors = self._has_motors
-        terms: Terms | FieldTerms | LagTerms | None = None
+        terms: layout.AnyTerms | None = None
         momentum = sums.momentum if has_motors else momentum[None]
-        if self._lagging is not None:
-            terms = self._lagging.terms(times_ns, momentum, sums.motors, sums.space, self._fields)
+        if self._named is not None:
+            lags = self._lagging.lags(times_ns) if self._lagging else None
+            terms = friction_terms(momentum, sums.motors, sums.space, self._fields, lags,
+                                   friction_of(self._named.wheels, self._named.efforts(times_ns)))
+        elif self._lagging is not None:
+            terms = lag_terms(momentum, sums.motors, sums.space, self._fields,
+                              self._lagging.lags(times_ns))
         elif self._fields is not None:
             terms = FieldTerms(momentum, sums.motors, sums.space, self._fields)
         elif self.has_terms or in_two:
@@ -172,7 +187,7 @@ class Timeline:
                 return None
             others = [none if space is None else space[row, 0],
                       none if motors is None else motors[row, 0]]
-            if terms and terms.lags:
+            if terms and terms.lags and self._lagging:
                 others.append(terms.lags.excess[row])
             return torques[row, 0], bool(in_space[row]), others
         if row >= 0 and self._samples is not None:
@@ -182,6 +197,11 @@ class Timeline:
         if self._log.interpolation != 'hold':
             return None
         return self._log.torques[row], bool(self._log.in_space[row]), [none, none]
+
+    def key(self, row: int) -> list[Floats]:
+        """Return what determines the friction in a row; empty without friction."""
+        terms = self._summed.terms if self._summed else None
+        return [friction_key(terms.friction, row)] if terms and terms.friction else []
 
     def begin_earlier(self, begin_ns: int, momentum: Floats) -> None:
         """Let the first row, in which torques are held, begin before the start."""
@@ -288,7 +308,7 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
 
 
 def held_row(time_ns: int, torque: Floats, in_space: bool,
-             terms: Terms | FieldTerms | LagTerms | None = None) -> Rows:
+             terms: layout.AnyTerms | None = None) -> Rows:
     """Return the row of a torque that is held from a time on, N m, shape (1, 3)."""
     return _frozen(Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms))
 
@@ -303,7 +323,8 @@ def _frozen(rows: Rows) -> Rows:
     """Return the same rows, read-only like those of a log: one type for the kernels."""
     array: Any
     terms = rows.terms
-    for array in rows[:-1] if terms is None else (*rows[:-1], *terms[:4], *(terms.lags or ())):
+    for array in rows[:-1] if terms is None else (
+            *rows[:-1], *terms[:4], *(terms.lags or ()), *(terms.friction or ())[:2]):
         if array is not None:
             array.flags.writeable = False
     return rows

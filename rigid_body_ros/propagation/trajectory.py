@@ -28,6 +28,7 @@ from rigid_body_ros.engine import motion_layout
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation.models import Model, SolverUsage
+from rigid_body_ros.propagation.wheels import WheelTimeline
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -49,6 +50,8 @@ class Trajectory:
     _motion: Floats
     #: Of each part of the motion, in order; with each change of the body a part begins.
     _parts: tuple[SolverUsage, ...]
+    #: The axial momenta of wheels with friction, N m s, as rows; None without.
+    _momenta: Floats | None = None
 
     def __repr__(self) -> str:
         if not self.times_ns.size:
@@ -137,7 +140,8 @@ class Trajectory:
         def of_part(part: SolverUsage, rows: Any) -> Floats:
             momentum = part.timeline.momentum(self.times_ns[rows])[:, 0]
             if part.wheels:
-                momentum = momentum - part.wheels.wheels.of_body(self.angular_velocity[rows])
+                momentum = part.wheels.wheels.relative(
+                    momentum, self._axial(part.wheels, rows), self.angular_velocity[rows])
             return momentum
         return self._by_part(of_part)
 
@@ -145,8 +149,16 @@ class Trajectory:
     def wheel_speeds(self) -> Floats:
         """Speeds of wheels with names relative to the body, rad/s, shape (m, wheels)."""
         return self._by_part(
-            lambda part, rows: part.wheels.speeds(self.times_ns[rows], self.angular_velocity[rows])
+            lambda part, rows: part.wheels.wheels.speeds(
+                self._axial(part.wheels, rows), self.angular_velocity[rows])
             if part.wheels else np.empty((len(self.times_ns[rows]), 0)))
+
+    def _axial(self, wheels: WheelTimeline, rows: Any) -> Floats:
+        """Return the axial momenta of the wheels of a part, N m s, shape (n, wheels)."""
+        if wheels.wheels.has_friction:
+            found = np.empty((0, len(wheels.wheels))) if self._momenta is None else self._momenta
+            return found[:self.times_ns.size][rows]
+        return wheels.momenta(self.times_ns[rows])[:, 0]
 
     @cached_property
     def wheel_efforts(self) -> Floats:
@@ -190,4 +202,11 @@ def joined(times_ns: NDArray[np.int64], parts: Sequence[Trajectory]) -> Trajecto
     for k, part in enumerate(parts):
         motion_layout.attitude(motion)[of_row == k] = part.attitude
         motion_layout.angular_velocity(motion)[of_row == k] = part.angular_velocity
-    return Trajectory(times_ns, motion, tuple(use for part in parts for use in part._parts))
+    momenta = None
+    if found := [part._momenta for part in parts if part._momenta is not None]:
+        momenta = np.empty((times_ns.size, found[0].shape[1]))
+        for k, part in enumerate(parts):
+            if part._momenta is not None:
+                momenta[of_row == k] = part._momenta[:part.times_ns.size]
+    return Trajectory(times_ns, motion, tuple(use for part in parts for use in part._parts),
+                      momenta)

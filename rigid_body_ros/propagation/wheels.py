@@ -23,10 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.engine import state_layout
+from rigid_body_ros.mechanics.efforts import EffortLog, filled
 from rigid_body_ros.mechanics.fields import Field, GravityGradient
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.mechanics.wheels import Axial, EffortLog, filled, Wheels
+from rigid_body_ros.mechanics.wheels import Axial, Wheels
 from rigid_body_ros.propagation.timeline import momentum_at, Timeline
 
 _NO_TIMES = np.empty(0, np.int64)
@@ -91,6 +93,11 @@ class WheelTimeline:
         return int(self._refused[rows].sum())
 
     @property
+    def marks_ns(self) -> NDArray[np.int64]:
+        """Return when something else begins to act, ns, ascending."""
+        return self.log.segments(self._timeout_ns)[0] if self.log else _NO_TIMES
+
+    @property
     def log(self) -> TorqueLog | None:
         """Return the torque of the motors on the wheels; None before the first command."""
         times_ns, efforts = self._held
@@ -107,19 +114,16 @@ class WheelTimeline:
     @cached_property
     def _groups(self) -> list[Timeline]:
         """Return three wheels at a time, as if they were the axes of rotors."""
+        assert self._axial.momenta is not None
         times_ns, efforts = self._held
         return [Timeline((), TorqueLog(times_ns, three) if len(times_ns) else None,
                          self._timeout_ns, False, self._axial.since_ns, momenta)
                 for three, momenta in zip(_threes(efforts), _threes(self._axial.momenta))]
 
     def momenta(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return axial momenta and their low-order parts, N m s, shape (m, 2, wheels)."""
+        """Return axial momenta without friction, N m s, and their low-order parts, (m, 2, n)."""
         found = [group.momentum(times_ns) for group in self._groups]
         return np.concatenate(found, axis=2)[:, :, :len(self.wheels)]
-
-    def speeds(self, times_ns: NDArray[np.int64], rates: Floats) -> Floats:
-        """Return speeds, rad/s, shape (m, wheels), at times and rates of the body, (m, 3)."""
-        return self.wheels.speeds(self.momenta(times_ns), rates)
 
     def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the torques that act at times, N m, shape (m, wheels)."""
@@ -145,7 +149,7 @@ class WheelTimeline:
         is_silent = 0 < self._timeout_ns <= time_ns - stamp_ns
         if is_silent:
             since_ns = max(since_ns, stamp_ns + self._timeout_ns)
-        momenta = self.momenta(np.array([since_ns]))[0]
+        momenta = None if self.wheels.has_friction else self.momenta(np.array([since_ns]))[0]
         return Axial(since_ns, stamp_ns, momenta, commanded, acting, refused, is_silent)
 
 
@@ -176,7 +180,7 @@ def check_named(wheels: Wheels | None, efforts: EffortLog | None,
                          'because the two together are not supported yet, found one')
 
 
-def commanded(wheels: Wheels, before: Axial, time_ns: int, row: Floats, rates: Floats) -> Axial:
+def commanded(wheels: Wheels, before: Axial, row: Floats, state: State) -> Axial:
     """
     Return what wheels do from commands on.
 
@@ -186,25 +190,24 @@ def commanded(wheels: Wheels, before: Axial, time_ns: int, row: Floats, rates: F
         The wheels.
     before : Axial
         What they do up to then.
-    time_ns : int
-        The stamp of the commands, or a later time at which they come into force.
     row : array, shape (n,), N m
         The commands, NaN for wheels that keep theirs.
-    rates : array, shape (3,), rad/s, body axes
-        Of the body at that time.
+    state : State
+        Of the carrier, at the stamp of the commands or a later time at which they come into force.
 
     """
-    momenta, given = momenta_at(before, time_ns), ~np.isnan(row)
+    momenta, given = momenta_of(before, state), ~np.isnan(row)
     commands = np.where(given, wheels.clipped(row), before.commanded)
-    refused = given & wheels.refused(commands, wheels.speeds(momenta[None], rates[None])[0])
+    refused = given & wheels.refused(commands, wheels.speeds(momenta[0], state.angular_velocity))
     acting = np.where(given, np.where(refused, 0.0, commands), before.acting)
-    return Axial(time_ns, time_ns, momenta, commands, acting, refused)
+    return Axial(state.time_ns, state.time_ns, momenta if before.momenta is not None else None,
+                 commands, acting, refused)
 
 
-def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, time_ns: int, rates: Floats,
+def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, state: State,
              timeout_ns: int) -> Axial:
     """
-    Return what wheels do from a time on, under the commands in force then.
+    Return what wheels do from a state on, under the commands in force then.
 
     Commands that were in force before have begun to act, or not, and go on as they are.
 
@@ -216,14 +219,13 @@ def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, time_ns: int, 
         What they do before.
     log : EffortLog, optional
         The commands.
-    time_ns : int
-        The time.
-    rates : array, shape (3,), rad/s, body axes
-        Of the body then.
+    state : State
+        Of the carrier.
     timeout_ns : int
         As for `TorqueLog.segments`.
 
     """
+    time_ns = state.time_ns
     row = int(log.times_ns.searchsorted(time_ns, 'right')) - 1 if log else -1
     if not log or row < 0:
         return axial
@@ -233,17 +235,19 @@ def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, time_ns: int, 
         begins |= ~np.isnan(log.efforts[row])
     if stamp_ns == axial.stamp_ns and not begins.any():
         return axial
-    found = commanded(wheels, axial, time_ns, np.where(begins, held, np.nan), rates)
+    found = commanded(wheels, axial, np.where(begins, held, np.nan), state)
     return found._replace(stamp_ns=stamp_ns,
                           is_silent=0 < timeout_ns <= time_ns - stamp_ns)
 
 
-def momenta_at(axial: Axial, time_ns: int) -> Floats:
-    """Return axial momenta and their low-order parts, N m s, shape (2, n), up to the next one."""
+def momenta_of(axial: Axial, state: State) -> Floats:
+    """Return axial momenta and their low-order parts, N m s, shape (2, n), of the carrier."""
+    if axial.momenta is None:
+        return state_layout.momenta(state._packed)[:, :len(axial.acting)]
     if not axial.efforts.any():
         return axial.momenta
     found = [momentum_at(np.array([axial.since_ns]), momenta[None], efforts[None],
-                         np.array([time_ns]))[0]
+                         np.array([state.time_ns]))[0]
              for momenta, efforts in zip(_threes(axial.momenta), _threes(axial.efforts[None]))]
     return np.concatenate(found, axis=1)[:, :len(axial.acting)]
 

@@ -27,9 +27,9 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.changes import BodyLog
+from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
-from rigid_body_ros.mechanics.wheels import EffortLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.selection import Topics

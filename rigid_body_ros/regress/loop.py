@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.mechanics.efforts import EffortLog, filled
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.wheels import EffortLog, filled
 from rigid_body_ros.recording import Messages
 from rigid_body_ros.runtime.fingerprint import NAME
 

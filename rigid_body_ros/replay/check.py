@@ -113,8 +113,9 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
 
     Without a torque from outside, the angular momentum in space axes is constant; under torques in
     space axes it follows their integral. Under fields alone the integrals of `_integrals` are
-    constant. Under torques in body axes, damping, or fields and torques, work and energy are
-    compared. If the body changes, the motion up to the first change is checked.
+    constant. Under torques in body axes, damping, fields and torques, or any torque with friction
+    of wheels, work and energy are compared. If the body changes, the motion up to the first change
+    is checked.
     """
     seconds = float(trajectory.times_ns[-1] - problem.start.time_ns) * 1e-9
     change_ns = problem.next_change_ns
@@ -123,10 +124,12 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
         problem = problem.with_first_body()
         part = problem.propagate(at=np.append(times_ns, change_ns - 1))
         return drift(problem, part)._replace(total=seconds)
-    problem = problem.carried()
+    has_friction = problem.has_friction
+    if not has_friction:
+        problem = problem.carried()
     acting, is_damped = [log for log in problem.logs if log.torques.any()], problem.body.is_damped
     if problem.fields:
-        if not (problem.has_torque or is_damped):
+        if not (problem.has_torque or is_damped or has_friction):
             integrals = _integrals(problem, trajectory)
             if integrals:
                 return Check(f'relative drift of {integrals}', seconds, seconds)
@@ -138,7 +141,7 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
         return Check(
             f'relative drift of the space angular momentum {lost / size if size else lost:.1e}',
             seconds, seconds)
-    if not (is_damped or problem.actuators) and all(_is_in_space(log) for log in acting):
+    if not (is_damped or problem.actuators or has_friction) and all(map(_is_in_space, acting)):
         return Check('space angular momentum and the integral of the torque differ by '
                      f'{_momentum_balance(problem, trajectory):.1e} of the largest '
                      'momentum', seconds, seconds)
@@ -235,11 +238,15 @@ def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, flo
     motion = problem.propagate(at=times_ns)
     rates = motion.angular_velocity[:-2]
     total = problem.torque(times_ns[:-2], motion.attitude[:-2]) - rates @ problem.body.damping
+    body, wheels = problem.body, problem.named_wheels
     if problem.wheels:
         total -= problem.wheels.at(times_ns[:-2], problem.options.timeout_ns)[0]
+    if wheels:  # with friction
+        body = wheels.carrier(body)
+        total -= wheels.torque(wheels.slowed(motion.wheel_efforts, motion.wheel_speeds))[:-2]
     power = np.sum(total * rates, axis=1).reshape(-1, 3)
     work = np.sum(power @ _GAUSS_WEIGHTS * lengths) * 1e-9
-    energy = motion.kinetic_energy
+    energy = body.kinetic_energy(motion.angular_velocity)
     change, scale = energy[-1] - energy[-2], energy.max()
     return (abs(float((work - change) / scale)) if scale else 0.0), \
         float(edges[-1] - edges[0]) * 1e-9
@@ -249,13 +256,17 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
     # Return the changes of the torque and times in between, such that all intervals are short.
     changes = np.unique(np.concatenate(
         [np.empty(0, np.int64),
-         *(log.segments(problem.options.timeout_ns)[0] for log in problem.acting_sources)]))
+         *(log.segments(problem.options.timeout_ns)[0] for log in problem.acting_sources),
+         *([problem.efforts.times_ns, problem.efforts.times_ns + problem.options.timeout_ns]
+           if problem.efforts else ())]))
     start_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     inside = changes[(changes > start_ns) & (changes < end_ns)]
     edges = np.concatenate([[start_ns], inside, [end_ns]])[:_MOST_INTERVALS + 1]
     lengths = np.diff(edges)
     least, _, largest = trajectory.body.principal_moments
-    speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory) + sum(
+    wheels = problem.named_wheels
+    speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory) + (
+        wheels.decay_rate(wheels.carrier(problem.body)) if wheels else 0.0) + sum(
         float(one.speed(least, largest)) for one in problem.fields) + max(
             [1.0 / constant for constant in time_constants(problem.actuators)], default=0.0)
     counts = np.ceil(lengths * 1e-9 * speed / _INTERVAL_ANGLE)

@@ -281,7 +281,9 @@ class Scene:
             raise InputError(f'orbit.mean_motion: expected 0 with {WHEEL_NAMES}, because the two '
                              'together are not supported yet, found '
                              f'{self.values["orbit.mean_motion"]} rad/s')
-        Wheels(self.named_wheels).carrier(self.body)
+        wheels = Wheels(self.named_wheels)
+        wheels.carrier(self.body)
+        self.options.check_terms(False, True, friction=wheels.has_friction)
 
     def _warnings(self) -> Iterator[str]:
         if self.body.triangle_excess:

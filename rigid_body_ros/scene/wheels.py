@@ -39,8 +39,8 @@ _INERTIA = Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, par
 _OTHERS = (
     Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
               (-1e9, 1e9)),
-    Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel; only 0 is supported '
-              'yet', (0.0, BIG)),
+    Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel: a torque of this '
+              'times its speed slows it, and its opposite acts on the body', (0.0, BIG)),
     Parameter('max_torque', 0.0, 'N m', 'largest torque of the motor, to which commands are '
               'clipped; 0: no limit', (0.0, BIG)),
     Parameter('max_speed', 0.0, 'rad/s', 'a command that would speed up a wheel which is as fast '

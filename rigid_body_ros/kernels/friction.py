@@ -1,0 +1,327 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Viscous friction of wheels with names.
+
+The torque along the axis a of a wheel is that of its motor, u, less f W, where W = H / I - a . w
+is its speed relative to the body. So its axial momentum obeys H' = u - f W, and the body feels
+-H' a. H depends on the motion: it is a part of the state, and its series follows from that of the
+rates.
+
+Wheels are computed four at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import euler_equations, four
+from rigid_body_ros.kernels.four import Four
+from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.kernels.series_table import (
+    MAX_ORDER,
+    PERMUTED,
+    RECIPROCALS,
+    row_of,
+    store_permuted,
+    turned,
+    U,
+)
+from rigid_body_ros.kernels.state_layout import LOST_MOMENTA, MOMENTA, MOST_WHEELS
+from rigid_body_ros.kernels.vector import (
+    accumulate,
+    add,
+    add_scaled,
+    Coefficients,
+    dot,
+    KernelState,
+    of,
+    PrincipalFrame,
+    scale,
+    total,
+    two_sum,
+    Vector,
+)
+
+#: Doubles for four wheels: the components of their axes, 1 / I and its low-order part, and f.
+SIZE = 24
+_X, _Y, _Z, _INVERSE, _LOST_INVERSE, _FRICTION = range(0, SIZE, 4)
+#: Layout of the series of one order: the momenta, and the sum of H a in its three permutations,
+#: but for that of order 0, which is in the linear terms.
+_SUM, _ORDER = MOST_WHEELS, MOST_WHEELS + PERMUTED
+#: After the series, there are the torques on the wheels at the beginning of the step, and the
+#: weights of their momenta.
+_TORQUES = _ORDER * (MAX_ORDER + 1)
+_WEIGHTS = _TORQUES + MOST_WHEELS
+WORKSPACE = _WEIGHTS + MOST_WHEELS
+
+
+class States(NamedTuple):
+    """States with the momenta of wheels, see `state_layout`: those of a `layout.GridStates`."""
+
+    grid: Floats
+    begin: Floats
+    latest: Floats
+
+
+class RowFriction(NamedTuple):
+    """The wheels in a row."""
+
+    #: See `layout.Friction`.
+    efforts: Floats
+    wheels: Floats
+    row: int
+
+
+class StepFriction(NamedTuple):
+    """The wheels in a step, and their series."""
+
+    friction: RowFriction
+    states: States
+    #: See WORKSPACE.
+    series: Floats
+
+
+@optional
+def states_of(_found: NamedTuple, progress: NDArray[Any]) -> States:
+    """Return the states in an array of `layout.PROGRESS`; None without friction."""
+    return States(progress[0].grid, progress[0].begin, progress[0].latest)
+
+
+@inlined
+def accept(states: States | None) -> None:
+    """Let the latest momenta be those of the grid."""
+    if states is None:
+        return
+    _copy(states.latest, states.grid)
+
+
+@inlined
+def begin_segment(states: States | None) -> None:
+    """Let the latest momenta be those of the grid and of the beginning of a segment."""
+    if states is None:
+        return
+    _copy(states.latest, states.grid)
+    _copy(states.latest, states.begin)
+
+
+@inlined
+def go_back(states: States | None) -> None:
+    """Let the momenta of the grid be the latest ones."""
+    if states is None:
+        return
+    _copy(states.grid, states.latest)
+
+
+@internal
+def _copy(source: Floats, target: Floats) -> None:
+    for k in range(2 * MOST_WHEELS):
+        target[MOMENTA + k] = source[MOMENTA + k]
+
+
+@optional
+def store(states: States, row: int, found: Any) -> None:
+    """Write the latest momenta into a row of those of a `layout.Friction`."""
+    for k in range(found.momenta.shape[1]):
+        found.momenta[row, k] = states.latest[MOMENTA + k]
+
+
+@inlined
+def momentum(found: RowFriction | None, states: Any, others: Vector,
+             low: Vector) -> tuple[Vector, Vector]:
+    """Return the momentum of all rotors on the grid, and its low-order part, from the others'."""
+    if found is None:
+        return others, low
+    high = others
+    for k in range(found.efforts.shape[1]):
+        axis = _axis(found.wheels, k)
+        product = scale(states.grid[MOMENTA + k], axis)
+        rest = add_scaled(four.negative(product), states.grid[MOMENTA + k], axis)
+        high, lost = two_sum(high, product)
+        low = add(low, add_scaled(add(rest, lost), states.grid[LOST_MOMENTA + k], axis))
+    return high, low
+
+
+@inlined
+def _axis(wheels: Floats, k: int) -> Vector:
+    place = k // 4 * SIZE + k % 4
+    return of(wheels[place + _X], wheels[place + _Y], wheels[place + _Z])
+
+
+@inlined
+def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
+    """
+    Return the square of the rate of rotation that limits a step as much as friction, 1/s^2.
+
+    It is half a bound on the rate at which speeds decay, as that of `linear_terms.square_rate`.
+    """
+    largest = coupled = 0.0
+    if found is None:
+        return largest
+    for k in range(found.efforts.shape[1]):
+        place = k // 4 * SIZE + k % 4
+        friction = found.wheels[place + _FRICTION]
+        largest = max(largest, friction * found.wheels[place + _INVERSE])
+        coupled += friction / frame[0][0]
+    return 0.25 * (largest + coupled) * (largest + coupled)
+
+
+@inlined
+def acceleration(found: RowFriction | None, states: Any, w: Vector,
+                 coefficients: Coefficients, form: int) -> float:
+    """Return the acceleration of the body by its wheels on the grid, rad/s^2."""
+    if found is None:
+        return 0.0
+    torque = four.broadcast(0.0)
+    for place in range(0, found.efforts.shape[1], 4):
+        torque = add(torque, _along(found.wheels, place, _torques(found, states, w, place)))
+    rate = euler_equations.acceleration_from_torque(coefficients, form, torque)
+    return math.sqrt(dot(rate, rate))
+
+
+@inlined
+def _torques(found: RowFriction, states: States, w: Vector, place: int) -> Four:
+    # Return the torques on four wheels on the grid.
+    pull = _friction(found.wheels, place, w, four.load(states.grid, MOMENTA + place))
+    row = max(found.row, 0)
+    return add(pull, four.of(found.efforts[row, place], found.efforts[row, place + 1],
+                             found.efforts[row, place + 2], found.efforts[row, place + 3]))
+
+
+@inlined
+def _friction(wheels: Floats, place: int, w: Vector, momenta: Four) -> Four:
+    # Return the torques of friction on four wheels.
+    first = place // 4 * SIZE
+    rate = add_scaled(add_scaled(scale(w[2], four.load(wheels, first + _Z)), w[1],
+                                 four.load(wheels, first + _Y)), w[0],
+                      four.load(wheels, first + _X))
+    whole = four.fma(momenta, four.load(wheels, first + _LOST_INVERSE),
+                     four.multiply(momenta, four.load(wheels, first + _INVERSE)))
+    return four.multiply(four.load(wheels, first + _FRICTION), four.subtract(rate, whole))
+
+
+@inlined
+def _along(wheels: Floats, place: int, amounts: Four) -> Vector:
+    # Return the sum of amounts times the axes of four wheels.
+    first = place // 4 * SIZE
+    return of(dot(amounts, four.load(wheels, first + _X)),
+              dot(amounts, four.load(wheels, first + _Y)),
+              dot(amounts, four.load(wheels, first + _Z)))
+
+
+@optional
+def workspace(_found: RowFriction, work: Floats) -> Floats:
+    """Return the workspace, None without friction."""
+    return work
+
+
+@optional
+def of_step(found: RowFriction, states: States, work: Floats) -> StepFriction:
+    """Return the wheels in a step, with series that are not yet filled; None without friction."""
+    return StepFriction(found, states, work)
+
+
+@inlined
+def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficients,
+          form: int) -> float:
+    """Store the momenta at the beginning of a step, and return what `acceleration` does."""
+    if step is None:
+        return 0.0
+    found, states, series = step
+    none = torque = four.broadcast(0.0)
+    store_permuted(series, _SUM, none)
+    for place in range(0, found.efforts.shape[1], 4):
+        torques = _torques(found, states, state[0], place)
+        torque = add(torque, _along(found.wheels, place, torques))
+        four.store(series, place, four.load(states.grid, MOMENTA + place))
+        four.store(series, _TORQUES + place, torques)
+    rate = euler_equations.acceleration_from_torque(coefficients, form, torque)
+    return math.sqrt(dot(rate, rate))
+
+
+@inlined
+def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
+    """Store the weights that make momenta comparable to an angle by which the body turns."""
+    if step is None:
+        return
+    found, _, series = step
+    for k in range(found.efforts.shape[1]):
+        inverse = found.wheels[k // 4 * SIZE + k % 4 + _INVERSE]
+        size = abs(series[k]) + seconds * abs(series[_TORQUES + k])
+        speed = inverse * size + angle / seconds
+        series[_WEIGHTS + k] = angle * inverse / speed if speed > 0.0 else 0.0
+
+
+@inlined
+def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int, seconds: float,
+                     coefficients: Coefficients, form: int) -> Vector:
+    """
+    Return the sum of a vector and the term of order k of the acceleration, times seconds^2.
+
+    The arguments are those of `field_series.add_acceleration`.
+    """
+    if step is None:
+        return u
+    found, _, series = step
+    w = scale(1.0 / seconds, four.load(table, row_of(table, k) + U))
+    factor, row = seconds * float(RECIPROCALS[k]), _ORDER * k
+    torque = four.broadcast(0.0)
+    for place in range(0, found.efforts.shape[1], 4):
+        torques = four.load(series, _TORQUES + place) if k == 0 else \
+            _friction(found.wheels, place, w, four.load(series, row + place))
+        torque = add(torque, _along(found.wheels, place, torques))
+        four.store(series, row + _ORDER + place, scale(factor, torques))
+    # The momentum changes by the torque, and the body turns it.
+    turn = scale((k + 1) / seconds, turned(series, _SUM, _ORDER, table, k))
+    store_permuted(series, row + _ORDER + _SUM, scale(factor, torque))
+    return add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
+        coefficients, form, four.subtract(turn, torque)))
+
+
+@inlined
+def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
+    """Return the size of the terms of order k, that of the momenta included."""
+    if step is None:
+        return size
+    found, _, series = step
+    for place in range(0, found.efforts.shape[1], 4):
+        size += total(four.multiply(four.load(series, _WEIGHTS + place), four.absolute(
+            four.load(series, _ORDER * k + place))))
+    return size
+
+
+@inlined
+def end(step: StepFriction | None, order: int) -> None:
+    """Add the terms up to an order to the momenta."""
+    if step is None:
+        return
+    found, states, series = step
+    for place in range(0, found.efforts.shape[1], 4):
+        change = four.broadcast(0.0)
+        for k in range(order, 0, -1):  # the small terms first
+            change = add(change, four.load(series, _ORDER * k + place))
+        high, low = accumulate(four.load(states.grid, MOMENTA + place),
+                               four.load(states.grid, LOST_MOMENTA + place), change)
+        four.store(states.latest, MOMENTA + place, high)
+        four.store(states.latest, LOST_MOMENTA + place, low)
+
+
+@inlined
+def lowest_order(step: StepFriction | None) -> int:
+    """Return a bound on how many terms in a row may be zero by chance, see `taylor.step`."""
+    return 0 if step is None else 1
