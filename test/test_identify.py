@@ -21,7 +21,15 @@ import json
 from conftest import at_night
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog, UniformField
+from rigid_body_ros import (
+    EffortLog,
+    propagate,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+    Wheel,
+)
 from rigid_body_ros.identification import Experiment, identify
 from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.mechanics import so3
@@ -261,6 +269,33 @@ def test_a_flywheel_that_spins_up_gives_the_scale_of_the_inertia_without_torque(
     assert_covered(noisy, inertia_truth())
 
 
+@pytest.mark.parametrize(('attitude', 'rate'), [(0.0, 0.0), (ATTITUDE, RATE)])
+def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
+    body, stamps = RigidBody(INERTIA), np.arange(1, 1000) * (SECOND // 50)
+    wheels = [Wheel('x', (1.0, 0.0, 0.0), 2e-3, initial_speed=20.0, max_torque=0.02),
+              Wheel('y', (0.0, 1.0, 0.0), 2e-3, initial_speed=-10.0),
+              Wheel('skewed', (1.0, 1.0, 1.0), 1e-3)]
+    times = np.arange(100) * (SECOND // 5)
+    efforts = EffortLog(times, 0.03 * np.sin(
+        np.outer(times / 1e9, [0.7, 1.1, 1.7]) + np.arange(3.0)))
+    motion = propagate(body, State(0, (0.1, -0.2, 0.3, 0.9), (0.5, 1.0, 0.2)), at=stamps,
+                       wheels=wheels, efforts=efforts)
+    random = np.random.default_rng(5)
+    imu = Measured('/imu', stamps, so3.multiply(motion.attitude, so3.exp(
+        attitude * random.normal(size=(999, 3)))),
+        motion.angular_velocity + rate * random.normal(size=(999, 3)))
+    # The momenta of the wheels depend on the rate at the start, which is estimated, too.
+    result = identify(GUESS, Experiment(State(), None, [imu], wheels, efforts=efforts))
+    assert result.unidentifiable == []
+    if rate:
+        assert result.verdict.level == 'explained'
+        assert_covered(result, inertia_truth())
+    else:
+        assert inertia_error(result) < 1e-12
+    again = propagate(result.body, result.starts[0], at=stamps, wheels=wheels, efforts=efforts)
+    assert so3.angle_between(again.attitude, motion.attitude).max() < 1e-11 + attitude
+
+
 def test_the_momentum_of_a_rotor():
     truth = Truth(momentum=np.tile([0.0, 0.01, 0.02], (201, 1)))
     unknown = State(0, truth.attitude, truth.rates)
@@ -454,6 +489,8 @@ def bad(**changes):
     (lambda: bad(stamps_ns=tumble().stamps_ns[:3], attitude=tumble().q[:3]), {},
      '/pose: expected at least 8 attitudes'),
     (lambda: tumble().experiment(), {}, 'expected at least one measured topic'),
+    (lambda: [bad(), replace(bad(), wheels=[Wheel('x', (1.0, 0.0, 0.0), 1e-3)])], {},
+     'expected the same wheels in all recordings, found others'),
     (bad, {'estimate': ['mass']}, "estimate: expected names among inertia.*found 'mass'"),
     (bad, {'estimate': ['inertia', 'inertia_diagonal']}, 'expected one of'),
     (bad, {'estimate': ['pivot.moment']},

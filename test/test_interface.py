@@ -80,7 +80,7 @@ SIGNATURES = [
     (BodyLog, "times_ns, bodies, keep='rate'"),
     (build_info, ''),
     (warm_up, ''),
-    (Experiment, 'start, log, measured, wheels=None, fields=()'),
+    (Experiment, 'start, log, measured, wheels=None, fields=(), efforts=None'),
     (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
                'rate_noise=None, validate=0.0, priors=None, gravity=(0.0, 0.0, -9.80665), '
                'accept=0.05, torque_timeout=0.0'),

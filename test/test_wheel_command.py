@@ -337,7 +337,7 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     assert drift < 1e-14
 
 
-def test_compare_knows_the_wheels_and_other_commands_refuse_them(tmp_path, capsys):
+def test_compare_and_identify_know_the_wheels_and_other_commands_refuse_them(tmp_path, capsys):
     path, run = tmp_path / 'flight.mcap', scene.load(SCENE)
     random, stamps = np.random.default_rng(3), SECOND + STEP_NS * np.arange(300)
     log = EffortLog(stamps, 0.003 * random.normal(size=(300, 4)))
@@ -357,16 +357,19 @@ def test_compare_knows_the_wheels_and_other_commands_refuse_them(tmp_path, capsy
     # A part of the motion begins with the momenta of the wheels, too.
     assert found['attitude_error_rad']['max'] < 1e-15
     assert found['horizons'][-1]['attitude_p95_rad'] < 1e-11
+    fitted = tmp_path / 'fitted.yaml'
+    assert main.attitude_identify([*arguments, '-o', str(fitted)]) == 0
+    again = scene.load(fitted)
+    np.testing.assert_allclose(again.body.inertia, run.body.inertia, atol=1e-11)
+    assert [wheel.name for wheel in again.named_wheels] == [*WHEELS]
     capsys.readouterr()
     slowed = tmp_path / 'slowed.yaml'
     slowed.write_text(SCENE.read_text() + '    rw_x.friction: 1.0e-5\n')
     assert main.attitude_compare([str(path), '--scene', str(slowed)]) == 2
     assert 'wheels: expected none with friction, which only a propagation computes, found rw_x' \
         in capsys.readouterr().err
-    for command, options in ((main.attitude_identify, arguments),
-                             (main.attitude_tradeoff, ['--recording', *arguments])):
-        assert command(options) == 2
-        assert 'expected wheels without names, found rw_x, rw_y' in capsys.readouterr().err
+    assert main.attitude_tradeoff(['--recording', *arguments]) == 2
+    assert 'expected wheels without names, found rw_x, rw_y' in capsys.readouterr().err
 
 
 @pytest.mark.nightly

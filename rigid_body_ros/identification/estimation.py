@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import math
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.identification import residuals
 from rigid_body_ros.identification.actuator import applied, check_delay
@@ -29,6 +29,7 @@ from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
     channels_of,
     Experiment,
+    local_state,
     typical_rate,
 )
 from rigid_body_ros.identification.findings import examined, Findings
@@ -55,6 +56,7 @@ from rigid_body_ros.identification.sensors import topics_of
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import Solution, solve
 from rigid_body_ros.identification.verdict import ACCEPT, judged, tried
+from rigid_body_ros.identification.windows import AxialInertia
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField
@@ -113,7 +115,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     ------
     InputError
         A name is unknown, no field or topic has it, a noise or a prior is not positive, a topic
-        has too few finite samples, or the torque acts more than two seconds late.
+        has too few finite samples, the torque acts more than two seconds late, or recordings have
+        different wheels.
 
     """
     names = checked_names(estimate)
@@ -129,13 +132,34 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
         raise InputError('experiments: expected at least one recording, found none')
     every = [channels_of(experiment) for experiment in experiments]
     training = [_training(channels, validate) for channels in every]
-    problems = [Problem(body, one.start, one.log, wheels=one.wheels, fields=one.fields,
-                        torque_timeout=torque_timeout) for one in experiments]
-    setup = _setup(problems, training, names, attitude_noise, rate_noise, gravity)
+    problems, axial = zip(*(_carried(
+        Problem(body, one.start, one.log, wheels=one.wheels, fields=one.fields,
+                efforts=one.efforts, torque_timeout=torque_timeout), channels)
+        for one, channels in zip(experiments, training)))
+    if len({one and one.tensor.tobytes() for one in axial}) > 1:
+        raise InputError('experiments: expected the same wheels in all recordings, found others')
+    setup = replace(_setup([*problems], training, names, attitude_noise, rate_noise, gravity),
+                    axial=axial)
     known = checked_priors(priors or {}, setup.parameters, setup.given)
     solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
     check_delay(solution.physics)
     return _result(examined(solution), every if validate else [], accept)
+
+
+def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, AxialInertia | None]:
+    """
+    Return the problem of the body that carries wheels with names, and their axial inertia.
+
+    The momentum of its rotors is relative to the body of the start.
+    """
+    if not problem.named_wheels:
+        return problem, None
+    carried, start = problem.carried(), problem.start
+    tensor = problem.body.inertia - carried.body.inertia
+    _, rate = local_state(channels, start.time_ns, typical_rate(channels), start)
+    momentum = carried.start.rotor_momentum - tensor @ start.angular_velocity
+    return carried.replaced(start=State(start.time_ns, start.attitude, start.angular_velocity,
+                                        momentum)), AxialInertia(tensor, rate, start)
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:
@@ -175,7 +199,8 @@ def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple
     magnitudes = Magnitudes(rate, float(max(torques, default=0.0)), max(span_ns * 1e-9, 1e-9),
                             strengths)
     parameters = Parameters(names, guess, magnitudes)
-    return Setup(problems, channels, parameters, rate, START in names, attitude_noise, rate_noise)
+    return Setup(problems, channels, parameters, rate, START in names, attitude_noise, rate_noise,
+                 [None] * len(problems))
 
 
 def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
@@ -221,7 +246,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     aligned = residuals.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
                                    physics, setup.problems[0].start.time_ns)
     return Identification(
-        physics.body, physics.acting(setup.problems[0].fields),
+        setup.body(physics), physics.acting(setup.problems[0].fields),
         [_start(solution, number)[0] for number in range(len(setup.problems))],
         estimates, _covariance(known, numbers.scales),
         setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
@@ -236,7 +261,11 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
 def _first_motion(solution: Solution, end_ns: int) -> Problem:
     """Return the problem of the first recording with all estimates; a bias acts up to a time."""
     given, physics = solution.problem.setup.problems[0], solution.physics
-    found = given.replaced(body=physics.body, start=_start(solution, 0)[0],
+    start = _start(solution, 0)[0]
+    momentum = given.start.rotor_momentum + physics.value('rotor_momentum') \
+        + solution.problem.setup.axial_tensor @ start.angular_velocity
+    start = State(start.time_ns, start.attitude, start.angular_velocity, momentum)
+    found = given.replaced(body=physics.body, start=start,
                            log=applied(given.logs, physics, given.options.timeout_ns),
                            fields=physics.acting(given.fields) or None)
     bias = physics.value('torque_bias')
@@ -249,10 +278,13 @@ def _numbers(solution: Solution) -> _Numbers:
     shared = _Numbers([*parameters.names], parameters.values(solution.physics),
                       parameters.values(setup.given), parameters.scales,
                       np.eye(parameters.size))
+    inertia = parameters.columns(['inertia', 'inertia_diagonal'])
+    for vector in (shared.values, shared.guesses):
+        vector[inertia] += entries(setup.axial_tensor)[:len(inertia)]
     if 'rotor_momentum' in parameters.groups:
         columns = parameters.columns(['rotor_momentum'])
         for vector in (shared.values, shared.guesses):
-            vector[columns] += setup.problems[0].start.rotor_momentum
+            vector[columns] += setup.start(0).rotor_momentum
     parts = [shared]
     for number in range(len(setup.problems)):
         own = _start(solution, number)[1]
@@ -294,7 +326,7 @@ class _Numbers:
 def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
     """Return the initial state of a recording, and its components if it was fitted."""
     setup = solution.problem.setup
-    given = setup.problems[number].start
+    given = setup.start(number)
     momentum = given.rotor_momentum + solution.physics.value('rotor_momentum')
     k = next(k for k, window in enumerate(solution.problem.windows)
              if window.experiment == number)
@@ -302,7 +334,7 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
         return replace(given, rotor_momentum=momentum), None
     attitude, velocity = (solution.problem.reference.attitude[k],
                           solution.problem.reference.angular_velocity[k])
-    start = State(given.time_ns, attitude, velocity, momentum)
+    start = State(given.time_ns, attitude, velocity, momentum, given.wheel_speeds)
     names = [f'initial_angular_velocity.{axis}' for axis in 'xyz']
     values, guesses, scales, turn = (velocity, given.angular_velocity, np.full(3, setup.rate),
                                      np.eye(3))

@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import Logs, torque_logs, TorqueLog
+from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.sensing.measured import Measured
 
@@ -49,18 +51,23 @@ class Experiment:
         The torques, as for `propagate`.
     measured : sequence of Measured
         What the sensors measured.
-    wheels : TorqueLog, optional
-        Torque on the rotors, as for `propagate`.
+    wheels : TorqueLog or sequence of Wheel, optional
+        Torque on the rotors, or wheels with names, as for `propagate`; the same wheels in all
+        recordings.
     fields : sequence of Field
         As for `propagate`; the same in all recordings.
+    efforts : EffortLog, optional
+        The commands of wheels with names. Whether a wheel with a largest speed refuses one
+        follows from the guess of the motion.
 
     """
 
     start: State
     log: Logs
     measured: Sequence[Measured]
-    wheels: TorqueLog | None = None
+    wheels: TorqueLog | Sequence[Wheel] | None = None
     fields: Sequence[Field] = ()
+    efforts: EffortLog | None = None
 
     @property
     def logs(self) -> list[TorqueLog]:

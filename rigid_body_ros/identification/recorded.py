@@ -42,13 +42,14 @@ def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experim
 
     The torques are those that act, if the scene has actuators.
     """
-    problem, measurements = read_observed(path, scene, reading)
+    problem, measurements = read_observed(path, scene, reading, may_command=True)
     logs, timeout_ns = list(problem.acting_logs), problem.options.timeout_ns
     for k, actuator in enumerate(problem.actuators):
         if actuator and actuator.time_constant:
             logs[k] = lagged(logs[k], actuator.time_constant, timeout_ns)
-    return Experiment(problem.start, logs, measurements.until_end(), problem.wheels,
-                      problem.fields)
+    wheels = problem.named_wheels.wheels if problem.named_wheels else problem.wheels
+    return Experiment(problem.start, logs, measurements.until_end(), wheels, problem.fields,
+                      problem.efforts)
 
 
 def read_experiments(paths: Sequence[str | Path], scene: Scene,

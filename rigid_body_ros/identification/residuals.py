@@ -211,7 +211,7 @@ def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> t
             for channel, fitted in zip(channels, setup.channels[number])]
     whole, = windows_of(number, setup.problems[number], channels, 2 ** 62, solution.physics, 0)
     return k, replace(whole, problem=whole.problem.replaced(start=last.problem.start),
-                      is_first=last.is_first, channels=rest,
+                      is_first=last.is_first, axial=last.axial, channels=rest,
                       rows=[slice(0, len(channel)) for channel in rest])
 
 

@@ -20,8 +20,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.parameters import Parameters, Physics
-from rigid_body_ros.identification.windows import LEAD_NS, Window, windows_of
+from rigid_body_ros.identification.windows import AxialInertia, LEAD_NS, Window, windows_of
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 
@@ -42,11 +45,27 @@ class Setup:
     fits_start: bool
     attitude_noise: float | None
     rate_noise: float | None
+    axial: Sequence[AxialInertia | None]
 
     @property
     def given(self) -> Physics:
         """Return the guess as it was given: a fit may begin with a thicker body."""
         return replace(self.parameters.guess, inertia=self.problems[0].body.inertia)
+
+    @property
+    def axial_tensor(self) -> Floats:
+        """Return by how much the inertia of the body exceeds the one that is fitted, (3, 3)."""
+        return self.axial[0].tensor if self.axial[0] else np.zeros((3, 3))
+
+    def body(self, physics: Physics) -> RigidBody:
+        """Return the body with its wheels."""
+        return RigidBody(physics.inertia + self.axial_tensor, physics.damping) \
+            if self.axial[0] else physics.body
+
+    def start(self, number: int) -> State:
+        """Return the start of a recording as it was given."""
+        axial = self.axial[number]
+        return axial.start if axial else self.problems[number].start
 
     @property
     def fits_attitude(self) -> list[bool]:
@@ -76,7 +95,7 @@ class Setup:
     def windows(self, length_ns: int, physics: Physics, parts: int = 1) -> list[Window]:
         """Return all recordings in windows of about this length, each divided into parts."""
         lead_ns = LEAD_NS if self.parameters.shifts else 0
-        return [window for number, (problem, channels)
-                in enumerate(zip(self.problems, self.channels))
+        return [window for number, (problem, channels, axial)
+                in enumerate(zip(self.problems, self.channels, self.axial))
                 for window in windows_of(number, problem, channels, length_ns, physics, lead_ns,
-                                         parts)]
+                                         parts, axial)]

@@ -39,6 +39,30 @@ _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
 Stamps = Sequence[NDArray[np.int64]]
 
 
+@dataclass(frozen=True, eq=False)
+class AxialInertia:
+    """
+    That of wheels with names: what is fitted is a body without it, whose rotors they are.
+
+    The speeds of wheels are known at the start, relative to the body. So their axial momenta there
+    follow from the rate of the body.
+
+    Attributes
+    ----------
+    tensor : array, shape (3, 3), kg m^2
+        The sum of I a a^T.
+    rate : array, shape (3,), rad/s
+        A guess of the rate at the start, for windows that begin later.
+    start : State
+        As it was given, with the speeds of the wheels.
+
+    """
+
+    tensor: Floats
+    rate: Floats
+    start: State
+
+
 @dataclass(eq=False)
 class Window:
     """
@@ -58,6 +82,9 @@ class Window:
         Which samples of each channel of the recording are in the window.
     origin_ns : int
         The start of the recording, from which the drift of clocks counts.
+    axial : array, shape (3, 3), kg m^2, optional
+        That of wheels with names whose speeds are known at its beginning: the momentum of the
+        rotors is relative to the body there.
     is_in_body : bool
         Whether all torques are in body axes, so that the motion turns with its initial attitude.
 
@@ -69,6 +96,7 @@ class Window:
     channels: list[Measured]
     rows: list[slice]
     origin_ns: int
+    axial: Floats | None = None
     is_in_body: bool = field(init=False)
     #: The latest gain, delay and lag, and the problem with them.
     _applied: tuple[tuple[float, ...], Problem] | None = field(init=False, default=None)
@@ -130,6 +158,8 @@ class Window:
                 times_ns: NDArray[np.int64]) -> Trajectory:
         """Return the motion at times, at the beginning for earlier ones."""
         momentum = self.problem.start.rotor_momentum + physics.value('rotor_momentum')
+        if self.axial is not None:
+            momentum = momentum + self.axial @ velocity
         start = State(self.anchor_ns, attitude, velocity, momentum)
         fields = physics.acting(self.problem.fields) if physics.values else None
         problem = self._acting(physics, int(times_ns[-1])).replaced(
@@ -173,7 +203,8 @@ def _rates(velocity: Floats, mount: Floats | None, physics: Sequence[Physics],
 
 
 def windows_of(number: int, problem: Problem, channels: Sequence[Measured], length_ns: int,
-               physics: Physics, lead_ns: int, parts: int = 1) -> list[Window]:
+               physics: Physics, lead_ns: int, parts: int = 1,
+               axial: AxialInertia | None = None) -> list[Window]:
     """
     Divide a recording into windows.
 
@@ -193,6 +224,8 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
         How much earlier than their first sample windows begin.
     parts : int
         Number of windows that each window of that length is divided into.
+    axial : AxialInertia, optional
+        That of wheels with names.
 
     Returns
     -------
@@ -208,6 +241,9 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
     edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
     anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
     momenta = problem.rotor_momentum(anchors)
+    if axial:
+        momenta = momenta + np.where(anchors > start_ns, 1.0, 0.0)[:, None] * (
+            axial.tensor @ axial.rate)
     result = []
     for k, anchor_ns in enumerate(anchors.tolist()):
         rows = [slice(*np.searchsorted(each, [edges[k], edges[k + 1]])) for each in stamps]
@@ -216,5 +252,6 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
             continue
         start = State(anchor_ns, rotor_momentum=momenta[k])
         near = problem.between(start, int(edges[k + 1]) + LEAD_NS, _MEMORY_NS)
-        result.append(Window(number, k == 0, near, samples, rows, start_ns))
+        result.append(Window(number, k == 0, near, samples, rows, start_ns,
+                             axial.tensor if axial and anchor_ns == start_ns else None))
     return result

@@ -106,7 +106,7 @@ class Inputs:
             raise RejectedError(TOO_LARGE, f'expected a torque of at most {self._largest:.3g} N m '
                                 f'for this inertia, found {[x, y, z]}'
                                 + _source(wrench, frame))
-        if force.any() and not (frame and frame.has_arm):
+        if any(force.tolist()) and not (frame and frame.has_arm):
             self._events.count_force(source)
         return Torque(wrench.stamp_ns, torque, axes, source)
 

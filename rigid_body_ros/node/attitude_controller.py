@@ -45,7 +45,6 @@ from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.node.spinning import spin
@@ -93,7 +92,7 @@ class AttitudeController(Node):
                 f'parameters that are not those of a controller are ignored: {listed(others)}')
 
     def _on_state(self, state: Odometry) -> None:
-        stamp_ns = Time.from_msg(state.header.stamp).nanoseconds
+        stamp_ns = state.header.stamp.sec * 10 ** 9 + state.header.stamp.nanosec
         if self._start_ns is None:
             self._start_ns, self._began = stamp_ns, time.monotonic()
         elapsed = (stamp_ns - self._start_ns) * 1e-9
@@ -102,7 +101,8 @@ class AttitudeController(Node):
         if elapsed >= self._stop_after:
             self.done = True
             return
-        self._report(elapsed, error, rates)
+        if not self._settled:
+            self._report(elapsed, error, rates)
         self._command.header.stamp = state.header.stamp
         self._command.header.frame_id = state.child_frame_id
         torque = self._command.wrench.torque
@@ -123,7 +123,7 @@ class AttitudeController(Node):
 
     def _report(self, elapsed: float, error: Sequence[float], rates: Vector3) -> None:
         angle = 2.0 * math.asin(min(1.0, math.hypot(*error[:3])))
-        if not self._settled and max(angle, math.hypot(rates.x, rates.y, rates.z)) < _SETTLED:
+        if max(angle, math.hypot(rates.x, rates.y, rates.z)) < _SETTLED:
             self._settled = True
             speed = elapsed / (time.monotonic() - self._began)
             self.get_logger().info(f'settled within {_SETTLED} rad after {elapsed:.3f} s, '

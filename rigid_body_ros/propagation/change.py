@@ -108,8 +108,3 @@ class Change:
         """Forget what has been computed."""
         self.active = None
         self.after_timeouts.clear()
-
-
-def time_of(change: Change) -> int:
-    """Return when a change is, ns."""
-    return change.time_ns

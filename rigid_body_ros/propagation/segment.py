@@ -92,7 +92,7 @@ class Sum(NamedTuple):
 
     def is_zero(self) -> bool:
         """Return whether no torque acts."""
-        return not (self.torque.any() or self.others
+        return not (any(self.torque[0].tolist()) or self.others
                     or (self.lags is not None and self.lags.excess.any()))
 
 
