@@ -57,8 +57,9 @@ def checked(options: argparse.Namespace,
         As for `files.check`.
 
     """
-    with protection.reading(*_given(options, *_INPUTS), *_measured_files(options),
-                       scene=options.scene, ensemble=getattr(options, 'ensemble', None)):
+    inputs = *_given(options, *_INPUTS), *_measured_files(options)
+    with protection.reading(*inputs, scene=options.scene,
+                            ensemble=getattr(options, 'ensemble', None)):
         yield Outputs(options, *outputs)
 
 
