@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from rigid_body_ros.ensemble.driver import Pool
     from rigid_body_ros.ensemble.requirements import Requirement
     from rigid_body_ros.ensemble.runs import Ensemble
-    from rigid_body_ros.mechanics.torque import TorqueLog
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
 
@@ -169,7 +168,7 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
     """Return the nominal motion, and its end, ns."""
     problem, end_ns = scene.problem(), None
     if options.recording is not None:
-        found = read_torques(options, scene)
+        found = read_torques(options, scene, may_command=True)
         problem, end_ns = found.problem, int(found.times_ns[-1])
     start_ns = problem.start.time_ns
     if options.until:
@@ -188,19 +187,22 @@ def _identity(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str,
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
-        'recording': recording_hash(ensemble.problem.sources),
+        'recording': recording_hash(ensemble.problem),
         'start_ns': ensemble.problem.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
         **({'controller': f'{controller.name} {controller.digest}'} if controller else {}),
         'versions': {**fingerprint(), 'scipy': version('scipy')}})))
 
 
-def recording_hash(logs: Sequence[TorqueLog]) -> str:
-    """Return a hash of the torques of a recording, those on rotors last."""
+def recording_hash(problem: Problem) -> str:
+    """Return a hash of the torques of a recording, those on rotors and wheels last."""
     torques = hashlib.sha256()
-    for log in logs:
+    for log in problem.sources:
         for array in (log.times_ns, log.torques, log.in_space):
             torques.update(array.tobytes())
         torques.update(log.interpolation.encode())
+    if problem.efforts:
+        for array in (problem.efforts.times_ns, problem.efforts.efforts):
+            torques.update(array.tobytes())
     return f'sha256:{torques.hexdigest()}'
 
 
