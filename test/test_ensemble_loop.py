@@ -30,10 +30,12 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import (
     BodyLog,
+    EffortLog,
     messages,
     Propagator,
     read,
     recording,
+    State,
     TorqueLog,
 )
 from rigid_body_ros.commands import main
@@ -46,7 +48,7 @@ from rigid_body_ros.ensemble.requirements import interval, Requirement
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.inputs import Torque
-from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene import load, Scene
 from scipy.stats import binomtest
 from test_ensemble import contents
 from test_ensemble_folder import wait_for
@@ -164,6 +166,27 @@ def test_what_is_written_of_a_run_with_actuators_gives_it_again(tmp_path, record
         motion = again.propagate(at=[again.start.time_ns + END_NS])
         assert motion.attitude[0].tolist() == [columns[f'attitude.{axis}'][row]
                                                for axis in 'xyzw']
+
+
+@pytest.mark.parametrize('speeds', [(), (90.0, -50.0, 20.0, 0.0)])
+@pytest.mark.parametrize('name', ['damp', None])
+def test_what_is_written_of_a_run_with_commanded_wheels_gives_it_again(tmp_path, name, speeds):
+    scene = load(ROOT / 'examples' / 'four_wheels.yaml')
+    stamps, random = np.arange(-1, 20) * 90_000_000, np.random.default_rng(7)
+    efforts = np.where(random.random((21, 4)) < 0.3, np.nan, 0.005 * random.normal(size=(21, 4)))
+    start = State(0, scene.start.attitude, (0.1, 0.2, 0.3), wheel_speeds=speeds)
+    problem = scene.problem(start).replaced(efforts=EffortLog(stamps, efforts))
+    found = ensemble('damp', RATE, Dispersion('clock_offset', 'normal', (0.01,)), problem=problem,
+                     times_ns=TIMES)
+    found = found if name else replace(found, controller=None)
+    columns = found.rows(3, 5)
+    assert columns['message'].tolist() == ['', '']
+    worst.write(tmp_path / 'worst', found, scene, [3, 4])
+    for run, motion in zip((3, 4), columns['motion']):
+        again = read(tmp_path / 'worst' / f'{run}.mcap', tmp_path / 'worst' / f'{run}.yaml')
+        motion_again = again.propagate(at=again.start.time_ns + TIMES)
+        np.testing.assert_array_equal(motion[:, :4], motion_again.attitude)
+        np.testing.assert_array_equal(motion[:, 4:], motion_again.angular_velocity)
 
 
 def test_a_body_that_changes_does_not_vary(everything):

@@ -24,6 +24,7 @@ from geometry_msgs.msg import WrenchStamped
 from live import commit, decoded, PATIENT, run_clock
 from live_session import COMMITTED, LiveSession, RELIABLE
 import numpy as np
+from pyarrow import parquet
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import (
@@ -337,7 +338,9 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     assert drift < 1e-14
 
 
-def test_compare_and_identify_know_the_wheels_and_other_commands_refuse_them(tmp_path, capsys):
+@pytest.fixture
+def flight(tmp_path):
+    """Return a recording of commands of wheels, with the motion as it is measured."""
     path, run = tmp_path / 'flight.mcap', scene.load(SCENE)
     random, stamps = np.random.default_rng(3), SECOND + STEP_NS * np.arange(300)
     log = EffortLog(stamps, 0.003 * random.normal(size=(300, 4)))
@@ -351,7 +354,12 @@ def test_compare_and_identify_know_the_wheels_and_other_commands_refuse_them(tmp
             writer.write('/wheel_command', stamp_ns, COMMANDS.encode(stamp_ns, '', efforts))
             writer.write('/measured', stamp_ns,
                          messages.odometry(State(stamp_ns, *state), 'world', 'base_link'))
-    arguments = [str(path), '--scene', str(SCENE)]
+    return path
+
+
+@pytest.mark.slow
+def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
+    arguments = [str(flight), '--scene', str(SCENE)]
     assert main.attitude_compare([*arguments, '--json', str(tmp_path / 'found.json')]) == 0
     found = json.loads((tmp_path / 'found.json').read_text())
     # A part of the motion begins with the momenta of the wheels, too.
@@ -360,16 +368,44 @@ def test_compare_and_identify_know_the_wheels_and_other_commands_refuse_them(tmp
     fitted = tmp_path / 'fitted.yaml'
     assert main.attitude_identify([*arguments, '-o', str(fitted)]) == 0
     again = scene.load(fitted)
-    np.testing.assert_allclose(again.body.inertia, run.body.inertia, atol=1e-11)
+    np.testing.assert_allclose(again.body.inertia, scene.load(SCENE).body.inertia, atol=1e-11)
     assert [wheel.name for wheel in again.named_wheels] == [*WHEELS]
     capsys.readouterr()
     slowed = tmp_path / 'slowed.yaml'
     slowed.write_text(SCENE.read_text() + '    rw_x.friction: 1.0e-5\n')
-    assert main.attitude_compare([str(path), '--scene', str(slowed)]) == 2
-    assert 'wheels: expected none with friction, which only a propagation computes, found rw_x' \
-        in capsys.readouterr().err
-    assert main.attitude_tradeoff(['--recording', *arguments]) == 2
-    assert 'expected wheels without names, found rw_x, rw_y' in capsys.readouterr().err
+    for command, options in ((main.attitude_compare, [str(flight), '--scene', str(slowed)]),
+                             (main.attitude_identify, [*arguments, '--scene', str(slowed)]),
+                             (main.attitude_tradeoff, ['--recording', str(flight), '--scene',
+                                                       str(slowed)])):
+        assert command(options) == 2
+        assert 'wheels: expected none with friction, which only a propagation computes, found ' \
+            'rw_x' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_an_ensemble_knows_the_commands_of_wheels(tmp_path, flight):
+    vary, tables = tmp_path / 'vary.yaml', []
+    vary.write_text('inertia.ixx: {normal: 0.001}\nclock_offset: {normal: 0.01}\n')
+    for workers in '12':
+        out = tmp_path / workers
+        assert main.attitude_ensemble(
+            ['--scene', str(SCENE), '--vary', str(vary), '--recording', str(flight), '--runs',
+             '20', '--workers', workers, '-o', str(out)]) == 0
+        tables.append((out / 'runs.parquet').read_bytes())
+    assert tables[0] == tables[1]
+    row, given = parquet.read_table(out / 'runs.parquet').to_pylist()[7], read(flight, SCENE)
+    entries = [row[f'inertia.i{entry}'] for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')]
+    log = EffortLog(given.efforts.times_ns + round(row['clock_offset'] * SECOND),
+                    given.efforts.efforts)
+    expected = given.replaced(body=given.body.with_entries(np.array(entries)), efforts=log)
+    state = expected.propagate(at=[SECOND + 299 * STEP_NS])
+    assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == state.attitude[0].tolist()
+
+
+@pytest.mark.nightly
+def test_a_tradeoff_knows_the_commands_of_wheels(flight, capsys):
+    assert main.attitude_tradeoff(['--recording', str(flight), '--scene', str(SCENE)]) == 0
+    assert '300 torque samples (hold)' in capsys.readouterr().out
 
 
 @pytest.mark.nightly

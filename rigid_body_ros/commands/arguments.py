@@ -71,13 +71,13 @@ def topics_of(options: argparse.Namespace) -> Topics:
                                   options.wheel_command)
 
 
-def read_torques(options: argparse.Namespace, scene: Scene) -> Logged:
-    """Return the problem that the recording and a scene state."""
+def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = False) -> Logged:
+    """Return the problem that the recording and a scene state, see `recording.chosen`."""
     from rigid_body_ros import recording
     warn_of_units(options, [options.recording])
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
     epochs = recording.read_epochs(path, scene, topics, track=progress('reading', size=len))
-    return recording.chosen(path, scene, epochs)
+    return recording.chosen(path, scene, epochs, may_command=may_command)
 
 
 def reading_of(options: argparse.Namespace) -> Reading:

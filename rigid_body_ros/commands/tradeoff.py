@@ -57,8 +57,9 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     spread = _spread(options, problem)
     targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
     try:
-        result = measure(problem, targets=targets, end_ns=spread.end_ns if spread else None,
-                         track=progress('measuring', ' runs'))
+        # Solvers know wheels with names as the rotors of a body without their axial inertia.
+        result = measure(problem.carried(), targets=targets, track=progress('measuring', ' runs'),
+                         end_ns=spread.end_ns if spread else None)
     except ValueError as error:
         where = f'{source}: {name}' if options.recording else source
         raise InputError(f'{where}: {error}') from error
@@ -74,7 +75,7 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
     topics_of(options).check(scene)
     if options.recording is None:
         return scene.problem(), 'fields, no logged torque' if scene.fields else 'no torque'
-    logged = read_torques(options, scene)
+    logged = read_torques(options, scene, may_command=True)
     return logged.problem, listed(logged.topics)
 
 
@@ -85,7 +86,7 @@ def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
     from rigid_body_ros.ensemble.identity import recording_hash
     from rigid_body_ros.tradeoff import ensemble
     spread, start_ns = ensemble.read(options.ensemble), problem.start.time_ns
-    if spread.recording != recording_hash(problem.sources):
+    if spread.recording != recording_hash(problem):
         expected = f'under the torques of {options.recording}' if options.recording else \
             'without torques'
         raise InputError(f'{options.ensemble}: expected an ensemble {expected}, found another')

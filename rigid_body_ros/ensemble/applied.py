@@ -26,6 +26,7 @@ from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.elementary import exponentials
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -176,13 +177,22 @@ def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> Torqu
         if offset == 0.0:
             return log
         torques = log.torques
+    return TorqueLog(_later_ns(log.times_ns, offset), torques, log.in_space, log.interpolation)
+
+
+def later_commands(log: EffortLog, offset: float) -> EffortLog:
+    """Return commands with later stamps, with the arguments and errors of `later`."""
+    return EffortLog(_later_ns(log.times_ns, offset), log.efforts)
+
+
+def _later_ns(times_ns: NDArray[np.int64], offset: float) -> NDArray[np.int64]:
     if not abs(offset) < NEVER_NS / 1e9:
         raise ValueError(f'clock_offset: expected less than 292 years, found {offset:g} s')
     offset_ns = round(offset * 1e9)
-    ends = [int(stamp) + offset_ns for stamp in log.times_ns[[0, -1]]] if len(log) else []
+    ends = [int(stamp) + offset_ns for stamp in times_ns[[0, -1]]] if len(times_ns) else []
     if any(abs(end) >= NEVER_NS for end in ends):
         raise ValueError(f'clock_offset: expected stamps that fit 64 bits, found {offset:g} s')
-    return TorqueLog(log.times_ns + offset_ns, torques, log.in_space, log.interpolation)
+    return times_ns + offset_ns
 
 
 def _entries(prefix: str, tensors: Floats) -> dict[str, Floats]:

@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 import hashlib
 from importlib.metadata import version
@@ -24,7 +23,7 @@ import json
 from typing import Any
 
 from rigid_body_ros.ensemble.runs import Ensemble
-from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.fingerprint import fingerprint
 from rigid_body_ros.scene import Scene
 
@@ -36,19 +35,22 @@ def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[st
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
-        'recording': recording_hash(ensemble.problem.sources),
+        'recording': recording_hash(ensemble.problem),
         'start_ns': ensemble.problem.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
         **({'controller': f'{controller.name} {controller.digest}'} if controller else {}),
         'versions': {**fingerprint(), 'scipy': version('scipy')}})))
 
 
-def recording_hash(logs: Sequence[TorqueLog]) -> str:
-    """Return a hash of the torques of a recording, those on rotors last."""
+def recording_hash(problem: Problem) -> str:
+    """Return a hash of the torques of a recording, those on rotors and wheels last."""
     torques = hashlib.sha256()
-    for log in logs:
+    for log in problem.sources:
         for array in (log.times_ns, log.torques, log.in_space):
             torques.update(array.tobytes())
         torques.update(log.interpolation.encode())
+    if problem.efforts:
+        for array in (problem.efforts.times_ns, problem.efforts.efforts):
+            torques.update(array.tobytes())
     return f'sha256:{torques.hexdigest()}'
 
 

@@ -134,6 +134,11 @@ class _Motion:
             yield _calls(into.apply, log.times_ns, log.torques, frames, repeat(source))
         if wheels:
             yield _calls(into.apply_wheels, wheels.times_ns, wheels.torques)
+        if problem.named_wheels and problem.efforts:
+            names, efforts = problem.named_wheels.names, problem.efforts
+            yield _calls(into.apply_efforts, efforts.times_ns, [
+                {name: effort for name, effort in zip(names, row) if effort == effort}
+                for row in efforts.efforts.tolist()])
         if changes:
             yield _calls(into.apply_body, changes.times_ns, changes.bodies, repeat(changes.keep))
 

@@ -31,6 +31,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import body_layout
 from rigid_body_ros.ensemble.applied import Applied
+from rigid_body_ros.mechanics.efforts import filled
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
@@ -108,7 +109,7 @@ class Reach:
             return np.zeros(len(applied.runs))
         *_, acting = self._of_logs
         always = (applied.bodies.is_damped | applied.starts.has_rotors
-                  | (self.problem.wheels is not None or bool(self.problem.fields))
+                  | bool(self.problem.wheels or self.problem.named_wheels or self.problem.fields)
                   | applied.torque_bias.any(axis=1) | (solver.closed_form_beyond == math.inf))
         return np.where(always, self._span,
                         np.minimum(acting + np.abs(applied.clock_offset), self._span))
@@ -126,7 +127,12 @@ class Reach:
         Bounds on the impulses of the torques on the body and on the rotors, N m s, the largest
         torque on the body, N m, and how long torques act on it, s.
         """
-        pieces = [self._pieces(log) for log in self.problem.sources]
+        sources = list(self.problem.sources)
+        if self.problem.named_wheels and self.problem.efforts:
+            wheels, efforts = self.problem.named_wheels, self.problem.efforts
+            sources.append(TorqueLog(efforts.times_ns, wheels.torque(
+                filled(wheels.clipped(efforts.efforts), np.zeros(len(wheels))))))
+        pieces = [self._pieces(log) for log in sources]
         on_body, on_rotors = pieces[:len(self.problem.logs)], pieces[len(self.problem.logs):]
         body, motors = (sum(float((strengths * spans).sum()) for strengths, spans in pieces)
                         for pieces in (on_body, on_rotors))

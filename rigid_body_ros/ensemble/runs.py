@@ -123,7 +123,8 @@ class Ensemble:
             if key.startswith(f'{ORBIT}.') and key not in self.nominal:
                 raise InputError(f'{key}: expected a scene with an orbit, found none')
             if (key in ('torque_gain', NOISE) and not (self.problem.logs or self.controller)) \
-                    or (key == 'clock_offset' and not self.problem.logs):
+                    or (key == 'clock_offset'
+                        and not (self.problem.logs or self.problem.efforts)):
                 raise InputError(f'{key}: expected a recording of torques, found none')
             if self.problem.changes and key.split('.')[0] in (INERTIA, 'damping'):
                 raise InputError(f'{key}: expected a body that does not change, found '
@@ -389,7 +390,8 @@ class Ensemble:
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
         problem = self.problem.replaced(
             body=applied.bodies[row], start=start, log=logs, wheels=wheels,
-            actuator=actuators[:len(logs)], fields=applied.fields.of_each[row])
+            actuator=actuators[:len(logs)], fields=applied.fields.of_each[row],
+            efforts=self.torques.commands(applied, row))
         if self.controller:
             motion, log = closed_loop(problem, self.controller, self._at,
                                       self.torques.actuated(applied, row))

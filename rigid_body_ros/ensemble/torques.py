@@ -19,8 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from rigid_body_ros.ensemble.applied import Applied, later
+from rigid_body_ros.ensemble.applied import Applied, later, later_commands
 from rigid_body_ros.ensemble.loop import Actuated
+from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 
@@ -68,6 +69,11 @@ class Torques:
             logs.append(TorqueLog.constant(bias, self.problem.start.time_ns, self.end_ns,
                                            self.problem.options.timeout_ns))
         return logs, wheels and later(wheels, offset)
+
+    def commands(self, applied: Applied, row: int) -> EffortLog | None:
+        """Return the commands of wheels with names in a run; raise ValueError as `recorded`."""
+        efforts = self.problem.efforts
+        return efforts and later_commands(efforts, float(applied.clock_offset[row]))
 
     def actuated(self, applied: Applied, row: int) -> Actuated:
         """Return how the torque of a controller acts in a run: with the gain, and noise."""

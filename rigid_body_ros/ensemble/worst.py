@@ -27,7 +27,7 @@ import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.messages import INERTIA, inertia, WRENCH
+from rigid_body_ros.messages import INERTIA, inertia, joint_commands, WRENCH
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Column
 from rigid_body_ros.runtime import files
@@ -37,7 +37,7 @@ from rigid_body_ros.scene.text import text_of
 #: The folder of the worst runs, in that of the ensemble, and the files in it.
 FOLDER = 'worst'
 _FILE = re.compile(r'\d+\.(mcap|yaml)')
-_WHEELS, _BODY = '/wheel_torque', '/inertia'
+_WHEELS, _COMMANDS, _BODY = '/wheel_torque', '/wheel_command', '/inertia'
 
 
 def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -> None:
@@ -61,7 +61,8 @@ def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -
         topics = [f'torque_{source}' for source in range(len(problem.logs) or 1)]
         later_ns = _later_ns(problem)
         changed = {**values, 'start_time': problem.start.time_ns + later_ns,
-                   'torque_topics': topics, **_actuated(problem, scene, topics)}
+                   'torque_topics': topics, **_actuated(problem, scene, topics),
+                   **_turning(problem)}
         with files.atomic_output(path / f'{run}.yaml', '.yaml') as part:
             part.write_text(f'# Run {run} of an ensemble.\n{text_of(scene, changed)}',
                             encoding='utf-8')
@@ -88,6 +89,17 @@ def _actuated(problem: Problem, scene: Scene, topics: Sequence[str]) -> dict[str
     return {**none, 'actuator.topics': found}
 
 
+def _turning(problem: Problem) -> dict[str, Any]:
+    """Return the speeds of wheels at the start as parameters, if it states them."""
+    start, wheels = problem.start, problem.named_wheels
+    if not wheels or not len(start.wheel_speeds):
+        return {}
+    return {**{f'{name}.initial_speed': speed
+               for name, speed in zip(wheels.names, start.wheel_speeds.tolist())},
+            **{f'initial_rotor_momentum.{axis}': value
+               for axis, value in zip('xyz', wheels.others(start).tolist())}}
+
+
 def _later_ns(problem: Problem) -> int:
     """Return by how much stamps have to be later, ns: a start of 0 has another meaning."""
     first_ns = min(problem.stamps_ns[:1].tolist(), default=0)
@@ -110,6 +122,13 @@ class _Torques:
             self._write_log(f'/{topic}', log)
         if problem.wheels:
             self._write_log(_WHEELS, problem.wheels)
+        if problem.named_wheels and problem.efforts:
+            kind = joint_commands(problem.named_wheels.names)
+            self.writer.add_topic(_COMMANDS, kind)
+            for stamp_ns, efforts in zip(problem.efforts.times_ns.tolist(),
+                                         problem.efforts.efforts):
+                stamp_ns += self.later_ns
+                self.writer.write(_COMMANDS, stamp_ns, kind.encode(stamp_ns, '', efforts))
         if problem.changes:
             self.writer.add_topic(_BODY, INERTIA)
             for stamp_ns, body in zip(problem.changes.times_ns.tolist(), problem.changes.bodies):

@@ -177,9 +177,8 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
                          'attitude_replay computes; set inertia_topic: false in the scene')
     if scene.named_wheels and not may_command:
         raise InputError(f'{path}: expected wheels without names, found '
-                         f'{listed([wheel.name for wheel in scene.named_wheels])}, which only '
-                         'attitude_replay, attitude_identify, and attitude_compare without '
-                         '--check, compute; remove wheel_names from the scene')
+                         f'{listed([wheel.name for wheel in scene.named_wheels])}, which '
+                         'this command does not compute; remove wheel_names from the scene')
     return one
 
 
