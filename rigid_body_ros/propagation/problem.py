@@ -113,7 +113,7 @@ class Problem:
         gradients, the wheels with names cannot be those of the body or of the start, efforts are
         not those of the wheels, a gravity gradient acts on wheels with names, which is not
         supported yet, the commands of an actuator are interpolated, or the solver does not handle
-        torques, rotors, damping or fields.
+        torques, rotors, damping, friction or fields.
 
     """
 
