@@ -157,8 +157,8 @@ class Session:
         return self.values(name)['rejected: unknown frame'] > before
 
     def count(self):
-        """Return how many messages have arrived."""
-        return sum(self.values(name)['received'] for name in NAMES)
+        """Return how many messages have arrived, or are known to be lost."""
+        return sum(self.values(name)[key] for name in NAMES for key in ('received', 'lost'))
 
     def play(self, found):
         """Publish messages no faster than they are judged, and wait until all have arrived."""
@@ -330,6 +330,26 @@ def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domai
         # Nothing comes any more, but for the time.
         session.set_clock(found[-1][0] + 20 * SECOND)
         session.wait(lambda: session.status('model').message.startswith('no measurements since'))
+        assert session.stop() == 0
+
+
+@pytest.mark.nightly
+def test_lost_torques_are_no_error_of_the_model(tmp_path, domain):
+    found = stream(30)
+    with Session(tmp_path / 'scene.yaml', domain,
+                 **{'qos_overrides./torque.subscription.depth': 5}) as session:
+        session.play(found[:find(found, 9)])
+        _, topic, data = next(message for message in found[find(found, 9):]
+                              if message[1] == '/torque')
+        lost = session.values('torques')['lost']
+        while session.values('torques')['lost'] == lost:
+            for _ in range(200):
+                session.publishers[topic].publish(data)
+            session.received += 200
+            session.wait(lambda: session.count() >= session.received)
+        session.play(found[find(found, 9):])
+        session.wait(lambda: session.values('model').get('windows skipped: torques lost'))
+        assert b'\x02' not in session.levels()
         assert session.stop() == 0
 
 
