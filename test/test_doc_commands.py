@@ -34,8 +34,6 @@ import pytest
 from rigid_body_ros.commands import main
 import test_docs
 
-#: The commands of the live check need a robot.
-PAGES = [page for page in test_docs.PAGES if page.name != 'monitor.md']
 #: Parts of the output that differ from run to run.
 _TIMED = re.compile(r'^speed +\d.*\n|^\* .*\n', re.MULTILINE)
 _SHOWN = re.compile(r'^```bash\n(.*?)^```$(?:\n\n```text\n(.*?)^```$)?', re.DOTALL | re.MULTILINE)
@@ -71,7 +69,7 @@ def needs(text):
 
 def of(needed):
     """Return the pages with a block of commands that needs this, as parameters."""
-    return pytest.mark.parametrize('page', [page for page in PAGES if any(
+    return pytest.mark.parametrize('page', [page for page in test_docs.PAGES if any(
         language == 'bash' and needs(text) == needed for language, text in blocks(page))],
         ids=lambda page: page.name)
 
@@ -104,7 +102,7 @@ def clone(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize('page', test_docs.PAGES, ids=lambda page: page.name)
 def test_every_block_has_a_language_and_commands_are_bash(page):
     assert [text for language, text in blocks(page) if not language] == []
     assert [text for language, text in blocks(page)
