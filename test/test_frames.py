@@ -237,7 +237,7 @@ def test_a_body_frame_with_other_axes_is_warned_of_and_means_the_link(scene_file
 
 
 def test_the_scene_in_the_documentation_has_the_torques_that_it_states(tmp_path):
-    page = (ROOT / 'docs' / 'nodes.md').read_text(encoding='utf-8')
+    page = (ROOT / 'docs' / 'node_howto.md').read_text(encoding='utf-8')
     example, = re.findall(r'```yaml\n(.*?)```', page, re.DOTALL)
     (tmp_path / 'drone.yaml').write_text(example)
     links = scene.load(tmp_path / 'drone.yaml').links

@@ -19,6 +19,7 @@ from mpmath import mp
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros.kernels import state_layout
 from rigid_body_ros.mechanics import so3
 import truth
 
@@ -169,8 +170,7 @@ def test_attitude_is_the_continuous_lift(rates):
 def test_what_rounding_took_from_the_start_counts():
     # A state from the middle of a run carries more digits than its doubles.
     body, low = RigidBody(ASYMMETRIC), np.array([3e-17, -2e-17, 5e-17])
-    start = State._as_computed(0, np.array(
-        [1.0, 0.4, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0, *low, *np.zeros(5)]))
+    start = State._as_computed(0, state_layout.pack([1.0, 0.4, 2.0], [0.0, 0.0, 0.0, 1.0], low))
     span_ns = 10 ** 6 * SECOND
     motion = propagate(body, start, at=[span_ns], solver='exact')
     with mp.workdps(60):
