@@ -50,13 +50,13 @@ def _run(options: argparse.Namespace) -> int:
 
 def _status(found: Identification) -> tuple[int, str]:
     """Return the exit status, and what is wrong."""
+    if found.verdict.level == 'rejected':  # then what the data determines is of no use
+        return REJECTED, 'the model does not explain the measurements'
     names = [name for name, one in found.estimates.items() if not one.identifiable]
     if names:
         return PARTIAL, f'the data does not determine {listed(names)}'
     if not found.is_complete:
         return PARTIAL, 'the fit did not converge'
-    if found.verdict.level == 'rejected':
-        return REJECTED, 'the model does not explain the measurements'
     return OK, ''
 
 

@@ -28,8 +28,11 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
+    from rigid_body_ros.replay import Replay
     from rigid_body_ros.replay.many import Pool
+    from rigid_body_ros.replay.page import PageCollector
     from rigid_body_ros.report.page import Page
+    from rigid_body_ros.scene import Scene
 
 #: Exit statuses; docs/commands.md has their meaning.
 OK, DIFFERENT = 0, 1
@@ -50,24 +53,32 @@ def _replay_one(options: argparse.Namespace) -> int:
     from rigid_body_ros import replay
     from rigid_body_ros.recording import suffix_of
     from rigid_body_ros.replay import plot
-    from rigid_body_ros.replay.page import PageCollector
     path, = options.input
     name = Path(path).name
     if options.also and not options.output:
         raise InputError('--also: expected an output file or folder (-o), found none')
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
         scene = load_scene(options)
-        collect = partial(PageCollector, scene) if options.report else None
+        collect = partial(_collector, scene) if options.report else None
         with outputs.writing(options.output):
             result = replay.replay(path, scene, options.output, keep=bool(options.plot),
                                    collect=collect, **_replay_options(options))
 
-        def page(line: str) -> Page:
-            assert isinstance(result.collected, PageCollector)
-            return result.collected.page(result, name, line)
-        outputs.write_asked(page=page, draw=lambda path: plot.draw(path, result, name))
+        outputs.write_asked(page=partial(_page, result, name),
+                            draw=lambda path: plot.draw(path, result, name))
     outputs.show(result.text(), 14)
     return OK
+
+
+def _collector(scene: Scene) -> PageCollector:
+    from rigid_body_ros.replay.page import PageCollector  # not loaded without a page
+    return PageCollector(scene)
+
+
+def _page(result: Replay, name: str, line: str) -> Page:
+    collected: Any = result.collected  # by `_collector`
+    page: Page = collected.page(result, name, line)
+    return page
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
