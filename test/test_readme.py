@@ -29,7 +29,7 @@ from rigid_body_ros import scene
 
 TEXT = (ROOT / 'README.md').read_text(encoding='utf-8')
 FENCED = re.findall(r'^```(\w+)\n(.*?)^```$', TEXT, re.DOTALL | re.MULTILINE)
-BLOCKS = [[line for line in block.splitlines() if not line.startswith('#')]
+BLOCKS = [[line for line in block.replace('\\\n', '').splitlines() if not line.startswith('#')]
           for language, block in FENCED if language == 'bash']
 #: s.
 PATIENCE = 300

@@ -71,7 +71,7 @@ _WEIGHTS = _TORQUES + MOST_WHEELS
 WORKSPACE = _WEIGHTS + MOST_WHEELS
 
 
-class States(NamedTuple):
+class WheelStates(NamedTuple):
     """States with the momenta of wheels, see `state_layout`: those of a `layout.GridStates`."""
 
     grid: Floats
@@ -92,19 +92,19 @@ class StepFriction(NamedTuple):
     """The wheels in a step, and their series."""
 
     friction: RowFriction
-    states: States
+    states: WheelStates
     #: See WORKSPACE.
     series: Floats
 
 
 @optional
-def states_of(_found: NamedTuple, progress: NDArray[Any]) -> States:
+def states_of(_found: NamedTuple, progress: NDArray[Any]) -> WheelStates:
     """Return the states in an array of `layout.PROGRESS`; None without friction."""
-    return States(progress[0].grid, progress[0].begin, progress[0].latest)
+    return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest)
 
 
 @inlined
-def accept(states: States | None) -> None:
+def accept(states: WheelStates | None) -> None:
     """Let the latest momenta be those of the grid."""
     if states is None:
         return
@@ -112,7 +112,7 @@ def accept(states: States | None) -> None:
 
 
 @inlined
-def begin_segment(states: States | None) -> None:
+def begin_segment(states: WheelStates | None) -> None:
     """Let the latest momenta be those of the grid and of the beginning of a segment."""
     if states is None:
         return
@@ -121,7 +121,7 @@ def begin_segment(states: States | None) -> None:
 
 
 @inlined
-def go_back(states: States | None) -> None:
+def go_back(states: WheelStates | None) -> None:
     """Let the momenta of the grid be the latest ones."""
     if states is None:
         return
@@ -135,7 +135,7 @@ def _copy(source: Floats, target: Floats) -> None:
 
 
 @optional
-def store(states: States, row: int, found: Any) -> None:
+def store(states: WheelStates, row: int, found: Any) -> None:
     """Write the latest momenta into a row of those of a `layout.Friction`."""
     for k in range(found.momenta.shape[1]):
         found.momenta[row, k] = states.latest[MOMENTA + k]
@@ -195,7 +195,7 @@ def acceleration(found: RowFriction | None, states: Any, w: Vector,
 
 
 @inlined
-def _torques(found: RowFriction, states: States, w: Vector, place: int) -> Four:
+def _torques(found: RowFriction, states: WheelStates, w: Vector, place: int) -> Four:
     # Return the torques on four wheels on the grid.
     pull = _friction(found.wheels, place, w, four.load(states.grid, MOMENTA + place))
     row = max(found.row, 0)
@@ -231,7 +231,7 @@ def workspace(_found: RowFriction, work: Floats) -> Floats:
 
 
 @optional
-def of_step(found: RowFriction, states: States, work: Floats) -> StepFriction:
+def of_step(found: RowFriction, states: WheelStates, work: Floats) -> StepFriction:
     """Return the wheels in a step, with series that are not yet filled; None without friction."""
     return StepFriction(found, states, work)
 

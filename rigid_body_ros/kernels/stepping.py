@@ -96,7 +96,7 @@ class LocalLoads(NamedTuple):
 @internal
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
             method: Method, table: Floats, budget: int, loads: Loads | None,
-            states: friction.States | None) -> Reached:
+            states: friction.WheelStates | None) -> Reached:
     """
     Step to the last grid point before a time, and from there to the time.
 
@@ -185,7 +185,8 @@ def full_step_ns(seconds: float, method: Method) -> int:
 
 @optional
 def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, body: Body,
-           states: friction.States | None, works: tuple[Floats, Floats, Floats]) -> LocalLoads:
+           states: friction.WheelStates | None,
+           works: tuple[Floats, Floats, Floats]) -> LocalLoads:
     # Return the linear terms from a grid point on.
     orbit, lag_rate = fields.rate_bound(loads.fields), lags.square_rate(loads.lags)
     lagged = lag_series.workspace(loads.lags, works[1])
@@ -248,7 +249,7 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
 
 @optional
 def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads, seconds: float,
-            states: friction.States | None) -> taylor.SeriesLoads:
+            states: friction.WheelStates | None) -> taylor.SeriesLoads:
     # Return the same for a step of the series.
     none = vector.of(0.0, 0.0, 0.0)
     one = two = three = four = none, none, none
@@ -274,7 +275,7 @@ def _change(constants: linear_terms.Constants, seconds: float,
 @inlined
 def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
           method: Method, table: Floats, loads: Loads | None, now: LocalLoads | None,
-          states: friction.States | None) -> vector.KernelState:
+          states: friction.WheelStates | None) -> vector.KernelState:
     local = drive.polynomial
     if drive.degree != 0:
         local = vector.shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
