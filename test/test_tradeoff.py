@@ -176,7 +176,7 @@ def test_rotors_that_take_all_momentum_leave_small_drifts_and_a_target_that_is_m
     expected = propagate(body, start, wheels=wheels, at=[20 * SECOND]).attitude
     found = propagate(body, start, wheels=wheels, at=[20 * SECOND],
                       **result.choices[1e-8].measurement.setting.options).attitude
-    assert 0.0 < so3.angle_between(found, expected)[0] <= 1e-8
+    assert so3.angle_between(found, expected)[0] <= 1e-8
     assert 'principal axes' not in result.text()
 
 

@@ -373,11 +373,9 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
     capsys.readouterr()
     slowed = tmp_path / 'slowed.yaml'
     slowed.write_text(SCENE.read_text() + '    rw_x.friction: 1.0e-5\n')
-    for command, options in ((main.attitude_compare, [str(flight), '--scene', str(slowed)]),
-                             (main.attitude_identify, [*arguments, '--scene', str(slowed)]),
-                             (main.attitude_tradeoff, ['--recording', str(flight), '--scene',
-                                                       str(slowed)])):
-        assert command(options) == 2
+    for command, option in ((main.attitude_compare, []), (main.attitude_identify, []),
+                            (main.attitude_tradeoff, ['--recording'])):
+        assert command([*option, str(flight), '--scene', str(slowed)]) == 2
         assert 'wheels: expected none with friction, which only a propagation computes, found ' \
             'rw_x' in capsys.readouterr().err
 
