@@ -18,9 +18,9 @@ Compare a closed loop with one of two bare rclpy nodes that send each other the 
     python benchmarks/loop.py [--rounds 25] [--json FILE]
 
 `attitude_node` in lockstep with a step of 1 ms, and `attitude_controller`, against the nodes of
-`bare_loop.py`. Rounds of the two alternate. The times are those of a step: wall time, and
-processor time of the node and of the controller, which is in this process. A ratio is ours / bare,
-the median over the rounds.
+`bare_loop.py`, all with the executor of the package. Rounds of the two alternate. The times are
+those of a step: wall time, and processor time of the node and of the controller, which is in this
+process. A ratio is ours / bare, the median over the rounds.
 """
 
 import argparse
@@ -35,10 +35,9 @@ from bare_loop import BareController, STEP_NS
 import numpy as np
 import psutil
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rigid_body_ros.node.attitude_controller import AttitudeController
-from rigid_body_ros.node.spinning import spin
+from rigid_body_ros.node.spinning import executor_of, spin
 
 HERE = Path(__file__).resolve().parent
 #: Number of states in a round that are not timed, and that are.
@@ -96,7 +95,7 @@ def time_round(namespace, process):
                signal_handler_options=SignalHandlerOptions.NO)
     try:
         controller = (TimedController if namespace == OURS else TimedBareController)(process)
-        spin(SingleThreadedExecutor(), controller, controller.is_done)
+        spin(executor_of(), controller, controller.is_done)
     finally:
         rclpy.try_shutdown()
     return np.diff(controller.marks, axis=0)[0] / STATES

@@ -38,13 +38,20 @@ import monitor as campaign  # noqa: E402, I100
 PATIENCE = 120.0
 PROGRAM = ('import sys; from rigid_body_ros.commands import main; '
            'sys.exit(main.attitude_monitor())')
-#: The same, and its wall clock is ahead by the seconds in a file.
+#: The same, and its wall clock, and that of the middleware, are ahead by the ns in a file.
 WITH_CLOCK = """
 from pathlib import Path
 from rclpy.clock import Clock
 from rclpy.duration import Duration
-now, shift = Clock.now, Path({!r})
-Clock.now = lambda clock: now(clock) + Duration(nanoseconds=int(shift.read_text() or 0))
+from rigid_body_ros.node.drain import DrainCallback
+now, take, shift = Clock.now, DrainCallback._next, Path({!r})
+def taken(drain):
+    found = take(drain)
+    if found is not None:
+        found[1]['received_timestamp'] += int(shift.read_text())
+    return found
+Clock.now = lambda clock: now(clock) + Duration(nanoseconds=int(shift.read_text()))
+DrainCallback._next = taken
 """ + PROGRAM
 BEGIN_NS = 1000 * SECOND
 #: ns; simulated time in a second. If it is ten times as fast as real time, it may jump.

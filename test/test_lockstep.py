@@ -15,6 +15,7 @@
 """Lockstep: every torque gets a response, and a closed loop has the same numbers every time."""
 
 from contextlib import suppress
+import itertools
 import subprocess
 import sys
 
@@ -25,9 +26,13 @@ from live_session import ATTITUDE, COMMITTED, LiveSession
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, propagate, scene, State, TorqueLog
+from rigid_body_ros.live.run import Run
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.node import AttitudeNode
+from rigid_body_ros.node.outputs import Publishers
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
@@ -296,6 +301,29 @@ def test_a_second_clock_that_starts_later_replaces_the_first(domain):
         assert ask(live, SECOND, [0.0, 0.0, 1e-3])  # the node itself continues
         words = live.end()
     assert '/clock: another node publishes it, too; this node stops publishing it' in words
+
+
+def test_a_commit_that_takes_several_slices_repeats_neither_response_nor_log(context, monkeypatch):
+    node = AttitudeNode(context=context, parameter_overrides=[
+        *(Parameter(f'inertia.{name}', value=1.0) for name in ('ixx', 'iyy', 'izz')),
+        Parameter('mode', value='lockstep'), Parameter('step', value=0.02)])
+    found, mode, commit, slices = [], node._component._mode, Run.commit, itertools.count()
+
+    def commit_at_the_third_slice(run, until):
+        found.append('commit')
+        if next(slices) % 3 < 2:
+            raise TimeoutError('the slice is over')
+        commit(run, until)
+    monkeypatch.setattr(Run, 'commit', commit_at_the_third_slice)
+    monkeypatch.setattr(Publishers, 'publish', lambda *_: found.append('response'))
+    monkeypatch.setattr(Publishers, 'log_torque', lambda *_: found.append('log'))
+    for number in range(4):
+        mode.enqueue(messages.wrench(SECOND + number * STEP_NS, '', [0.1, 0.0, 0.0]), None, 0)
+    while not mode.process():
+        pass
+    # The response comes first: a controller waits for it.
+    assert found == 4 * ['response', *3 * ['commit'], 'log']
+    node.destroy_node()
 
 
 def test_a_state_may_be_set_before_and_between_torques(tmp_path, domain):

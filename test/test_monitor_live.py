@@ -20,6 +20,7 @@ import subprocess
 import time
 
 from conftest import at_night, SECOND
+from geometry_msgs.msg import Vector3Stamped
 from monitor_session import (
     BEGIN_NS,
     campaign,
@@ -35,8 +36,11 @@ from monitor_session import (
 )
 import numpy as np
 import pytest
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from rigid_body_ros import messages
 from rigid_body_ros.commands import main
+from rigid_body_ros.node.attitude_monitor import AttitudeMonitor
 from rigid_body_ros.recording import Writer
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
 from rigid_body_ros.sensing.reading import samples
@@ -228,6 +232,38 @@ def test_restarts_of_the_sources_and_of_the_monitor_are_no_error_of_the_model(tm
         session.wait(session.has_judged, count + 8)
         assert b'\x02' not in session.levels()
         assert session.stop() == 0
+
+
+def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received_it(context):
+    values = {**{f'inertia.{name}': 1.0 for name in ('ixx', 'iyy', 'izz')},
+              'monitor.measured': ['/gyro'], 'monitor.attitude_noise': 1e-3,
+              'monitor.rate_noise': 1e-3,
+              'qos_overrides./gyro.subscription.reliability': 'reliable'}
+    monitor = AttitudeMonitor(context=context, parameter_overrides=[
+        Parameter(name, value=value) for name, value in values.items()])
+    publisher = monitor.create_publisher(Vector3Stamped, '/gyro', 10)
+    inputs, until, stamps, times = monitor._inputs, time.monotonic() + PATIENCE, [], []
+    while not publisher.get_subscription_count():
+        assert time.monotonic() < until
+        inputs.problems()
+    # An executor waits for none of them: the monitor takes all at once.
+    polled = {subscription.topic_name for subscription in inputs.subscriptions}
+    assert polled == {'/torque', '/gyro'}
+    assert not polled & {subscription.topic_name for subscription in monitor.subscriptions}
+    inputs.now_ns()
+    for _ in range(3):
+        times.append(time.time_ns())
+        publisher.publish(messages.VECTOR3.encode(0, 'base_link', np.zeros(3)))
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+    times.append(time.time_ns())
+    measure = inputs.monitor.measure
+    inputs.monitor.measure = lambda topic, stamps_ns, *found: (
+        stamps.extend(stamps_ns) or measure(topic, stamps_ns, *found))
+    inputs.take()
+    assert len(stamps) == 3
+    assert all(first <= stamp <= last
+               for first, stamp, last in zip(times, stamps, times[1:]))
+    monitor.destroy_node()
 
 
 @pytest.mark.parametrize(('line', 'words'), [

@@ -79,9 +79,9 @@ class Run:
     """
     The present epoch of a node, and the log of all.
 
-    `apply` and `state` may take longer than the caller can wait. They then raise TimeoutError; the
-    next call with the same arguments continues. Neither order nor results depend on how the work
-    is divided.
+    `commit` and `state` may take longer than the caller can wait. They then raise TimeoutError,
+    and the next call with the same arguments continues. Neither order nor results depend on how
+    the work is divided.
 
     Parameters
     ----------
@@ -137,20 +137,13 @@ class Run:
             self._finish(self.epoch, time.monotonic() + _END_BUDGET if until is None else until)
         self.epoch = None
 
-    def apply(self, torque: Torque, arrived_ns: int, until: float) -> bool:
+    def apply(self, torque: Torque, arrived_ns: int) -> bool:
         """
-        Commit what can change no more, and apply a torque; return False if it is rejected.
+        Apply a torque that arrived at a time, ns; return False if it is rejected.
 
-        `log` logs it. The time at which it arrived, ns, is that of `silent`.
-
-        Raises
-        ------
-        TimeoutError
-            It takes longer than `until`, s, monotonic clock.
-
+        Then call `commit` before the next torque, and `log` to log both.
         """
         epoch = self._present()
-        self._commit(epoch, torque.stamp_ns - epoch.history_ns, until)
         try:
             self.check_age(torque.stamp_ns)
             is_replacement = epoch.apply(torque)
@@ -167,6 +160,20 @@ class Run:
         if clipped := epoch.clipped(torque):
             self._events.count(CLIPPED, torque.source, clipped)
         return True
+
+    def commit(self, until: float) -> None:
+        """
+        Compute the states that no later torque can change.
+
+        Raises
+        ------
+        TimeoutError
+            It takes longer than `until`, s, monotonic clock.
+
+        """
+        epoch = self._present()
+        if epoch.newest_ns is not None:
+            self._commit(epoch, epoch.newest_ns - epoch.history_ns, until)
 
     def log(self, torque: Torque) -> None:
         """Log an applied torque, and the states that it committed."""

@@ -49,7 +49,7 @@ class Stamped(NamedTuple):
     values: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # otherwise each look into a cache hashes all its fields
 class MessageType:
     """
     A ROS message type: its definition, and how its messages are encoded and decoded.

@@ -42,12 +42,11 @@ from nav_msgs.msg import Odometry
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.node.spinning import spin
+from rigid_body_ros.node.spinning import executor_of, spin
 from rigid_body_ros.runtime.parameters import is_foreign
 
 #: s; how long to wait for a state before the torque is sent again.
@@ -151,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         _initialize(sys.argv if arguments is None else ['attitude_controller', *arguments])
         controller = AttitudeController()
-        spin(SingleThreadedExecutor(), controller, lambda: controller.done)
+        spin(executor_of(), controller, lambda: controller.done)
     except (InvalidParameterTypeException, RuntimeError) as error:
         raise InputError(' '.join(str(error).split())) from error
     finally:

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import time
 from typing import Any
 
@@ -26,6 +26,7 @@ from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.common.errors import InputError, listed
@@ -84,6 +85,12 @@ class AttitudeMonitor(Node):
         self._report_at = 0.0
         self.create_timer(_WATCH_PERIOD, self._watch,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription[Any]]:
+        """Return the subscriptions that an executor waits for: all but those that are polled."""
+        polled = self._inputs.polled if hasattr(self, '_inputs') else []
+        return (one for one in super().subscriptions if one not in polled)
 
     def _watch(self) -> None:
         """Judge the windows that are over; once a second, look for topics, and report."""

@@ -206,8 +206,9 @@ class AttitudeComponent:
 
     def _subscribe(self) -> None:
         def torques(source: TorqueTopic) -> DrainCallback:
-            callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
-                                     partial(self._diagnostics.count_lost, source.number))
+            callback = DrainCallback(partial(self._on_torque, source.number),
+                                     partial(self._diagnostics.count_lost, source.number),
+                                     self._start_work, self._scene.mode == REALTIME)
             callback.subscription = subscription(
                 self._node, source.kind, source.topic, callback,
                 # An inertia comes once, so it must not be lost.
@@ -226,7 +227,7 @@ class AttitudeComponent:
     def _listening(self) -> list[Subscription]:
         return [*self._torques.values(), self._states]
 
-    def _on_torque(self, source: int, data: bytes, sender: Sender) -> None:
+    def _on_torque(self, source: int, data: bytes, sender: Sender, _: int) -> None:
         self._diagnostics.count(RECEIVED, source)
         try:
             self._mode.enqueue(data, sender, source)

@@ -62,11 +62,14 @@ class DrainCallback:
     Parameters
     ----------
     on_message : callable
-        Receives the bytes of each message and its sender.
-    on_empty : callable
-        Called when no message is waiting.
+        Receives the bytes of each message, its sender, and when the middleware received it, ns of
+        the system clock, 0 if it does not say.
     on_gap : callable
         Receives the number of messages missing in a gap.
+    on_empty : callable, optional
+        Called when no message is waiting.
+    takes_all : bool
+        Otherwise it takes one message at a time: `on_empty` does not wait for a look for others.
 
     Attributes
     ----------
@@ -80,28 +83,40 @@ class DrainCallback:
     #: rclpy passes the information about a message only to a callback with two parameters.
     __signature__ = inspect.signature(lambda message, info: None)
 
-    def __init__(self, on_message: Callable[[bytes, Sender], None], on_empty: Callable[[], None],
-                 on_gap: Callable[[int], None]) -> None:
+    def __init__(self, on_message: Callable[[bytes, Sender, int], None],
+                 on_gap: Callable[[int], None],
+                 on_empty: Callable[[], None] = lambda: None, takes_all: bool = True) -> None:
         self._on_message, self._on_empty, self._on_gap = on_message, on_empty, on_gap
+        self._takes_all = takes_all
         self._last_number: dict[Sender, int] = {}
         self.heard: dict[Sender, tuple[float, float]] = {}
         self.subscription: Subscription
 
     def __call__(self, *taken: Any) -> None:
         """Take a message and all that wait after it."""
-        # EventsExecutor passes message and information as one tuple, other executors as two.
-        found = taken if len(taken) == 2 else taken[0]
-        subscription = self.subscription
-        with subscription.handle:
-            # The limit ends the loop even if messages arrive faster than it takes them.
-            until = time.monotonic() + _BUDGET
-            while found is not None:
-                message, info = found
-                self._on_message(message, self._sender(info))
-                if time.monotonic() > until:
-                    break
-                found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        with self.subscription.handle:
+            # EventsExecutor passes message and information as one tuple, other executors as two.
+            self._take(taken if len(taken) == 2 else taken[0])
         self._on_empty()
+
+    def poll(self) -> None:
+        """Take all messages that wait, without an executor."""
+        with self.subscription.handle:
+            self._take(self._next())
+
+    def _take(self, found: tuple[bytes, dict[str, Any]] | None) -> None:
+        # The limit ends the loop even if messages arrive faster than it takes them.
+        until = time.monotonic() + _BUDGET
+        while found is not None:
+            message, info = found
+            self._on_message(message, self._sender(info), info['received_timestamp'])
+            if not self._takes_all or time.monotonic() > until:
+                break
+            found = self._next()
+
+    def _next(self) -> tuple[bytes, dict[str, Any]] | None:
+        subscription = self.subscription
+        return subscription.handle.take_message(subscription.msg_type, subscription.raw)
 
     def _sender(self, info: dict[str, Any]) -> Sender:
         number, identity = info.get('publication_sequence_number'), info.get('publisher_gid')

@@ -65,9 +65,9 @@ class Mode:
         self._queue = TorqueQueue(diagnostics, is_patient=self._scene.mode == LOCKSTEP)
         #: By source, as their publishers are counted.
         self._torques: Mapping[int, Subscription] = {}
-        #: The torque that is being applied, and whether only the response and the log are left.
+        #: The torque that is being applied, and whether it has been applied and responded to.
         self._current: tuple[Torque, Queued] | None = None
-        self._is_applied = False
+        self._is_applied = self._is_answered = False
         self._wake: Callable[[], None] = lambda: None
 
     def connect(self, torques: Mapping[int, Subscription], wake: Callable[[], None]) -> None:
@@ -109,7 +109,7 @@ class Mode:
             self.run.log(self._current[0])
         elif self._current:
             self._queue.put(self._current[1])  # to be rejected
-        self._current, self._is_applied = None, False
+        self._current, self._is_applied, self._is_answered = None, False, False
         self._queue.end(kept)
         self.run.end(until)
 
@@ -124,14 +124,17 @@ class Mode:
         return (torque, queued) if torque else None
 
     def _finish(self, torque: Torque, queued: Queued, until: float) -> None:
-        # Apply, respond, log: the response comes first, because a controller waits for it.
+        # The response comes before all that can wait, because a controller waits for it.
         if not self._is_applied:
-            self._is_applied = self.run.apply(torque, queued.arrived_ns or torque.stamp_ns, until)
+            self._is_applied = self.run.apply(torque, queued.arrived_ns or torque.stamp_ns)
             if not self._is_applied:
                 self._refuse(torque)
                 return
-        self._respond(torque, until)
-        self._is_applied = False
+        if not self._is_answered:
+            self._respond(torque, until)
+            self._is_answered = True
+        self.run.commit(until)
+        self._is_applied = self._is_answered = False
         self.run.log(torque)
 
     def _read(self, queued: Queued) -> Torque | None:

@@ -71,6 +71,8 @@ class Publishers:
         imu, variances = scene.imu, scene.odometry_variances
         #: The publisher of each topic, and how it encodes a snapshot.
         self._states: list[tuple[Publisher, Callable[[State, State, Floats], bytes]]] = [
+            (self._publisher(Odometry, 'odometry'), lambda state, *_: (
+                messages.odometry(state, space, body, *variances))),
             (self._publisher(QuaternionStamped, 'attitude'), lambda state, *_: (
                 messages.QUATERNION.encode(state.time_ns, space, state.attitude))),
             (self._publisher(Vector3Stamped, 'euler_angles'), lambda state, *_: (
@@ -79,9 +81,7 @@ class Publishers:
             (self._publisher(Vector3Stamped, 'angular_velocity'), lambda state, *_: (
                 messages.VECTOR3.encode(state.time_ns, body, state.angular_velocity))),
             (self._publisher(Imu, 'imu/data'), lambda state, sensed, _: (
-                messages.imu(state.time_ns, body, sensed, imu))),
-            (self._publisher(Odometry, 'odometry'), lambda state, *_: (
-                messages.odometry(state, space, body, *variances)))]
+                messages.imu(state.time_ns, body, sensed, imu)))]
         if scene.wheels:
             self._states.append((
                 self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state, *_: (
