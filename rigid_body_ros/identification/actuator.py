@@ -100,19 +100,26 @@ def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
     if log.interpolation != 'hold':
         slope[:-1] = (log.at(nodes_ns[1:] - 1, timeout_ns)[0] - begin[:-1]) / seconds[:-1, None]
     ratio = seconds / lag
-    decay = np.exp(-ratio)[:, None]
+    decay = np.exp(-ratio)
     ends = begin + slope * (seconds - lag)[:, None]  # what it tends to
     first = begin - slope * lag
-    state, means = np.zeros(3), np.empty_like(begin)
     share = -np.expm1(-ratio) / ratio
     middle = 0.5 * slope * seconds[:, None]
-    for k in range(len(nodes_ns)):
-        away = state - first[k]
-        means[k] = first[k] + middle[k] + share[k] * away
-        state = ends[k] + decay[k] * away
+    away = np.stack([_away(first[:, axis].tolist(), ends[:, axis].tolist(), decay.tolist())
+                     for axis in range(3)], axis=1)
+    means = first + middle + share[:, None] * away
     # The last node stands for what follows; there the lag is over.
     means[-1] = begin[-1]
     return TorqueLog(nodes_ns, means, 'space' if log.in_space.all() else 'body')
+
+
+def _away(first: list[float], ends: list[float], decay: list[float]) -> list[float]:
+    """Return how far a component that begins at zero is from its command at each node."""
+    away, state = [], 0.0  # plain numbers, because arrays of three take ten times as long
+    for command, end, left in zip(first, ends, decay):
+        away.append(state - command)
+        state = end + left * away[-1]
+    return away
 
 
 def _nodes(log: TorqueLog, lag: float, timeout_ns: int) -> NDArray[np.int64]:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -85,7 +85,7 @@ class Physics:
     @cached_property
     def body(self) -> RigidBody:
         """Return the body."""
-        return RigidBody(self.inertia, self.damping)
+        return _body(self.inertia.tobytes(), self.damping.tobytes())
 
     def value(self, name: str, topic: str = '') -> Floats:
         """
@@ -114,6 +114,12 @@ class Physics:
             for one in fields]
         weight = self.value(WEIGHT)
         return [*acting, UniformField(weight, self.gravity, WEIGHT)] if weight.any() else acting
+
+
+@lru_cache(maxsize=64)
+def _body(inertia: bytes, damping: bytes) -> RigidBody:
+    # A third of the points of a fit change other parameters, and the constants take long.
+    return RigidBody(*(np.frombuffer(each).reshape(3, 3) for each in (inertia, damping)))
 
 
 class Magnitudes(NamedTuple):
