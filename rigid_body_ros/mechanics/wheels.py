@@ -65,8 +65,8 @@ class Wheel:
     max_torque : float, N m
         Of the motor; 0: no limit. A larger command is clipped.
     max_speed : float, rad/s
-        Relative to the body; 0: no limit. A command that would speed up a wheel which is as fast
-        or faster when the command takes effect acts as zero.
+        Relative to the body; 0: no limit. Checked when a command takes effect: one that would
+        speed up a wheel at this speed or above acts as zero.
 
     Raises
     ------

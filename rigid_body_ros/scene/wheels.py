@@ -43,8 +43,8 @@ _OTHERS = (
               'times its speed slows it, and its opposite acts on the body', (0.0, BIG)),
     Parameter('max_torque', 0.0, 'N m', 'largest torque of the motor, to which commands are '
               'clipped; 0: no limit', (0.0, BIG)),
-    Parameter('max_speed', 0.0, 'rad/s', 'a command that would speed up a wheel which is as fast '
-              'or faster when the command takes effect acts as zero; 0: no limit', (0.0, BIG)),
+    Parameter('max_speed', 0.0, 'rad/s', 'checked when a command takes effect: one that would '
+              'speed up a wheel at this speed or above acts as zero; 0: no limit', (0.0, BIG)),
 )
 #: What no other group of parameters has.
 _OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
