@@ -192,8 +192,8 @@ Without the `ros2` command, as after `pip install '.[ros]'`, type
 [the same as a managed node](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative: they take the namespace of the node, and can be
-remapped (`-r torque:=/wrench`). History, depth and reliability of the torques and the states can be
-overridden, under the full name of the topic: `qos_overrides./torque.subscription.depth`.
+remapped (`-r torque:=/wrench`). History, depth and reliability of the torques and the states can
+be overridden, under the full name of the topic: `qos_overrides./torque.subscription.depth`.
 
 ### Subscribes
 
@@ -235,8 +235,8 @@ under the key `rejected: CAUSE`.
 ## Parameters
 
 The node and every command (`--scene`) read the same file. In a running node all parameters but
-`publish_rate` are read-only. [The scene file](scene.md) describes how it is read. Parameters of ROS
-are not listed: `use_sim_time`, `qos_overrides`, and `autostart` of `attitude_lifecycle_node`.
+`publish_rate` are read-only. [The scene file](scene.md) describes how it is read. Parameters of
+ROS are not listed: `use_sim_time`, `qos_overrides`, and `autostart` of `attitude_lifecycle_node`.
 
 {parameters}
 
