@@ -83,6 +83,11 @@ SUBSCRIBED_IF_ENABLED = [
           'the body from its stamp on. The mass and `com` are ignored, logged once. '
           '`header.frame_id` empty or the body frame; any other is rejected. The damping stays '
           'that of the scene. `inertia_change` says what goes on.'),
+    Topic('robot_description', 'std_msgs/msg/String', 'reliable, transient local, keep last 1',
+          'If the parameters have neither an inertia nor a URDF: the URDF, of which the first is '
+          'used.'),
+    Topic('/clock', 'rosgraph_msgs/msg/Clock', 'best effort, keep last 1',
+          'If `use_sim_time` is true: the time.'),
 ]
 PUBLISHED = [
     Topic('attitude', 'geometry_msgs/msg/QuaternionStamped', STATE,
@@ -187,8 +192,8 @@ Without the `ros2` command, as after `pip install '.[ros]'`, type
 [the same as a managed node](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative: they take the namespace of the node, and can be
-remapped (`-r torque:=/wrench`). Quality of service can be overridden
-(`qos_overrides./torque.subscription.depth`).
+remapped (`-r torque:=/wrench`). History, depth and reliability of the torques and the states can
+be overridden, under the full name of the topic: `qos_overrides./torque.subscription.depth`.
 
 ### Subscribes
 
@@ -230,7 +235,8 @@ under the key `rejected: CAUSE`.
 ## Parameters
 
 The node and every command (`--scene`) read the same file. In a running node all parameters but
-`publish_rate` are read-only. [The scene file](scene.md) describes how it is read.
+`publish_rate` are read-only. [The scene file](scene.md) describes how it is read. Parameters of
+ROS are not listed: `use_sim_time`, `qos_overrides`, and `autostart` of `attitude_lifecycle_node`.
 
 {parameters}
 

@@ -80,7 +80,8 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
         published |= by_full_name(nodes.OPTIONAL)
         subscribed |= by_full_name(nodes.SUBSCRIBED_IF_ENABLED)
         # A scene has rotors, or wheels with names.
-        for name in ('/tf', '/clock', *(OF_ROTORS if NAMED[1] in arguments else OF_WHEELS)):
+        for name in ('/tf', '/clock', '/robot_description', *(
+                OF_ROTORS if NAMED[1] in arguments else OF_WHEELS)):
             published.pop(name, None)
             subscribed.pop(name, None)
         subscribed['/disturbance'] = subscribed['/torque']
