@@ -44,8 +44,9 @@ _SUFFIX = '.mcap'
 
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.regress.page import page
-    _check(options)
-    with TemporaryDirectory(prefix='attitude_regress.') as folder:
+    with protection.protected('scene', options.scene), \
+            TemporaryDirectory(prefix='attitude_regress.') as folder:
+        _check(options)
         with checked(options) as outputs:
             scene = load_scene(options)
             result, name = _compared(options, scene, Path(folder)), Path(options.reference).name
@@ -53,8 +54,7 @@ def _run(options: argparse.Namespace) -> int:
                                 page=lambda line: page(result, name, scene, line))
         written = options.update and result.is_same
         if written:
-            with protection.protected('scene', options.scene), \
-                    files.atomic_output(options.reference, _SUFFIX) as path:
+            with files.atomic_output(options.reference, _SUFFIX) as path:
                 shutil.copyfile(result.path, path)
     outputs.show(result.text(), 14, [*([options.reference] if written else []), *outputs.names])
     if result.is_same:
@@ -70,8 +70,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.duration and not options.update:
         raise InputError('--duration: expected --update, found none')
     if options.update:
-        with protection.protected('scene', options.scene):
-            files.check((options.reference, _SUFFIX))
+        files.check((options.reference, _SUFFIX))
         if Path(options.reference).exists():
             from rigid_body_ros.regress.loop import committed
             committed(options.reference)  # nothing but a reference is replaced
