@@ -54,6 +54,12 @@ _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [
 _OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(ROWS, COLUMNS)])
 
 
+#: The values of parameters that are not fitted; to make them at each use takes a tenth of a fit.
+_NEUTRAL = {name: np.full(len(kind.components), kind.neutral) for name, kind in KINDS.items()}
+for _value in _NEUTRAL.values():
+    _value.flags.writeable = False
+
+
 class Prior(NamedTuple):
     """What is known of a component beforehand: its value, with a standard deviation."""
 
@@ -97,10 +103,9 @@ class Physics:
         `mount` rotates. Its time is its stamp plus `clock_offset`, plus `clock_drift` times the
         time since the start.
         """
-        found = self.values.get(f'{name}@{topic}')
+        found = self.values.get(f'{name}@{topic}') if topic else None
         found = self.values.get(name) if found is None else found
-        kind = KINDS[name]
-        return np.full(len(kind.components), kind.neutral) if found is None else found
+        return _NEUTRAL[name] if found is None else found
 
     def number(self, name: str, topic: str = '') -> float:
         """Return a parameter with one component."""

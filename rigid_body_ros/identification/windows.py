@@ -99,7 +99,7 @@ class Window:
     axial: Floats | None = None
     is_in_body: bool = field(init=False)
     #: The latest gain, delay and lag, and the problem with them.
-    _applied: tuple[tuple[float, ...], Problem] | None = field(init=False, default=None)
+    _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
     #: The latest stamps of all channels, where those of each are among their union, the union.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
         init=False, default=None)
@@ -181,7 +181,7 @@ class Window:
 
     def _acting(self, physics: Physics, end_ns: int) -> Problem:
         """Return the problem with the torques that act up to a time."""
-        key = tuple(float(value) for name in _OF_TORQUES for value in physics.value(name))
+        key = b''.join(physics.value(name).tobytes() for name in _OF_TORQUES)
         if not self._applied or key != self._applied[0]:
             self._applied = key, self.problem.replaced(
                 log=applied(self.problem.logs, physics, self.problem.options.timeout_ns))
