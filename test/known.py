@@ -195,7 +195,7 @@ def lost_momentum(solver, step):
     return apart.max() / np.linalg.norm(momentum[0])
 
 
-#: By quantity (with its unit): a function that returns both values, and the bound.
+#: By quantity with its unit: a function that returns the reference and the result, and the bound.
 KNOWN = {
     **{f'period of {name}, s': (lambda name=name: period(name), 1e-15) for name in TOPS},
     **{f'escape from the intermediate axis, offset {offset:.0e}, s':

@@ -76,7 +76,7 @@ class Run(NamedTuple):
 
 
 def replayed(tmp_path, live):
-    """Replay what a session accepted, with the parameters in live.yaml."""
+    """Replay the torques that a session accepted, with the parameters in live.yaml."""
     live.write(tmp_path / 'live.mcap')
     path, run = tmp_path / 'live.mcap', scene.load(tmp_path / 'live.yaml')
     recorded = recording.read(path, ACCEPTED)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A clock that is silent, stands still, or jumps ahead or back; and stamps of other clocks."""
+"""A clock that is silent, stops, or jumps ahead or back; and stamps of other clocks."""
 
 from dataclasses import replace
 import itertools
@@ -494,7 +494,7 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
     assert run.committed[0].tolist() == [0.5, 0.5, -0.5, 0.5, 0.3, 0.2, -0.1]
     np.testing.assert_array_equal(run.committed, run.replay)
     assert 'initial_state rejected: late' in words
-    # The torque in force goes on in the epoch that the reset began.
+    # The torque in force continues in the epoch that the reset began.
     mark, carried = torques
     start = scene.load(TUMBLER).start
     assert mark == messages.epoch_marker(replace(start, time_ns=7 * SECOND))

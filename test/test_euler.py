@@ -279,7 +279,7 @@ def test_unwrapped_angles_go_through_both_poles_and_around(sequence, start):
     angles = euler.unwrap(euler.from_quaternion(attitude, sequence), sequence)
     sense = np.sign(angles[1, 1] - angles[0, 1])
     off = np.abs(angles - angles[0] - (given - given[0]) * [1.0, sense, 1.0])
-    # The closer to a pole, the less a rounded attitude tells the outer angles apart.
+    # The closer to a pole, the less a rounded attitude distinguishes the outer angles.
     noise = np.minimum(0.5, 8 * EPS / np.maximum(EPS, np.abs(np.sin(2 * middle))))
     assert np.all(off[:, 1] < 32 * EPS)
     assert np.all(off[:, ::2] < noise[:, None] + 32 * EPS)

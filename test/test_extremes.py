@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""At the edges of what a body can do every solver is right to rounding, or says that it is not."""
+"""In extreme scenes every solver is right to rounding, or reports that it is not."""
 
 import itertools
 
@@ -33,7 +33,7 @@ LONGEST_PHASE, MOST_STEPS = 2e5, 1e5
 TO_ROUNDING = ('auto', 'taylor', 'exact')
 
 scenes = pytest.mark.parametrize('scene', SCENES, ids=lambda scene: scene.name)
-#: Scenes whose truth takes seconds; the rod with body torques stands for them in `make test`.
+#: Scenes whose truth takes seconds; `make test` runs only the rod with body torques.
 LONG = ('the same, linear between them', 'rod 1e-4, full tensor, space torques',
         'ruler 1e-6, full tensor, cubic body torque', 'plate, full tensor, body torques',
         'plate, full tensor, linear space torque')
@@ -62,7 +62,7 @@ def test_motion_is_that_of_fifty_digits(scene):
 
 
 def check_estimates(scene):
-    """Check what a trade estimates; here, because the truth of these scenes takes seconds."""
+    """Check the estimates of a trade-off, here because the truth of these scenes takes seconds."""
     problem = Problem(scene.body, scene.start, scene.log)
     reference = Reference.of(Case(problem, scene.times_ns))
     apart, _ = scene.errors(reference.trajectory)
@@ -161,7 +161,7 @@ def test_time_runs_backwards(solver, seconds):
 @pytest.mark.parametrize('power', [-300, -40, 40, 300])
 @pytest.mark.parametrize('solver', SOLVERS[:2] + FIXED_STEP)
 def test_the_unit_of_inertia_does_not_matter(power, solver):
-    # Tensor and torque times a power of two: the same motion, to the last bits.
+    # Tensor and torque times a power of two give the same motion, to the last bits.
     times = np.arange(1, 11) * 2 * SECOND
 
     def moved(scale):
@@ -174,7 +174,7 @@ def test_the_unit_of_inertia_does_not_matter(power, solver):
 @pytest.mark.parametrize('solver', SOLVERS)
 @pytest.mark.parametrize('theta', [0.0, np.pi])
 def test_euler_angles_through_their_singularities(theta, solver):
-    # Theta runs through 0 and pi while phi or psi jumps by pi: the attitude knows of neither.
+    # Theta runs through 0 and pi while phi or psi jumps by pi: neither affects the attitude.
     body, rates = RigidBody.from_moments(1.0, 2.0, 2.5), (1.0, 0.0, 0.0)
     near = round(theta * 1e9) + np.arange(-5, 6)
     times = near[near >= 0]

@@ -33,7 +33,7 @@ MOMENTS = dict.fromkeys(('inertia.ixx', 'inertia.iyy', 'inertia.izz'), 1.0)
 
 
 def noise(errors, stamps_ns):
-    """Return what is measured of a body at rest: rotation vectors, and angular velocities."""
+    """Return measurements of a body at rest: rotation vectors, and angular velocities."""
     count = len(stamps_ns)
     attitude, rates = errors.measured(stamps_ns, np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
                                       np.zeros((count, 3)))

@@ -29,7 +29,7 @@ COMMANDS = messages.joint_commands(WHEELS)
 
 
 def theirs(names, position=(), velocity=(), effort=(), little_endian=True):
-    """Return what others encode."""
+    """Return the encoding by another library."""
     types = STORE.types
     stamp = types['builtin_interfaces/msg/Time'](*divmod(STAMP_NS, 10 ** 9))
     lists = [np.array(numbers, float) for numbers in (position, velocity, effort)]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The package: what is installed where, and one version."""
+"""The package: the places of installed files, and a single version."""
 
 import ast
 from contextlib import contextmanager

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings: what others write we read, what we write others read, damage is told."""
+"""Recordings: we read the files of others, others read ours, and damage is reported."""
 
 import itertools
 import re

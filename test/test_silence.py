@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Controllers that fall silent, and too many torques: what the node reports and publishes."""
+"""Controllers that fall silent, and too many torques: the reports and outputs of the node."""
 
 import re
 

@@ -115,7 +115,7 @@ def checked(tmp_path, live, torques=TORQUES[:1]):
     assert not result.pending
     assert result.epochs == result.compared_epochs
     problem = read(path, run, topic=torques, wheel_command=ACCEPTED)
-    # The parameters are those of the epoch, too.
+    # The parameters also belong to the epoch.
     np.testing.assert_array_equal([wheel.initial_speed for wheel in run.named_wheels],
                                   problem.start.wheel_speeds)
     assert not run.start.rotor_momentum.any()
@@ -157,7 +157,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, fr
     assert counts['applied'] == 600
     given = np.array([efforts for *_, efforts in plan])
     assert counts['clipped to max_torque'] == np.sum(np.abs(given) > 0.004)
-    # What was published is the motion, whatever came later.
+    # The published states are the motion, whatever came later.
     last_ns = max(stamp for _, stamp, _ in plan)
     found = {stamp: values for stamp, values in live.states().items()
              if stamp > last_ns + SECOND // 2}
@@ -226,7 +226,7 @@ def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, dom
         live.reset()
         for number in range(31, 40):
             ask(number)
-        # The parameters are those of the last epoch, whose speeds are not the first ones.
+        # The parameters belong to the last epoch, whose speeds are not the first ones.
         live.set_state(State(SECOND + 40 * STEP_NS + 5, (0.0, 0.6, 0.0, 0.8)))
         ask(41)
         _, result = checked(tmp_path, live)

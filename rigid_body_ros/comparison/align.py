@@ -35,7 +35,7 @@ from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
-#: What can be fitted.
+#: Parameters that can be fitted.
 ALIGNMENTS = (START, CLOCK, MOUNT)
 #: Steps of the differences for the Jacobian: rad and rad/s, and s of the clock.
 _STEP, _CLOCK_STEP = 1e-6, 1e-5
@@ -49,7 +49,7 @@ _TOLERANCE = 1e-6
 #: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
 #: out of the last stage.
 _HUBER, _OUTLIER = 2.0, 5.0
-#: Number of motions that are kept: the latest, and that of the point of a Jacobian.
+#: Number of motions that are kept: the latest, and the one at the point of a Jacobian.
 _KEPT = 2
 #: Singular value, relative to the largest, below which the data does not determine a direction.
 _SINGULAR = 1e-7
@@ -63,7 +63,7 @@ def align(motion: Motion, sensors: Sequence[Measured],
     Parameters
     ----------
     motion : Problem or Recorded
-        What they are aligned with.
+        The motion that they are aligned with.
     sensors : sequence of Measured
         Each has its own clock and mounting; the two space axes and the start are common.
     names : collection of str

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What brings a sensor into the time, the frames and the start of a motion."""
+"""The transformation of a sensor to the time, the frames and the start of a motion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _identity() -> Floats:
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """
-    What brings a sensor into the time and the frames of a motion.
+    The transformation of a sensor to the time and the frames of a motion.
 
     Measured attitude = `space` * attitude of the motion * `mount`.
 
@@ -46,7 +46,7 @@ class Alignment:
         x y z w; `mount` maps vectors from the axes of the sensor to the body axes, and `space` is
         common to all sensors.
     start : State, optional
-        The fitted start; None for that of the scene.
+        The fitted start; None if it is the start of the scene.
     sigma : dict
         Standard deviations of what was fitted: 'clock_offset_s' in s, and arrays of shape (3,):
         'mount_rad', 'space_rad' and 'initial_attitude_rad' about the axes of sensor, space and

@@ -67,7 +67,7 @@ class Cause:
     topic : str
         The sensor; empty for a cause of the model.
     explains : bool
-        Whether what is left is compatible with the noise.
+        Whether the remaining error is compatible with the noise.
 
     """
 

@@ -45,7 +45,7 @@ from rigid_body_ros.sensing.noise import (
 _NORMAL = 1.4826
 #: Spreads from which on an error is an outlier, and share of outliers that no sensor has.
 _OUTLIER, _SCATTERED = 15.0, 0.3
-#: rad or rad/s; errors below this are those of rounding.
+#: rad or rad/s; smaller errors are rounding errors.
 _ROUNDING = 1e-7
 #: Smallest spread of an axis, relative to the largest.
 _LEAST = 1e-3
@@ -110,7 +110,7 @@ class Channel:
 
     @property
     def ratio(self) -> float:
-        """Return the median error of an axis, in those of noise with the spread."""
+        """Return the median error of an axis, relative to that of noise with this spread."""
         return float(np.median(np.abs(self.errors) / self.spread)) * _NORMAL
 
     @cached_property

@@ -45,9 +45,9 @@ def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
     Parameters
     ----------
     motion : Problem or Recorded
-        What the sensors are aligned with.
+        The motion that the sensors are aligned with.
     sensors : sequence of Measured
-        The rotation of space is that of the one with the most attitudes.
+        The sensor with the most attitudes determines the rotation of space.
     clocks, mounts : sequence of bool
         Which to find, for each sensor; the others are zero and the identity.
 

@@ -65,7 +65,7 @@ class Recorded:
                                       (attitude[rows + 1], rates[rows + 1]), span, part))
 
 
-#: What measurements are compared with, and its states at times.
+#: A motion that measurements are compared with, and its states at times.
 Motion = Problem | Recorded
 States = Trajectory | Poses
 
@@ -82,7 +82,7 @@ def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> N
 
 
 def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
-    """Return the states at the samples of each sensor, from those of all of them."""
+    """Split the states at the samples of all sensors into those of each sensor."""
     ends = np.cumsum([0, *map(len, sensors)]).tolist()
     every = Poses(states.attitude, states.angular_velocity)
     return [every.rows(slice(*part)) for part in pairwise(ends)]

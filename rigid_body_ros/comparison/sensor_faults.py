@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-What can be wrong with a sensor, and its measurements without that.
+Possible faults of a sensor, and its measurements without them.
 
-Each fault is undone: what is left shows whether it is the cause.
+Each fault is undone: the remaining error shows whether it is the cause.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Fault:
     measured : Measured
         Without it.
     align : tuple of str
-        What to align, besides what the user asked.
+        Alignments in addition to those that the user asked for.
     is_aligned : bool
         Whether the measurement is in the time and the axes of the motion.
 
@@ -169,7 +169,7 @@ def _of_attitude(aligned: Measured, channel: Channel) -> Iterator[Fault]:
 
 
 def _still(attitude: Floats, expected: Floats, spread: float) -> NDArray[np.bool_]:
-    """Return in which samples the attitude stands still although the body moves."""
+    """Return the samples in which the attitude is constant although the body moves."""
     steps = so3.angle_between(expected[:-1], expected[1:])
     lag = max(1, math.ceil(_MOVES * spread / max(float(np.median(steps)), 1e-12)))
     still = np.zeros(len(attitude), bool)

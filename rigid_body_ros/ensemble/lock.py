@@ -37,8 +37,8 @@ def locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
     """
     Lock a folder in the context; if the process dies, the system releases the lock.
 
-    A file system without locks is no reason to refuse the folder: what another command does to it
-    is still found when the runs are put together.
+    A file system without locks is no reason to refuse the folder: changes by another command are
+    still found when the runs are put together.
 
     Parameters
     ----------

@@ -16,9 +16,9 @@
 How far runs turn at most: a run that turns too far would take days.
 
 The energy of a body bounds its speed. Torques change the square root of twice its energy by at
-most their impulse over that of the smallest moment. Damping only lowers it, and the momentum of
-rotors does not change it. Fields change it by their potential. The bounds depend on the values of
-a run only, not on the machine.
+most their impulse over the square root of the smallest moment. Damping only lowers it, and the
+momentum of rotors does not change it. Fields change it by their potential. The bounds depend on
+the values of a run only, not on the machine.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _NOISE = 5.0
 @dataclass(frozen=True)
 class Reach:
     """
-    What turns the bodies of all runs.
+    A bound on the angle by which the body of each run turns.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE
 from rigid_body_ros.mechanics import so3
 
-#: What can be required, and its unit.
+#: Quantities that can be required, and their units.
 UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
 #: Percentiles of what is required.
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)

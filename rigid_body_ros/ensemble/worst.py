@@ -34,7 +34,7 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import actuator, Scene
 from rigid_body_ros.scene.text import text_of
 
-#: The folder of the worst runs, in that of the ensemble, and the files in it.
+#: The folder of the worst runs, within the folder of the ensemble, and its files.
 FOLDER = 'worst'
 _FILE = re.compile(r'\d+\.(mcap|yaml)')
 _WHEELS, _COMMANDS, _BODY = '/wheel_torque', '/wheel_command', '/inertia'
@@ -42,7 +42,7 @@ _WHEELS, _COMMANDS, _BODY = '/wheel_torque', '/wheel_command', '/inertia'
 
 def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -> None:
     """
-    Write the scenes and the torques of some runs to a folder, in place of those of others.
+    Write the scenes and the torques of some runs to a folder, and remove those of others.
 
     Raises
     ------

@@ -75,7 +75,7 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     """
     Estimate parameters of a body from what was measured.
 
-    The estimates are those of maximum likelihood for independent normal errors. Samples with much
+    The estimates maximize the likelihood for independent normal errors. Samples with much
     larger errors than the others are outliers, which do not count.
 
     Parameters
@@ -101,9 +101,9 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     gravity : sequence of 3 float, m/s^2, space axes
         The field of the weight.
     accept : float
-        If the model does not explain the measurements, how far what it lacks may move an estimate
-        before the fit is rejected: relative to the mean moment of inertia, or to the scale of the
-        parameter.
+        If the model does not explain the measurements, the fit is rejected if the missing effect
+        may move an estimate by more than this, relative to the mean moment of inertia or to the
+        scale of the parameter.
     torque_timeout : float, s
         As for `propagate`.
 
@@ -204,7 +204,7 @@ def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple
 
 
 def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
-    """Raise InputError if a name has a topic without what it is about."""
+    """Raise InputError if a name has a topic that lacks the quantity it needs."""
     for name in names:
         kind, topic = split_topic(name)
         known = topics_of(kind, channels)
@@ -318,7 +318,7 @@ class _Numbers:
     turn: Floats
 
     def of(self, names: Sequence[str]) -> list[float]:
-        """Return the values of some components, NaN for those that there are not."""
+        """Return the values of some components, NaN for those that do not exist."""
         known = dict(zip(self.names, self.values.tolist()))
         return [known.get(name, math.nan) for name in names]
 

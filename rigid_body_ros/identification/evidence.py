@@ -36,14 +36,14 @@ from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import Noise, noise_of
 
-#: Relative size from which on what is left of a column is no rounding error.
+#: Relative size above which the rest of a column is more than a rounding error.
 _ROUNDING = 1e-5
 #: Largest number of samples of a channel in a window, which bounds the memory.
 _LONGEST = 12_000
 #: rad; a prediction that is less certain than this is none, and one that is less certain than
 #: this is not linear.
 _LOST, _LINEAR = 0.1, 0.02
-#: About how many samples of a channel tell its noise.
+#: Approximate number of samples from which the noise of a channel is estimated.
 _ENOUGH = 20_000
 
 
@@ -90,7 +90,7 @@ def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]
     Parameters
     ----------
     others, base : array, shape (m, k) and (m, n)
-        Columns that were not fitted, and those that were.
+        Columns that were not fitted, and columns that were.
     errors : array, shape (m,)
         In standard deviations.
 
@@ -139,7 +139,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     solution : Solution
         The fit.
     parameters : Parameters
-        With those that were estimated, and others.
+        All parameters: those that were estimated, and others.
     pieces : int
         Fewest windows of all recordings together.
 
@@ -147,7 +147,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     old = solution.problem
     most = max(len(channel) for channels in old.setup.channels for channel in channels)
     parts = -(-max(pieces, -(-most // _LONGEST)) // len(old.windows))
-    # Windows begin where those of the solution do: from one to the next its motion jumps.
+    # Windows begin where the windows of the solution begin, because its motion jumps there.
     windows = old.setup.windows(solution.length_ns, solution.physics, parts)
     setup = replace(old.setup, parameters=parameters)
     problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
@@ -175,7 +175,7 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
     """
     Return the noise of each channel of each recording, in its standard deviation.
 
-    It is that of the errors that are left if all parameters of the problem are estimated.
+    It is the noise of the errors that remain if all parameters of the problem are estimated.
     """
     chosen = [*_few(problem)]
     rows = [_rows(problem, k) for k in chosen]
@@ -283,7 +283,7 @@ def _known(solution: Solution, last: int) -> Floats:
 
 
 def _deviations(known: Floats, slopes: Floats) -> Floats:
-    """Return the standard deviations of predictions, infinite if the data does not tell."""
+    """Return the standard deviations of predictions, infinite if they are not determined."""
     _, singular, right = np.linalg.svd(known)
     kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
     deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)

@@ -79,7 +79,7 @@ _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 
 
 def components_of(name: str) -> tuple[str, ...]:
-    """Return the component names of a parameter, or of NAME.moment, that of a field."""
+    """Return the component names of a parameter, or of NAME.moment, the moment of a field."""
     kind, topic = split_topic(name)
     if kind not in KINDS:
         return _axes(name)

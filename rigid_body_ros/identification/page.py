@@ -82,7 +82,7 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
 
 
 def _banner(verdict: Verdict) -> Iterator[str]:
-    """Generate what stands on top of the page: the verdict, unless all is explained."""
+    """Generate the banner of the page: the verdict, unless the model explains everything."""
     if not verdict.is_consistent:
         yield next(verdict.rows())[1]
 

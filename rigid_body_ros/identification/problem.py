@@ -18,8 +18,9 @@ Multiple shooting: the least-squares problem of the parameters and the states of
 The residuals of a window depend on the parameters that all windows share and on the state at its
 beginning. A QR decomposition of the derivatives by both splits them: the first rows determine the
 change of the state from that of the parameters, and the others contain the parameters alone, as in
-the variable projection of Golub and Pereyra (1973). The solver sees only these few rows. So
-neither its memory nor its work grows with the number of samples, and little with that of windows.
+the variable projection of Golub and Pereyra (1973). The solver sees only these few rows. So its
+memory and its work do not grow with the number of samples, and grow little with the number of
+windows.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ _SHORTER = 0.25
 @dataclass(frozen=True, eq=False)
 class Weights:
     """
-    What a sample of each channel counts.
+    The weight of a sample of each channel.
 
     Attributes
     ----------

@@ -116,8 +116,8 @@ class Misfit:
     attitude_rms, rate_rms : float or None
         rad and rad/s; None if not measured.
     chi2_per_dof : float or None
-        Sum of squares of the errors, divided by their variances and their number less that of the
-        unknowns. It is 1 if the noise was estimated from the same errors.
+        Sum of squares of the errors over their variances, divided by the number of errors minus
+        the number of unknowns. It is 1 if the noise was estimated from the same errors.
 
     """
 

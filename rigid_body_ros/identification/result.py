@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What an identification returns."""
+"""The result of an identification."""
 
 from __future__ import annotations
 

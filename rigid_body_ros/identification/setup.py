@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What is fitted to what, and the windows that it can be divided into."""
+"""The inputs of a fit, and the windows that they can be divided into."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SHORTEST, _LONGEST = 20, 60_000
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What is fitted to what: see `identify`."""
+    """The inputs of a fit: see `identify`."""
 
     problems: Sequence[Problem]
     channels: list[list[Measured]]

@@ -130,7 +130,7 @@ def with_suspect(solution: Solution, name: str) -> Solution:
             name: np.full(3, physics.number('torque_gain'))})
         setup = replace(setup, parameters=Parameters(
             [group for group in groups if group != 'torque_gain'], physics,
-            setup.parameters.magnitudes))  # what is known of the gain is no part of the trial
+            setup.parameters.magnitudes))  # the prior of the gain is not part of the trial
     wider = replace(setup, parameters=extended(setup, physics, [name]))
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)

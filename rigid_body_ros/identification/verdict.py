@@ -64,7 +64,6 @@ class Verdict:
     level : str
         'explained', 'approximate' or 'rejected'.
     reasons : list of str
-        What speaks against the model.
     suspects : list of Suspect
         What would explain more, the best first.
 
@@ -76,7 +75,7 @@ class Verdict:
 
     @property
     def is_consistent(self) -> bool:
-        """Return whether nothing speaks against the model."""
+        """Return whether there is no reason against the model."""
         return self.level == EXPLAINED
 
     def as_dict(self) -> dict[str, Any]:
@@ -177,7 +176,7 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
 
 def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     """
-    Return the suspects, the best first: by the validation that they leave, else by their drop.
+    Return the suspects, the best first: by chi-square of the validation, otherwise by their drop.
 
     A change of the inertia, which no fit was made with, has its place by the drop.
     """

@@ -51,11 +51,11 @@ _NO_TORQUE.flags.writeable = False
 
 
 class Snapshot(NamedTuple):
-    """What is published of a time: the state, and the earlier one that the IMU measures then."""
+    """States to publish for a time: the current one, and the earlier one that the IMU measures."""
 
     state: State
     sensed: State
-    #: What acts, N m, body axes; only of scenes with actuators, and of an epoch.
+    #: The torque that acts, N m, body axes; only in an epoch of a scene with actuators.
     torque: Floats = _NO_TORQUE
 
 
@@ -123,7 +123,7 @@ class Run:
         return replace(start, wheel_speeds=speeds, rotor_momentum=total) if total.any() else start
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
-        """Begin an epoch and its log; `torques` are those of an earlier one that still act."""
+        """Begin an epoch and its log; `torques` are from an earlier one and still act."""
         self.epoch = Epoch(self._scene, start, torques)
         self._arrived_ns = dict.fromkeys((torque.source for torque in torques), start.time_ns)
         self._sink.begin_log(start)
@@ -139,7 +139,7 @@ class Run:
 
     def apply(self, torque: Torque, arrived_ns: int, until: float) -> bool:
         """
-        Commit what can change no more, and apply a torque; return False if it is rejected.
+        Commit the states that are final, and apply a torque; return False if it is rejected.
 
         `log` logs it. The time at which it arrived, ns, is that of `silent`.
 

@@ -57,7 +57,7 @@ class UniformField:
     field : array, shape (3,), m/s^2, T, ...
         In space axes. The product with the moment is in N m.
     name : str
-        What a scene calls it; empty if it has no name.
+        Its name in a scene; empty if it has none.
 
     Raises
     ------
@@ -186,7 +186,7 @@ Field = UniformField | GravityGradient
 
 def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
     """
-    Return fields whose orbit has a time: that of the start of the motion, unless it has one.
+    Return fields whose orbit has a time: if it has none, the start of the motion.
 
     Raises
     ------

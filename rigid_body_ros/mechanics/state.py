@@ -78,7 +78,7 @@ class State:
     _origin: object = field(init=False, repr=False)
     #: Torques of the motors of these wheels that act from this time on, N m, shape (k,).
     wheel_efforts: Floats = field(init=False, repr=False)
-    #: What the wheels do (an `Axial`), or None.
+    #: The state of the wheels (an `Axial`), or None.
     _axial: object = field(init=False, repr=False, default=None)
 
     @classmethod

@@ -100,7 +100,7 @@ class Wheel:
 
 
 class Axial(NamedTuple):
-    """What the wheels do from a command on, up to the next one or its timeout."""
+    """Efforts and momenta of the wheels from a command up to the next one or its timeout."""
 
     #: ns; when it begins, and the stamp of the last command, -NEVER_NS before the first.
     since_ns: int
@@ -335,7 +335,7 @@ class Wheels:
         Raises
         ------
         ValueError
-            A name is not that of a wheel, or an effort is not finite.
+            There is no wheel with a name, or an effort is not finite.
 
         """
         found = np.full(len(self), np.nan)

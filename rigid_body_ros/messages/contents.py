@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What messages contain: states, torques, inertias, frames."""
+"""The contents of messages: states, torques, inertias, frames."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
     """
     Return the marker that begins an epoch in the log of a node: a message of zeros.
 
-    Its stamp is that of the start state, whose numbers its frame_id contains with all digits. No
-    frame of tf2 has a name like that, because of the leading slash.
+    Its stamp is the time of the start state; its frame_id has the numbers of that state with all
+    digits. No frame of tf2 has a name like that, because of the leading slash.
     """
     groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
               'rotors': start.rotor_momentum}

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What both modes share: the run, the queue of torques, and the work on it in short slices."""
+"""The part that both modes share: the run, and the queue of torques, worked on in short slices."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Mode:
     outputs : Publishers
     diagnostics : Diagnostics
     checkpoint : Checkpoint, optional
-        If it has a state, the run goes on from it.
+        If it has a state, the run continues from it.
 
     """
 

@@ -177,7 +177,7 @@ class Realtime(Mode):
         return self._update()
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the present problems by source; those of the clock are of the first."""
+        """Return the present problems by source; the first source also has those of the clock."""
         now_ns, timeout = self._update(), self._scene.torque_timeout
         problems = {source: [] for source in self._torques}
         problems[next(iter(problems))] = self._monitor.problems()

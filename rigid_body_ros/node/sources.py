@@ -47,7 +47,7 @@ class TorqueTopic(NamedTuple):
     log: str
     #: Its name in diagnostics.
     status: str
-    #: The message, and what it has.
+    #: The type of its messages, and their content.
     kind: type = WrenchStamped
     what: str = 'torque'
     #: How its messages are encoded.

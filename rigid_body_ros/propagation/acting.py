@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What becomes of the samples that arrive one by one: delay, limit and lag of each source."""
+"""Samples that arrive one by one, as they act: delay, limit and lag of each source."""
 
 from __future__ import annotations
 

@@ -373,5 +373,5 @@ class _Runs:
                             rates.reshape(count, size, 3), tuple(self._messages))
 
 
-#: What has the torques of runs, whatever their bodies and starts.
+#: The sources of the torques of runs, whatever their bodies and starts.
 _AT_REST = Problem(RigidBody(np.eye(3)), State())

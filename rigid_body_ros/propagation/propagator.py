@@ -49,8 +49,8 @@ class Propagator:
     change of the body. A state between stamps is a prediction: no later state depends on it. A
     torque that arrives late, by less than `history`, is inserted, and the later torques are
     applied again; of torques with equal stamps the last to arrive is used. So the states at the
-    stamps are those of `propagate` with the whole log, bit for bit, in whatever order the torques
-    of each source arrive.
+    stamps equal those of `propagate` with the whole log, bit for bit, in whatever order the
+    torques of each source arrive.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ class Propagator:
         body : RigidBody
             With its damping.
         keep : str
-            'rate' or 'momentum': what goes on, see `BodyLog`.
+            'rate' or 'momentum': the quantity that is kept, see `BodyLog`.
 
         Returns
         -------
@@ -272,8 +272,8 @@ class Propagator:
         time_ns : int
             As for `apply`.
         efforts : mapping of str to float, N m
-            By name; other wheels keep theirs. Of equal stamps, the last to arrive is used for each
-            wheel.
+            By name; other wheels keep their efforts. Of equal stamps, the last to arrive is used
+            for each wheel.
 
         Returns
         -------
@@ -283,7 +283,7 @@ class Propagator:
         Raises
         ------
         ValueError
-            As for `apply`, a name is not that of a wheel, or there is none.
+            As for `apply`, there is no wheel with a name, or there are no wheels.
         TypeError
             The time is not an integer.
 

@@ -40,7 +40,7 @@ def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     the last place, up or down at random; the random numbers are the same in every call. Zeros stay
     zero, and the tensors stay symmetric. The rounding error of the solver adds to the result; it
     is `auto` at its tightest tolerance, whatever the solver of the problem. The function skips a
-    change if its tensor is not that of a rigid body, or if the body then spins faster than
+    change if the tensor is then impossible for a rigid body, or if the body then spins faster than
     1e9 rad/s.
 
     Parameters

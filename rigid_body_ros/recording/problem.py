@@ -51,14 +51,14 @@ class Logged(NamedTuple):
     messages: int
     #: Number of messages whose stamp is not later than the stamp of the previous message.
     unordered: int
-    #: Whether the start is that of an epoch, and not that of the scene.
+    #: Whether the start is the start of an epoch, not of the scene.
     is_epoch: bool
     damage: str
     topics: tuple[str, ...]
 
     @property
     def times_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of all samples and bodies, ascending; that of the start if none."""
+        """Return the stamps of all samples and bodies, ascending, or only the start."""
         stamps_ns = self.problem.stamps_ns
         return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
 
@@ -184,7 +184,7 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
 
 def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
             momentum: Messages | None, interpolation: str) -> Logged:
-    """Return the problem of a motion; those of rotors, inertia and commands are the last parts."""
+    """Return the problem of a motion; the last parts are those of rotors, inertia and commands."""
     body, measured = [*parts], None
     every = [*parts, *([] if momentum is None else [momentum])]
     efforts = _efforts(path, body.pop()) if topics.wheel_command else None
@@ -233,7 +233,7 @@ def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
     topics : sequence of sequence of Messages
         By topic, its epochs.
     has_stamps : bool
-        Whether the stamps are those of the headers, which are the same on all topics.
+        Whether the stamps come from the headers, which are the same on all topics.
 
     Raises
     ------

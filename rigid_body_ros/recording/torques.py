@@ -114,7 +114,7 @@ def first_epoch(path: str | Path, blocks: Iterator[Messages]
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
                interpolation: str = 'hold', links: Frames = NO_FRAMES) -> TorqueLog:
     """
-    Return the torque log of WrenchStamped messages, which are those of one epoch (see `epochs`).
+    Return the torque log of the WrenchStamped messages of one epoch (see `epochs`).
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _check_finite(where: str, recorded: Messages, torques: Floats,
 
 
 def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
-    """Raise InputError if one of several messages, which are there, has no stamp."""
+    """Raise InputError if one of several messages has no stamp."""
     unstamped = np.flatnonzero(stamps_ns == 0)
     # A log of simulated time may begin with the stamp 0.
     begins = stamps_ns[0] == 0 < stamps_ns.max() < _SIMULATED_NS

@@ -85,7 +85,7 @@ class ControllerProcess:
         return [printable(line[:_WIDTH]) for line in text.splitlines()[-_LINES:]]
 
     def end(self) -> None:
-        """End the command and every process that it has started, as Ctrl-C or else by force."""
+        """End the command and all processes that it started, as Ctrl-C does, or by force."""
         until = time.monotonic() + _GRACE
         self._send(signal.SIGINT)
         while self._alive() and time.monotonic() < until:

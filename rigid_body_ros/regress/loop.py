@@ -80,7 +80,7 @@ class Loop:
         By the name of their log, such as 'accepted_torque'.
     states : Signal
     made_by : dict
-        The metadata of the recording: what determines its last bits.
+        The metadata of the recording that determine its last bits.
     node : str
         The name of the node, which begins the names of its topics.
     wheels : tuple of str
@@ -146,7 +146,7 @@ def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
 
 
 def committed(path: str | Path) -> str:
-    """Return the topic of the states; raise InputError if a recording is not that of one node."""
+    """Return the topic of the states; raise InputError if a recording is not of just one node."""
     logs = [topic for topic in recording.topics(path, [messages.ODOMETRY])
             if topic.rpartition('/')[2] == COMMITTED]
     if len(logs) != 1:

@@ -65,7 +65,7 @@ class Node(Protocol):
 
 
 class Status(NamedTuple):
-    """What a `Node` reports."""
+    """The report of a `Node`."""
 
     elapsed_ns: dict[str, int]
     unpublished: list[str]
@@ -140,7 +140,7 @@ class NodeProcess:
             The node cannot write it, or does not end.
 
         """
-        with suppress(OSError):  # it has ended, and what it has sent says why
+        with suppress(OSError):  # it has ended, and its last message has the reason
             self._connection.send((path, last_ns))
         while isinstance(found := self._received(_PATIENCE), Status):
             self.status = found  # sent before

@@ -102,13 +102,13 @@ class Batches:
     problem : Problem
         With the start, and, if the torques are one piece, changes of the body and efforts.
     is_epoch : bool
-        Whether the start is that of an epoch of a node, which may have no torques.
+        Whether the start is from an epoch of a node, which may have no torques.
 
     Attributes
     ----------
     start : State
     first_ns : int
-        Stamp of the first torque; that of the start if there is none.
+        Stamp of the first torque, or of the start if there is none.
     gaps : tuple of Gaps
         Those of each log as far as it was read.
 
@@ -117,7 +117,7 @@ class Batches:
     def __init__(self, request: Request, topics: str, streams: Sequence[Stream], problem: Problem,
                  is_epoch: bool) -> None:
         self._problem, start = problem, problem.start
-        #: What the topics state, but for torques.
+        #: The contents of the topics other than torques.
         self._others = [log.times_ns for log in (problem.changes, problem.efforts) if log]
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
@@ -220,7 +220,7 @@ class Batches:
             self._final_attitudes.clear()
 
     def _logs(self, interpolation: str, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
-        """Return the torques of each stream from the end of the motion so far on."""
+        """Return the torques of each stream from the current end of the motion on."""
         logs = []
         for stream in self.streams:
             try:

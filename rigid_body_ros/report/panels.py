@@ -38,7 +38,7 @@ _SAMPLES = 5000
 
 class Drawn(NamedTuple):
     """
-    What was measured and computed, or the errors, at some times.
+    Measured and computed values, or the errors, at some times.
 
     Attributes
     ----------

@@ -48,7 +48,7 @@ class Cluster(Workers):
     """
     The workers of a Dask scheduler, see `connected`.
 
-    What a worker that dies had to compute is computed by others. Functions, items and results are
+    If a worker dies, others compute its share. Functions, items and results are
     pickled; a function is sent once to each worker.
 
     Parameters
@@ -183,7 +183,7 @@ async def _kind(address: str) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the loggers and warnings of Dask; what matters is raised as well."""
+    """Silence the loggers and warnings of Dask; errors that matter are also raised."""
     import dask
     from distributed.versions import VersionMismatchWarning
     before = logging.root.manager.disable
@@ -198,7 +198,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _versions() -> dict[str, str]:
-    """Return what has to be the same in all processes, so that their bits are the same."""
+    """Return the versions that all processes must share to compute the same bits."""
     return {**fingerprint(), 'scipy': version('scipy'),
             f'sources of {NAME}': package_hash()[:12]}
 

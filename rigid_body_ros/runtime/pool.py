@@ -64,7 +64,7 @@ class Workers:
     def results(self, function: Callable[[Any], Any], items: Iterable[Any],
                 died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
-        Generate the results of a function for all items, in the order in which they are there.
+        Generate the results of a function for all items, in the order in which they are completed.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ def _end_with_parent() -> None:
 
 
 def _received(connection: Connection) -> Iterator[Any]:
-    """Generate what is sent until the connection is closed or the parent process has exited."""
+    """Generate the messages sent until the connection is closed or the parent has exited."""
     with suppress(EOFError, OSError):
         while True:
             yield connection.recv()

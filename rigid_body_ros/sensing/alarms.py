@@ -43,7 +43,7 @@ _MOST = 0.95
 
 class Judgement(NamedTuple):
     """
-    What a window says of the model.
+    The judgement of a model by one window.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class _Together:
     product: Floats = field(default_factory=lambda: np.zeros(3))
 
     def add(self, torque: Floats, covariance: Floats) -> float | None:
-        """Add that of a window; if it is the last, return chi-square, and begin again."""
+        """Add the error of a window; if it is the last, return chi-square, and begin again."""
         weight = np.linalg.inv(covariance)
         self.count += 1
         self.weight, self.product = self.weight + weight, self.product + weight @ torque
@@ -199,7 +199,7 @@ class Alarms:
 
 
 def _axis(change: Floats, covariance: Floats) -> str:
-    """Return which component of an error is off most."""
+    """Return the component of an error with the largest deviation."""
     deviations = np.abs(change) / np.sqrt(np.diag(covariance))
     names = [f'{what} about {axis}' for what in ('attitude', 'rate') for axis in 'xyz']
     row = int(np.argmax(deviations))

@@ -29,7 +29,7 @@ ALARM = 1e-4
 FEWEST = 10
 #: Most samples before, on which a sample depends.
 _ORDER = 3
-#: The noise of no sensor lasts longer: that of an autoregression with a coefficient of 0.92.
+#: No sensor has noise that lasts longer; it is an autoregression with a coefficient of 0.92.
 LONGEST = 5.0
 
 
@@ -45,7 +45,7 @@ class Noise:
     coefficients : array, shape (p,)
         x[t] = c[0] x[t-1] + ... + c[p-1] x[t-p] + innovation.
     lasting : float
-        By how much the mean of many samples scatters more than that of independent ones: the root
+        Scatter of the mean of many samples, relative to independent samples: the root
         of the long-run variance over the variance, at least 1 and at most `LONGEST`.
     overlap : float
         By how much more the mean of squares scatters: 1 + 2 sum of squared correlations.
@@ -126,7 +126,7 @@ def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     parts : sequence of array, shape (n, 3)
         Errors of consecutive samples, NaN for those that do not count.
     share : float
-        Number of errors over that of degrees of freedom, at least 1.
+        Number of errors divided by the number of degrees of freedom, at least 1.
 
     """
     sizes = np.sqrt(share * np.nanmean(np.concatenate(parts) ** 2, axis=0))

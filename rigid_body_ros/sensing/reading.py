@@ -132,7 +132,7 @@ def read_measured(path: str | Path, topic: str | None = None, *,
 
 def samples(kind: MessageType, values: Floats) -> tuple[Floats, Floats]:
     """
-    Return what messages measured: attitudes and angular velocities, NaN where there are none.
+    Return measured attitudes and angular velocities from messages, NaN where there are none.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def _check_axes(where: str, recorded: Messages, space_frame: str) -> None:
 
 def _other_frames(where: str, recorded: Messages, kind: MessageType,
                   expected: tuple[str, str]) -> str:
-    """Return how frames differ from those of space and body; '' if they do not, or are empty."""
+    """Return how frames differ from the space and body frames; '' if they do not, or are empty."""
     if kind.has_child_frame:
         pairs = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
         if len(pairs) > 1:
@@ -295,7 +295,7 @@ def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Me
     for name in names:
         if names.count(name) > 1:
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
-    # Among several topics, the frames are those of the transforms.
+    # With several topics, the frames choose the transforms.
     chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if frames else set()
     return [read_text_file(name) if name and is_text_file(name) else
             read_measured(path, name, frames=frames if name in chosen or not chosen else None,

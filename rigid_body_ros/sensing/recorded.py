@@ -36,7 +36,7 @@ _TOPICS_OF_SCENE = Topics()
 @dataclass(frozen=True)
 class Reading:
     """
-    What to read from a recording, and how.
+    Topics and options for reading a recording.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Reading:
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """
-    What was measured during a motion.
+    The measurements during a motion.
 
     Attributes
     ----------

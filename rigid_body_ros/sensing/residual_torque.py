@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The torque that would have had to act besides the logged one.
+The torque that must have acted in addition to the logged one.
 
 The change of the angular momentum that was measured, less the impulse of everything that the
 model knows, is the impulse of what it does not know. Its slope over a short window is the residual
@@ -60,7 +60,7 @@ class Slopes(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class ResidualTorque:
     """
-    What would have had to act besides the logged torque, smoothed over a window.
+    The torque that must have acted in addition to the logged one, smoothed over a window.
 
     Attributes
     ----------
@@ -169,7 +169,8 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
     """
     Return the impulses of the logged torques since the first of some times.
 
-    Torques in space axes are turned by the measured attitude, else by that of the motion.
+    Torques in space axes are converted with the measured attitude, or if there is none, with the
+    attitude of the motion.
 
     Returns
     -------
@@ -216,7 +217,7 @@ def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
 
 
 def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -> Floats:
-    """Return the measured attitude at times, else that of the motion."""
+    """Return the measured attitude at times, or the computed one if none is measured."""
     if sensor.attitude is None:
         return problem.propagate(at=times_ns).attitude
     return interpolated(sensor.stamps_ns, sensor.attitude, times_ns)

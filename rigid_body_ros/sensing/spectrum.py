@@ -79,7 +79,7 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
     smoothed = np.sin(np.outer(turn, times)) @ times / turn / np.sum(times ** 2)
     amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
-    # White noise of the momentum, of which the noise of the torque is that of a slope.
+    # The momentum has white noise, and the torque is a slope fitted to it.
     noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
     return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
 

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What a model predicts over a window of a measured motion, and what is measured at its end.
+The prediction of a model over a window of a measured motion, and the measurement at its end.
 
 The measurements in the first fifth of the window give the state at its begin, which is propagated
 under the logged torques. Those in the last fifth correct it. That correction, at the end of the
@@ -73,7 +73,7 @@ class WindowError:
         attitude is measured.
     rate : array, shape (3,), rad/s, body axes
     covariance : array, shape (6, 6)
-        Of both, attitude first.
+        Covariance of attitude and angular velocity, attitude first.
     torque : array, shape (3,), N m, body axes
         The constant torque over the window that explains the error best.
     torque_covariance : array, shape (3, 3), N^2 m^2

@@ -44,7 +44,8 @@ def read(folder: str | Path) -> Spread:
     Raises
     ------
     InputError
-        The folder is not that of a complete ensemble, or no run of it ended elsewhere.
+        The folder has no complete ensemble, or the median angle of its runs from the nominal is
+        zero.
 
     """
     path = Path(folder) / 'summary.json'
