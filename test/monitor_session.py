@@ -167,7 +167,7 @@ class Session:
         self.wait(lambda: self.count() >= self.received)
 
     def keeps_up(self, stamp_ns, number):
-        """Return whether the monitor is not far behind a message, the last of a number."""
+        """Return whether the monitor has almost caught up with the last message."""
         errors = self.errors['rate_error']
         last_ns = messages.VECTOR3.decode(errors[-1]).stamp_ns if errors else BEGIN_NS
         # If an input is silent, no window may be judged.

@@ -83,7 +83,7 @@ def save(path, sent, topics=(ACCEPTED,)):
 
 
 def without(sent, topic, *numbers):
-    """Return messages without some of a topic, by number on that topic."""
+    """Return messages without those of a topic that have certain numbers on that topic."""
     places = [place for place, (name, _) in enumerate(sent) if name == topic]
     left_out = {places[number] for number in numbers}
     return [one for place, one in enumerate(sent) if place not in left_out]

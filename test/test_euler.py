@@ -28,7 +28,7 @@ PROPER = ('XYX', 'XZX', 'YXY', 'YZY', 'ZXZ', 'ZYZ')
 TAIT_BRYAN = ('XYZ', 'XZY', 'YXZ', 'YZX', 'ZXY', 'ZYX')
 INTRINSIC = PROPER + TAIT_BRYAN
 ALL = INTRINSIC + tuple(name.lower() for name in INTRINSIC)
-#: `turned` rounds, too, where long double is no longer than double.
+#: `turned` also rounds if long double has no more digits than double.
 ROUND_TRIP = 1e-15 if np.finfo(np.longdouble).eps < EPS else 2e-15
 RANDOM = np.random.default_rng(313)
 Q = so3.normalize(RANDOM.normal(size=(500, 4)))

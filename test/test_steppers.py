@@ -47,7 +47,7 @@ def moved(solver, step, log=None, at=(END,), body=BODY):
 
 
 def slope(steps, errors):
-    """Return the order of errors in the step, and how well a power of it describes them."""
+    """Return the order of errors in the step, and the correlation with a power law."""
     x, y = np.log(steps), np.log(errors)
     return np.polyfit(x, y, 1)[0], np.corrcoef(x, y)[0, 1]
 

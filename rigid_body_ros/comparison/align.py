@@ -58,7 +58,7 @@ _SINGULAR = 1e-7
 def align(motion: Motion, sensors: Sequence[Measured],
           names: Collection[str], most: int | None = None) -> tuple[Alignment, ...]:
     """
-    Fit what is asked for by robust least squares.
+    Fit the requested parameters by robust least squares.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ class _Fit:
 
     def _correlation(self) -> float:
         """
-        Return by how much errors that are not white enlarge the standard deviations.
+        Return the factor by which errors that are not white enlarge the standard deviations.
 
         Errors of the model last for many samples. With the correlation r of neighbours, n samples
         count as n (1 - r) / (1 + r).
@@ -324,7 +324,7 @@ class _Fit:
 
 
 def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Column]:
-    """Return what is fitted, first what changes no motion."""
+    """Return the fitted parameters, beginning with those that do not change the motion."""
     mounted = [k for k, sensor in enumerate(sensors) if is_asked(names, MOUNT, sensor.topic)]
     with_attitude = [k for k, sensor in enumerate(sensors) if sensor.attitude is not None]
     is_turned = bool({*mounted} & {*with_attitude})

@@ -48,7 +48,7 @@ class Alignment:
     start : State, optional
         The fitted start; None if it is the start of the scene.
     sigma : dict
-        Standard deviations of what was fitted: 'clock_offset_s' in s, and arrays of shape (3,):
+        Standard deviations of the fitted values: 'clock_offset_s' in s, and arrays of shape (3,):
         'mount_rad', 'space_rad' and 'initial_attitude_rad' about the axes of sensor, space and
         body, 'initial_angular_velocity_rad_s'. Infinite if the measurement does not determine a
         value.
@@ -62,7 +62,7 @@ class Alignment:
     sigma: dict[str, Any] | None = None
 
     def of_sensor(self) -> dict[str, Any]:
-        """Return what is of this sensor alone, as JSON types."""
+        """Return the values of this sensor alone, as JSON types."""
         return {'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist()}
 
     def as_dict(self) -> dict[str, Any]:

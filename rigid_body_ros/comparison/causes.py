@@ -15,8 +15,8 @@
 """
 Likely causes of the errors of a comparison.
 
-Each is undone, and judged by what it leaves beside the noise of the measurement. A cause that
-leaves no more than noise explains the errors; another one can only reduce them.
+Each is undone, and judged by the remaining error relative to the noise of the measurement. A cause
+that leaves no more than noise explains the errors; another one can only reduce them.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def find_causes(motion: Motion, comparison: Comparison, align: Collection[str],
 
 
 def _reducing(tried: Sequence[_Tried], open_keys: set[tuple[str, str]]) -> Iterator[Cause]:
-    """Generate the causes that leave least of what is open, of alike ones the simplest."""
+    """Generate the causes that leave the smallest error; among equals, the simplest."""
     while open_keys:
         good = [one for one in tried if one.left < _LEFT and one.keys <= open_keys]
         if not good:

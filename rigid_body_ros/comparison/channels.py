@@ -90,7 +90,7 @@ class Channel:
         return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))
 
     def _curved(self, share: Floats) -> Floats:
-        """Return by how much errors are off the line through those before and after."""
+        """Return the distances of errors from the line through the previous and the next error."""
         if self.kind != ATTITUDE:
             return self.errors[1:-1] - (1.0 - share) * self.errors[:-2] - share * self.errors[2:]
         turns = so3.exp(self.errors)  # rotation vectors jump at half a turn

@@ -32,7 +32,7 @@ LARGEST_OFFSET = 10.0
 _POINTS = 2 ** 20
 #: Least part of the measurement that must lie within the motion.
 _OVERLAP = 0.5
-#: Of offsets whose cost is this close to the least, relative to the median, the smallest is taken.
+#: The smallest offset is taken whose cost is this close to the least, relative to the median.
 _SAME = 0.01
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -149,7 +149,7 @@ def _mounting(motion: Motion, sensor: Measured, offset_ns: int
 
 
 def _stride(attitude: Floats) -> int:
-    """Return over how many samples the body turns by about one radian."""
+    """Return the number of samples in which the body turns by about one radian."""
     angles = so3.angle_between(attitude[:-1], attitude[1:])
     usual = max(float(np.median(angles)), 1e-9)
     return int(np.clip(1.0 / usual, 1, max(len(attitude) // 4, 1)))

@@ -77,8 +77,8 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
     Return errors after a time, each from a restart from the measurement.
 
     A restart is estimated from eleven samples, or fewer if a fifth of the horizon has fewer: the
-    motion is propagated from the first, and its errors, linear in time, are taken off. Of more
-    than 500 restarts, some are tried, evenly spread.
+    motion is propagated from the first, and its errors, linear in time, are subtracted. If there
+    are more than 500 restarts, only some are tried, evenly spaced.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ class Fault:
     is_aligned: bool = False
 
     def described(self, alignment: Alignment) -> str:
-        """Return the fault in words, given the alignment of what was measured without it."""
+        """Return the fault in words, given the alignment of the measurements without it."""
         if self.align:
             return _clock_text(alignment) if self.name == 'clock_offset' else \
                 _rotation_text(alignment)

@@ -16,7 +16,7 @@
 Possible faults of torques and body that explain the residual torque.
 
 The residual torque is linear in each of these. A wrong start does not change it, and it does not
-grow, so what is left of it is judged in its own noise, however long the motion.
+grow, so the rest of it is compared with its own noise, however long the motion.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Explanation(NamedTuple):
     ----------
     name, text : str
     before, after : float, N m
-        Median of the residual torque, as it is and without what is explained.
+        Median of the residual torque, as it is and without the explained part.
     explains : bool
         Whether the remaining torque is compatible with its noise.
     unknowns : int
@@ -160,7 +160,7 @@ def _median(torques: Floats) -> float:
 
 
 def _tried(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
-    """Generate names, texts, what is left, and the number of unknowns."""
+    """Generate names, texts, remaining torques, and the number of unknowns."""
     logged = windows.logged
     if logged.any():
         needed = logged + windows.torques

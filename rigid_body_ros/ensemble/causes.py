@@ -31,7 +31,7 @@ _OTHERS = re.compile(r'\.\.\.(, \.\.\.)+')
 
 def causes(messages: Iterable[str]) -> dict[str, int]:
     """
-    Return how many messages there are of each cause, in the order of the first ones.
+    Return the number of messages of each cause, in the order of their first message.
 
     A cause is a message in which '...' stands for the numbers that differ.
     """

@@ -61,7 +61,7 @@ class Dispersion:
     bounds : tuple of float
         Lowest and highest value of 'uniform'; otherwise one standard deviation.
     relative : bool
-        Whether the nominal value is multiplied by one plus what is drawn.
+        Whether the nominal value is multiplied by one plus the number drawn.
 
     """
 
@@ -92,8 +92,8 @@ def draws(dispersions: Sequence[Dispersion], seed: int,
     """
     Return what some runs draw, by key; it depends on the seed and on their numbers only.
 
-    A key draws the same whatever other keys there are. The noise of the torque is drawn per
-    sample, elsewhere.
+    A key draws the same numbers whatever other keys there are. The noise of the torque is drawn
+    per sample, elsewhere.
     """
     return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 

@@ -47,7 +47,7 @@ from rigid_body_ros.ensemble.runs import MOTION, Span
 from rigid_body_ros.runtime import files, protection
 
 #: Number of blocks that the missing runs are divided into, so that all workers have some; but a
-#: block has at most so many runs, so that an interrupt does not lose many.
+#: block has a largest number of runs, so that an interrupt does not lose many.
 BLOCKS, LONGEST = 32, 2048
 #: Rows in a row group of `runs.parquet`.
 GROUP = 2 ** 16
@@ -251,7 +251,7 @@ class Folder:
         return np.asarray(column.column(name).to_numpy(), float)[:wanted]
 
     def failures(self) -> dict[str, int]:
-        """Return how many runs failed for each cause."""
+        """Return the number of failed runs for each cause."""
         batches = parquet.ParquetFile(self.table).iter_batches(columns=['message'])
         return causes(message for batch in batches
                       for message in filter(None, batch.column(0).to_pylist()))

@@ -31,7 +31,7 @@ _DECADES = 100.0
 
 def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any]:
     """
-    Return how many runs have an angle in each of some intervals, as JSON.
+    Return the number of runs with an angle in each of some intervals, as JSON.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ from rigid_body_ros.scene import Scene
 def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
     """Return the inputs of the runs, as JSON: folders with equal inputs have equal runs."""
     values, controller = json.dumps(dict(scene.values), sort_keys=True), ensemble.controller
-    # Through JSON, so that it can be compared with the contents of a file.
+    # Converted to JSON and back, so that it compares equal to the contents of a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',

@@ -28,7 +28,8 @@ import sys
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files
 
-#: The locked file. It stays in the folder: one that is removed could be locked twice.
+#: The locked file. It stays in the folder: if it were removed, two processes could lock files of
+#: this name.
 NAME = 'ensemble.lock'
 
 

@@ -43,7 +43,7 @@ from rigid_body_ros.runtime import interrupts
 
 #: Returns the torque that acts, N m, for the one that a controller returned.
 Actuated = Callable[[Floats], Floats]
-#: A stamp, ns, and the call that applies what has this stamp.
+#: A stamp, ns, and the call that applies the input with this stamp.
 _Input = tuple[int, Callable[[], object]]
 
 
@@ -144,7 +144,7 @@ class _Motion:
 
 
 class _Turned:
-    """A bound on how far a body turns in steps: one that turns too far would take days."""
+    """A bound on the angle of a body in steps: a body that turns too far would take days."""
 
     def __init__(self, problem: Problem, step_ns: int) -> None:
         moments = problem.body.principal_moments

@@ -106,7 +106,7 @@ class Motions:
         self._shape = (min(max(_CHUNK // times.size, 1), _RUNS), min(times.size, _CHUNK))
         import zarr  # takes long, and only --times needs it
         with self._reported('open'):
-            # The consolidated metadata are what is written last.
+            # The consolidated metadata are written last.
             if not (path / '.zmetadata').exists():
                 self._create()
             with zarr.config.set({'array.write_empty_chunks': True}):  # chunks of failed runs

@@ -291,7 +291,7 @@ class Ensemble:
 
     @cached_property
     def _at_once(self) -> int:
-        """Return how many runs are computed at once."""
+        """Return the number of runs that are computed at once."""
         longest = self.problem.options.max_step or math.inf
         steps = (self.end_ns - self._start_ns) / 1e9 / longest
         steps += sum(map(len, self.problem.sources))
@@ -329,7 +329,7 @@ class Ensemble:
 
     @cached_property
     def _farthest(self) -> float:
-        """Return how far a run may turn, rad."""
+        """Return the largest angle allowed for a run, rad."""
         return self._reach.limit(self._applied_without)
 
     def _too_far(self, applied: Applied) -> list[str]:

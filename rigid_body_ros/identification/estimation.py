@@ -73,7 +73,7 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
              gravity: Sequence[float] = GRAVITY, accept: float = ACCEPT,
              torque_timeout: float = Options.torque_timeout) -> Identification:
     """
-    Estimate parameters of a body from what was measured.
+    Estimate parameters of a body from measurements.
 
     The estimates maximize the likelihood for independent normal errors. Samples with much
     larger errors than the others are outliers, which do not count.
@@ -307,7 +307,7 @@ class _Numbers:
     names : list of str
     values, guesses, scales : array, shape (n,)
     turn : array, shape (n, n)
-        How they change with what was fitted.
+        Their derivatives by the fitted values.
 
     """
 

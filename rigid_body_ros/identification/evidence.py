@@ -85,7 +85,7 @@ class Linearized:
 
 def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]:
     """
-    Return by how much other columns lower the sum of squares, and how many are independent.
+    Return the drop of the sum of squares by other columns, and the number of independent ones.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     empty: Any = [None] * len(old.setup.channels)
     roots, spreads = [*empty], [*empty]
     roots[number] = [one.inliers.astype(float) for one in residuals]
-    # Of single errors, not of the mean of many.
+    # For single errors, not for the mean of many.
     sizes = [spread / noise.lasting
              for spread, noise in zip(solution.weights.spreads[number], noises)]
     spreads[number] = sizes

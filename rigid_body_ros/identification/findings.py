@@ -102,7 +102,7 @@ class Findings:
     scores : list of Score
         Of suspects that explain something, the best first.
     drift : dict of str to float
-        By component, by how much the halves of the recordings differ.
+        By component, the difference between the halves of the recordings.
     noises : list of list of Noise
         For each channel of each recording; none if the errors are rounding errors.
     predictable_s : float or None
@@ -156,7 +156,7 @@ def _is_rounding(solution: Solution) -> bool:
 
 
 def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
-    """Return the fit with weights that know how large errors are, and how long they last."""
+    """Return the fit with weights that account for the size and the duration of errors."""
     setup = solution.problem.setup
     spreads: list[list[Floats]] = []
     for channels, every in zip(setup.channels, found):
@@ -318,7 +318,7 @@ def probability(p: float) -> str:
 
 def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
                 ahead: Sequence[Residuals]) -> Iterator[tuple[float, Reason | None]]:
-    """Generate how long a recording can be predicted, s, and whether it is predicted badly."""
+    """Generate the predictable time of a recording, s, and whether it is predicted badly."""
     from scipy.special import ndtr
     for number, channels in enumerate(every):
         own = [one for one in ahead if one.recording == number]

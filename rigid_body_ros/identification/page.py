@@ -118,7 +118,7 @@ def _stamps_ns(fit: Identification) -> NDArray[np.int64]:
 
 
 def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
-    """Generate what was measured and computed, and the errors."""
+    """Generate the measured and the computed values, and the errors."""
     stamps_ns, inliers, measured, computed, errors = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))

@@ -224,7 +224,7 @@ class Parameters:
         return steps
 
     def surprise(self, physics: Physics) -> Floats:
-        """Return the differences from what is known beforehand, in standard deviations."""
+        """Return the differences from the priors, in standard deviations."""
         values = dict(zip(self.names, self.values(physics)))
         return np.array([(values[name] - prior.value) / prior.sigma
                          for name, prior in self.priors.items()])
@@ -313,7 +313,7 @@ class Parameters:
 def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
                    guess: Physics) -> dict[str, Prior]:
     """
-    Return what is known of each component beforehand.
+    Return the prior of each component.
 
     Parameters
     ----------

@@ -61,8 +61,8 @@ class Weights:
     roots : list of list of array, shape (n,)
         Square root of the weight of each sample.
     spreads : list of list of array, shape (3,)
-        By how much errors that last for many samples exceed independent ones of deviation sigma,
-        for each axis.
+        For each axis, the factor by which errors that last for many samples exceed independent
+        ones of deviation sigma.
 
     """
 
@@ -258,7 +258,7 @@ class LeastSquares:
         return triangle(columns)
 
     def _free(self, k: int) -> int:
-        """Return by how many unknowns of a window the derivatives need no motion."""
+        """Return the number of unknowns of a window whose derivatives need no motion."""
         is_in_body = self.windows[k].is_in_body and WEIGHT not in self.parameters.groups
         return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 

@@ -93,7 +93,7 @@ class Residuals:
 
     @property
     def computed(self) -> Floats:
-        """Return the prediction of what was measured."""
+        """Return the prediction of the measurements."""
         return so3.multiply(self.measured, so3.exp(self.errors)) if self.is_attitude \
             else self.measured + self.errors
 
@@ -129,7 +129,7 @@ class Misfit:
 
     @classmethod
     def of(cls, residuals: Sequence[Residuals], unknowns: int) -> Misfit:
-        """Return the misfit of errors that so many unknowns were fitted to."""
+        """Return the misfit of errors after a fit of a number of unknowns."""
         def rms(is_attitude: bool) -> float | None:
             values = np.concatenate([np.empty(0), *(one.kept.ravel() for one in residuals
                                                     if one.is_attitude == is_attitude)])

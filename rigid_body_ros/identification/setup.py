@@ -54,7 +54,7 @@ class Setup:
 
     @property
     def axial_tensor(self) -> Floats:
-        """Return by how much the inertia of the body exceeds the one that is fitted, (3, 3)."""
+        """Return the inertia of the body minus the inertia that is fitted, (3, 3)."""
         return self.axial[0].tensor if self.axial[0] else np.zeros((3, 3))
 
     def body(self, physics: Physics) -> RigidBody:

@@ -50,7 +50,7 @@ class Suspect:
     name : str
         The parameter, or `inertia_change`.
     chi2_drop : float
-        By how much the sum of squares of the training falls if it is estimated, too.
+        Drop of the sum of squares of the training if it is also estimated.
     p : float
         Probability of such a drop without an effect.
     value : list of float
@@ -58,7 +58,7 @@ class Suspect:
     validation_chi2_per_dof : float or None
         With the suspect; None without a validation.
     command : str
-        What to type.
+        The options to type.
 
     """
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a model explains what was measured: explained, approximate or rejected."""
+"""Whether a model explains the measurements: explained, approximate or rejected."""
 
 from __future__ import annotations
 
@@ -64,8 +64,9 @@ class Verdict:
     level : str
         'explained', 'approximate' or 'rejected'.
     reasons : list of str
+        The reasons against the model.
     suspects : list of Suspect
-        What would explain more, the best first.
+        Parameters that would explain more, the best first.
 
     """
 
@@ -79,7 +80,7 @@ class Verdict:
         return self.level == EXPLAINED
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the verdict with the names of the JSON."""
+        """Return the verdict under the names that the JSON file uses."""
         return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
                 'suspects': [one.as_dict() for one in self.suspects]}
 
@@ -104,7 +105,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     Parameters
     ----------
     findings : Findings
-        What speaks against the model.
+        The reasons against the model.
     every : sequence of sequence of Measured
         The channels of each recording, with the samples of the validation; empty without one.
 
@@ -142,11 +143,11 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
     Parameters
     ----------
     findings : Findings
-        What speaks against the model.
+        The reasons against the model.
     attempts : sequence of Suspect
         Those that a fit was made with.
     moved : sequence of dict of str to float
-        By how much the estimates change with each of them.
+        The change of the estimates with each of them.
     scales : dict of str to float
         Of the estimates.
     accept : float

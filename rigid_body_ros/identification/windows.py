@@ -83,8 +83,8 @@ class Window:
     origin_ns : int
         The start of the recording, from which the drift of clocks counts.
     axial : array, shape (3, 3), kg m^2, optional
-        That of wheels with names whose speeds are known at its beginning: the momentum of the
-        rotors is relative to the body there.
+        Axial inertia of wheels with names whose speeds are known at its beginning: the momentum
+        of the rotors is relative to the body there.
     is_in_body : bool
         Whether all torques are in body axes, so that the motion turns with its initial attitude.
 
@@ -100,7 +100,7 @@ class Window:
     is_in_body: bool = field(init=False)
     #: The latest gain, delay and lag, and the problem with them.
     _applied: tuple[tuple[float, ...], Problem] | None = field(init=False, default=None)
-    #: The latest stamps of all channels, where those of each are among their union, the union.
+    #: The latest stamps of all channels, the indices of each in their union, and the union.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
         init=False, default=None)
 
@@ -225,7 +225,7 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
     parts : int
         Number of windows that each window of that length is divided into.
     axial : AxialInertia, optional
-        That of wheels with names.
+        The axial inertia of wheels with names.
 
     Returns
     -------

@@ -111,7 +111,8 @@ class Run:
         """
         Return the initial state of the scene, stamped with a time, with the speeds of its wheels.
 
-        The marker of every epoch needs them: parameters that are dumped have those of the last.
+        The marker of every epoch needs these speeds: dumped parameters have the speeds of the last
+        one.
         """
         start, wheels = replace(self._scene.start, time_ns=time_ns), self._scene.named_wheels
         others, speeds = start.rotor_momentum, np.array([wheel.initial_speed for wheel in wheels])
@@ -191,7 +192,7 @@ class Run:
             return None
 
     def snapshot(self, time_ns: int, until: float) -> Snapshot | None:
-        """Return what to publish of a time, or None, with the arguments and errors of `state`."""
+        """Return the states to publish for a time, or None; arguments are those of `state`."""
         state = sensed = self.state(time_ns, until)
         if state is not None and self._delay_ns:
             start_ns = self._present().start.time_ns

@@ -41,8 +41,8 @@ class Actuator:
 
     A command u stamped t acts from t + delay on, limited axis by axis, in the axes in which it was
     given. The torque y follows it with a first-order lag, T y' + y = u. It is zero at the start of
-    the motion. In body axes and in space axes it lags separately: a command in one lets what was
-    commanded in the other decay. After 40 time constants the torque is the command.
+    the motion. In body axes and in space axes it lags separately: after a command in one, the
+    torque in the other decays. After 40 time constants the torque is the command.
 
     Parameters
     ----------

@@ -87,13 +87,13 @@ class UniformField:
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
         """
-        Return a bound on how much faster the field lets bodies turn, rad/s.
+        Return a bound on the increase of the rate by the field, rad/s.
 
         Parameters
         ----------
         least, largest : array, kg m^2
-            Their smallest and largest moments of inertia. The energy bounds the root of twice the
-            kinetic energy over the smallest one.
+            Smallest and largest moments of inertia of the bodies. The energy bounds the root of twice the
+            kinetic energy over the smallest moment.
 
         """
         strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)

@@ -63,7 +63,7 @@ class Wheel:
         Viscous: a torque of this times the speed slows the wheel, and its opposite acts on the
         body.
     max_torque : float, N m
-        Of the motor; 0: no limit. A larger command is clipped.
+        Limit of the motor; 0: no limit. A larger command is clipped.
     max_speed : float, rad/s
         Relative to the body; 0: no limit. A command that would speed up a wheel which is as fast
         or faster when the command takes effect acts as zero.
@@ -228,7 +228,7 @@ class Wheels:
         return efforts - self._friction * speeds
 
     def count_clipped(self, efforts: Floats) -> int:
-        """Return how many commands are beyond the limits of the motors; NaN does not count."""
+        """Return the number of commands beyond the limits of the motors; NaN does not count."""
         return int((np.abs(efforts) > self._max_torque).sum())
 
     def torque(self, efforts: Floats) -> Floats:
@@ -272,7 +272,7 @@ class Wheels:
 
     def begun(self, start: State) -> tuple[State, Axial]:
         """
-        Return a start as the carrier has it, and what its wheels do.
+        Return the start of the carrier, and the state of its wheels.
 
         The momentum of the rotors of this start is that of the others, and the sum of H a. With
         friction it is only that of the others, and the start has the momenta H.

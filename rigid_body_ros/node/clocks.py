@@ -85,7 +85,7 @@ class ArrivalStamps:
 
 
 class ClockReading(NamedTuple):
-    """The time of a clock, ns, and by how much it has jumped since the last reading, ns."""
+    """The time of a clock, ns, and its jump since the last reading, ns."""
 
     now_ns: int
     jump_ns: int

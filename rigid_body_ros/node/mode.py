@@ -83,7 +83,7 @@ class Mode:
         return waiting
 
     def catch_up(self) -> None:
-        """Publish what is overdue, because many messages arrive and delay all timers."""
+        """Publish overdue outputs, because many messages arrive and delay all timers."""
 
     def process(self) -> bool:
         """Apply waiting torques for one slice of time; return whether no work is left."""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a live check: torques and measurements, from their messages into a `Monitor`."""
+"""The inputs of a live check: messages with torques and measurements are put into a `Monitor`."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ class MonitorInputs:
 
     @property
     def _reach_ns(self) -> int:
-        """Return how far from the present a message from before a small jump may be, ns."""
+        """Return the largest age of a message from before a small jump, ns."""
         return min(abs(self._jump_ns), 2 * self._history_ns) + self._history_ns
 
     def take(self) -> None:

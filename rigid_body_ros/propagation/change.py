@@ -60,7 +60,7 @@ class Commands(NamedTuple):
 
 
 def no_commands(count: int) -> Commands:
-    """Return what is in force before the first command of so many wheels."""
+    """Return the commands in force before the first one, given the number of wheels."""
     return Commands((-NEVER_NS,) * count, (0.0,) * count)
 
 
@@ -105,6 +105,6 @@ class Change:
             self.commands.stamp_ns, *(sample.stamp_ns for sample in samples)))
 
     def discard(self) -> None:
-        """Forget what has been computed."""
+        """Discard computed results."""
         self.active = None
         self.after_timeouts.clear()

@@ -133,7 +133,7 @@ class History:
         self._renew(index)
 
     def active(self, index: int, time_ns: int, until: float) -> Active:
-        """Return what is active at a time in a change, or raise TimeoutError."""
+        """Return the active segment at a time in a change, or raise TimeoutError."""
         self.compute(index, until)
         return self._active_at(self.changes[index], time_ns, until)
 
@@ -209,7 +209,7 @@ class History:
                 raise timed_out(change.time_ns)
 
     def _active_at(self, change: Change, time_ns: int, until: float) -> Active:
-        """Return what is active at a time between a change and the next."""
+        """Return the active segment at a time between a change and the next."""
         active = change.active
         assert active is not None
         for k, due_ns in enumerate(change.due_ns(self._acting)):

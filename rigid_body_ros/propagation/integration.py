@@ -39,8 +39,8 @@ from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.problem import Problem
 
-#: How many commands of wheels are tried at first to see whether they act, and of how many a
-#: timeline has at most if they may not.
+#: Number of commands of wheels that are first tried to see whether they act, and the most commands
+#: of a timeline in which some may not act.
 _WINDOW, _SPAN = 16, 512
 
 

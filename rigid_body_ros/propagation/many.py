@@ -115,8 +115,8 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
     starts : States
         n of them.
     log : TorqueLog, or sequence of n TorqueLog or of n sequences of TorqueLog, optional
-        The log of all runs, or of each; several logs of a run add up. None for torque-free motion.
-        Logs that runs have in common are added up once.
+        One log for all runs, or one for each; several logs of a run add up. None for torque-free
+        motion. Logs that runs have in common are added up once.
     at : array of int, shape (m,), ns
         As for `propagate`, the same for all runs.
     wheels : TorqueLog, or sequence of n TorqueLog, optional
@@ -192,7 +192,7 @@ def _alike(logs: Sequence[Any], motors: Sequence[Any]) -> list[NDArray[np.intp]]
 
 
 def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
-    """Return what is given for each run, or raise ValueError."""
+    """Return the value given for each run, or raise ValueError."""
     if given is None or isinstance(given, TorqueLog):
         return [given] * count
     if len(given) != count:

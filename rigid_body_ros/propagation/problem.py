@@ -68,7 +68,7 @@ class Problem:
         The bodies that take the place of the first one, each from its stamp on. A stamp before
         the start, or at it, says which body starts.
     actuator : Actuator, or sequence of Actuator or None, optional
-        What becomes of the torques of every log, or of each: delay, limit and lag. Such a log is
+        Delay, limit and lag of the torques: one for all logs, or one for each. Such a log is
         held, and its samples are commands; a timeout ends a command by its stamp, so it takes
         effect with the delay.
     solver : str
@@ -135,7 +135,7 @@ class Problem:
             self._fields = packed(self.fields)
         self.changes, self.efforts = changes or None, efforts or None
         self.named_wheels: Wheels | None = None
-        #: As given: of all logs, or of each.
+        #: As given: one for all logs, or one for each.
         self._actuator = actuator
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))

@@ -105,7 +105,7 @@ class Propagator:
         return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
 
     def delay_ns(self, source: int) -> int:
-        """Return how long after its stamp a torque of a source acts, ns."""
+        """Return the delay from the stamp of a torque of a source until it acts, ns."""
         return self._acting.delay_ns(source)
 
     def body_at(self, time_ns: int) -> NewBody:
@@ -300,7 +300,7 @@ class Propagator:
 
     def refused_commands(self, after_ns: int, until_ns: int) -> int:
         """
-        Return how many commands of wheels with stamps in (after_ns, until_ns] act as zero.
+        Return the number of commands with stamps in (after_ns, until_ns] that act as zero.
 
         Their wheels are too fast, see `Wheel`. Those before `earliest_ns` are forgotten.
         """

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far a change in the last digit of the inputs moves a motion, whatever the solver."""
+"""The effect of the last digit of the inputs on a motion, whatever the solver."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ROUNDS = 2
 
 def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     """
-    Return how far a motion moves if its inputs change in the last digit.
+    Return the change of a motion if its inputs change in the last digit.
 
     The function computes up to six changed motions: two with changes of inertia and damping, two
     of the torques, and two of all these and the start. A change moves every entry by one unit in

@@ -48,7 +48,7 @@ class Trajectory:
     times_ns: NDArray[np.int64]
     #: See `motion_layout`; it may have rows after those of the times.
     _motion: Floats
-    #: Of each part of the motion, in order; with each change of the body a part begins.
+    #: For each part of the motion, in order; a part begins with each change of the body.
     _parts: tuple[SolverUsage, ...]
     #: The axial momenta of wheels with friction, N m s, as rows; None without.
     _momenta: Floats | None = None

@@ -88,7 +88,7 @@ class WheelTimeline:
         return rows.start + int(wrong[0]) if len(wrong) else None
 
     def count_refused(self, begin_ns: int, end_ns: int) -> int:
-        """Return how many commands with stamps in (begin_ns, end_ns] act as zero."""
+        """Return the number of commands with stamps in (begin_ns, end_ns] that act as zero."""
         rows = slice(*self.times_ns.searchsorted([begin_ns, end_ns], 'right'))
         return int(self._refused[rows].sum())
 

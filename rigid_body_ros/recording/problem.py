@@ -71,7 +71,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
     """
     Return the problem that a recording and a scene state, as `attitude_replay` computes it.
 
-    Of several epochs of a node, it is the last one that begins at the start_time of the scene.
+    If a node has several epochs, it is the last one that begins at the start_time of the scene.
 
     Parameters
     ----------
@@ -153,9 +153,9 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
     """
     Return the epoch for a command that needs one motion.
 
-    Of several epochs, it is the last one that begins at the start_time of the scene. Only a
-    command that says so computes with a body that changes (`may_change`), or with wheels that have
-    names (`may_command`).
+    If there are several epochs, it is the last one that begins at the start_time of the scene.
+    Only a command that says so computes with a body that changes (`may_change`), or with wheels
+    that have names (`may_command`).
 
     Raises
     ------

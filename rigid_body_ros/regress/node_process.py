@@ -31,7 +31,7 @@ from typing import NamedTuple, Protocol
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 
-#: s; how long the node runs between two looks at the other side.
+#: s; time that the node runs between two checks of the other side.
 _PERIOD = 0.02
 #: s; how long the node may take to end.
 _PATIENCE = 20.0

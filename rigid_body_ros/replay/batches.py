@@ -59,7 +59,7 @@ class Request:
 
     @property
     def sensor_delay_ns(self) -> int:
-        """Return how much earlier than its stamps the IMU measures the motion, ns."""
+        """Return the delay of the IMU: the time from a measurement to its stamp, ns."""
         return self.scene.imu.delay_ns if IMU in self.also else 0
 
 
@@ -163,7 +163,7 @@ class Batches:
 
     def differences(self, end: Floats) -> dict[str, float | None]:
         """
-        Return how far from the attitude `end` the motion ends with each other interpolation, rad.
+        Return the angle between `end` and the final attitude of each other interpolation, rad.
 
         The value is None if the body spins too fast.
         """

@@ -75,7 +75,7 @@ class Verified:
     pending: int = 0
 
     def text(self) -> str:
-        """Return how far the two motions agree, one line per fact."""
+        """Return the agreement of the two motions, one line per fact."""
         count = len(self.same)
         rows = [('compared', f'{count} states of {self.topic}{_epochs(self)}'),
                 ('same bits', f'{np.count_nonzero(self.same)} of {count}'),
@@ -132,7 +132,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     topics = topics or Topics()
     epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
                                    progress('reading', size=len))
-    # Beside the log of a node; a recording of all topics has its outputs, too.
+    # In addition to the log of a node; a recording of all topics also has its outputs.
     log = next(iter(topics.torques), topics.wheel_command)
     committed = f'{log.rpartition("/")[0]}/committed' if log else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
@@ -258,7 +258,7 @@ def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
 
 
 def _epochs(result: Verified) -> str:
-    """Return in which epochs of a node the states are, and what has no state yet."""
+    """Return the epochs of a node that the states belong to, and torques without a state."""
     if not result.epochs:
         return ''
     part = '' if result.compared_epochs == result.epochs else f'{result.compared_epochs} of '

@@ -68,7 +68,7 @@ class Cluster(Workers):
         self._versions = _versions()
 
     def ahead(self) -> int:
-        """Return how many items to submit; workers may join at any time."""
+        """Return the number of items to submit; workers may join at any time."""
         threads = sum(self.client.nthreads().values())
         if self._has_workers and not threads:
             self._note(f'{self._name}: no workers; waiting for one')
@@ -171,7 +171,7 @@ def _client(scheduler: str, address: str) -> Client:
 
 
 async def _kind(address: str) -> str:
-    """Return what is at an address; a client that cannot connect would block at exit."""
+    """Return the kind of server at an address; an unconnected client would block at exit."""
     from distributed import rpc, Security
     remote = rpc(address, connection_args=Security().get_connection_args('client'))
     try:

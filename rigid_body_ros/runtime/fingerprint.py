@@ -32,7 +32,7 @@ def fingerprint() -> dict[str, str]:
     """
     Return the versions of packages by name, and the hash of the kernels.
 
-    Equal ones give equal bits, whatever the processor and the compiler.
+    Equal versions give equal bits, whatever the processor and the compiler.
     """
     return {**{package: _version(package) for package in (NAME, 'numpy')},
             'kernels': kernels_hash()[:12]}

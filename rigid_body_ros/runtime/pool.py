@@ -102,7 +102,7 @@ class Workers:
                 yield result
 
     def ahead(self) -> int:
-        """Return how many items to submit: each worker computes one, and one waits."""
+        """Return the number of items to submit: each worker computes one, and one waits."""
         return 2 * self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
@@ -137,7 +137,7 @@ class Processes(Workers):
         super().__exit__(None)
 
     def ahead(self) -> int:
-        """Return how many items to submit: one that waits would have a process of its own."""
+        """Return the number of items to submit: one that waits would have a process of its own."""
         return self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:

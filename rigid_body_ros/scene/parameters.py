@@ -124,7 +124,7 @@ OF_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), '
 
 
 class Names(NamedTuple):
-    """The names in a scene of what has parameters of its own: uniform fields and wheels."""
+    """The names in a scene of items with parameters of their own: uniform fields and wheels."""
 
     fields: Sequence[str] = ()
     wheels: Sequence[str] = ()

@@ -16,7 +16,7 @@
 Alarms of a live check: tests of the errors of windows, with a stated rate of false alarms.
 
 A window is tested by itself, and the residual torques of 4, 16 and 64 windows together, to find
-what is too small for one. Each of the tests has the same share of the rate.
+errors that are too small for one window. Each of the tests has the same share of the rate.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Judgement(NamedTuple):
     windows : int
         How many windows that test is of.
     axis : str
-        Which component is off most, and by how many standard deviations.
+        The component with the largest deviation, and this deviation in standard deviations.
     since_ns : int
         End of the first window of the present level.
 
@@ -81,7 +81,7 @@ class Judgement(NamedTuple):
 @dataclass
 class NoiseLevel:
     """
-    How noisy a value of a sensor really is, and how long its noise lasts, from all windows so far.
+    The actual noise of a value of a sensor, and its duration, from all windows so far.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class NoiseLevel:
 
     @property
     def factor(self) -> float:
-        """Return by how much correlation multiplies the variance of a mean, as for AR(1)."""
+        """Return the factor of the variance of a mean by correlation, as for AR(1)."""
         return (1.0 + self._correlation) / (1.0 - self._correlation)
 
     @property

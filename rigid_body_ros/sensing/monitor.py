@@ -39,7 +39,7 @@ FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'
 BEGINS, SILENT = 'torque not known yet', 'no torque for longer than stale_after'
 #: Number of columns: of a torque with its axes, and of an attitude with an angular velocity.
 _TORQUE, _MEASUREMENT = 4, 7
-#: ns; of a recording, how much is taken at a time, and the first time.
+#: ns; length of the pieces in which a recording is read, and the earliest time.
 _PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
 
 
@@ -113,7 +113,7 @@ class Monitor:
         self._history_ns = duration_ns(settings.history, 'history')
         self._stale_ns = duration_ns(settings.stale_after, 'stale_after') or NEVER_NS
         self._actuators = dict(enumerate(actuators))
-        #: ns; how long a command continues to act.
+        #: ns; time for which a command acts.
         self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
         self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE))
         self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT))
@@ -197,7 +197,7 @@ class Monitor:
                     level.add(errors)
 
     def _forget(self, before_ns: int) -> None:
-        """Forget what is before a time, but for the torques that act later."""
+        """Discard data before a time, except torques that act later."""
         for torques in self._torques.values():
             torques.forget(before_ns - self._reach_ns)
         for measured in self._sensors.values():
@@ -219,7 +219,7 @@ class Monitor:
 
     def _held(self, rows: _Rows, begin_ns: int, end_ns: int
               ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the stamps of the torques in force between two times, and how long they act."""
+        """Return the stamps of the torques in force between two times, and their durations."""
         times_ns, values = rows.between(begin_ns, end_ns, 1)
         held_ns = np.diff(np.append(times_ns, rows.first_ns(end_ns)))
         # A torque that times out is known again.
@@ -318,7 +318,7 @@ class _Rows:
         return self._sorted
 
     def forget(self, before_ns: int) -> None:
-        """Forget what is before a time, but for the newest of it."""
+        """Discard values before a time, except the newest of them."""
         stamps_ns, values = self._all()
         row = max(int(stamps_ns.searchsorted(before_ns)) - 1, 0)
         self._sorted = stamps_ns[row:].copy(), values[row:].copy()
@@ -331,7 +331,7 @@ class _Rows:
 
     def between(self, begin_ns: int, end_ns: int,
                 earlier: int = 0) -> tuple[NDArray[np.int64], Floats]:
-        """Return stamps and values between two times, and so many from before."""
+        """Return stamps and values between two times, and a number of earlier ones."""
         stamps_ns, values = self._all()
         first, stop = stamps_ns.searchsorted([begin_ns, end_ns]).tolist()
         rows = slice(max(first - earlier, 0), stop)

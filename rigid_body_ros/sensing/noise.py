@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The noise of a channel: its size on each axis, and for how many samples it lasts."""
+"""The noise of a channel: its size on each axis, and the number of samples that it lasts."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ class Noise:
         Scatter of the mean of many samples, relative to independent samples: the root
         of the long-run variance over the variance, at least 1 and at most `LONGEST`.
     overlap : float
-        By how much more the mean of squares scatters: 1 + 2 sum of squared correlations.
+        Scatter of the mean of squares, relative to independent samples: 1 + 2 sum of squared
+        correlations.
 
     """
 

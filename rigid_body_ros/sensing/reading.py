@@ -229,7 +229,7 @@ def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
 
 def _given(values: Floats, where: slice | None, covariance: slice | None, kind: MessageType,
            usable: Callable[[Floats], NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-    """Return which messages have a value; None if the type has none."""
+    """Return a mask of the messages that have a value; None if the type has none."""
     if where is None:
         return None
     found = values[:, where]

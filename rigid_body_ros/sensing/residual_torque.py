@@ -237,9 +237,9 @@ def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
     """
     Return angular velocities without gross outliers.
 
-    An outlier differs from the median of the five samples around it by more than ten times what is
-    usual, and by more than samples usually change. The angular velocity of a body cannot jump and
-    come back.
+    An outlier differs from the median of the five samples around it by more than ten times the
+    usual difference, and by more than samples usually change. The angular velocity of a body
+    cannot jump and come back.
 
     Parameters
     ----------

@@ -38,8 +38,8 @@ from rigid_body_ros.sensing.rates import measured_rates
 
 #: The part of a window from whose samples a state is estimated, and the fewest samples.
 _PART, FEWEST = 5, 3
-#: A sample is an outlier from this many standard deviations on, if it is so many times as far off
-#: as most are.
+#: A sample is an outlier if it is off by this many standard deviations, and by this many times the
+#: error of most samples.
 _OUTLIER, _UNUSUAL = 6.0, 4.0
 #: Most corrections of an estimated start, and the chi-square of one that is not worth another.
 _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
@@ -50,12 +50,12 @@ _CHANGE = 1e-6
 
 
 class SensorNoise(NamedTuple):
-    """The noise of a sensor: standard deviations of a component, and how much longer it lasts."""
+    """The noise of a sensor: standard deviations of a component, and the effect of correlation."""
 
     #: rad, of the attitude as a rotation vector; rad/s.
     attitude: float
     rate: float
-    #: By how much correlation multiplies the variance of a mean, for both.
+    #: Factor by which correlation multiplies the variance of a mean, for both.
     attitude_factor: float = 1.0
     rate_factor: float = 1.0
 
@@ -299,7 +299,7 @@ def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
     others = [problem.biased(torque, end_ns).propagate(at=times_ns) for torque in size * np.eye(3)]
     moved = np.stack([motions.change_to(other.attitude, other.angular_velocity)
                       for other in others], axis=-1) / size
-    # The torque moves the first estimate, too, and with it what is predicted.
+    # The torque also moves the first estimate, and with it the prediction.
     moved -= motions.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
     return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 

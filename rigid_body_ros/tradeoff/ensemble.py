@@ -33,7 +33,7 @@ from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
 from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
 
-#: s; about how long runs are timed, in how many rounds, and how many runs at most.
+#: s; approximate time for timing runs, number of rounds, and largest number of runs.
 _TIMED, _ROUNDS, _MOST_RUNS = 0.01, 5, 256
 
 

@@ -136,7 +136,7 @@ class Tradeoff:
         return self.text()
 
     def rows(self) -> Iterator[tuple[str, str]]:
-        """Generate what was found for each target, and the limits of accuracy."""
+        """Generate the result for each target, and the limits of accuracy."""
         for target, choice in self.choices.items():
             aim, (name, text), *limits = _found(self, target)
             setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
