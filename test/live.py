@@ -87,7 +87,7 @@ def replayed(tmp_path, live):
     # --verify accepts every epoch.
     accepted = recording.Topics((ACCEPTED,))
     assert verify(path, run, path, accepted, motion_topic=COMMITTED).same.all()
-    # Of several states at the start time, the last is the start of the last epoch.
+    # If several states have the start time, the last is the start of the last epoch.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
     motion = run.problem().replaced(log=log).propagate(at=stamps_ns)

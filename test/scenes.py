@@ -49,7 +49,7 @@ class Scene:
     ----------
     group, name : str
     tensor : array, shape (3,) or (3, 3), kg m^2
-        Principal moments, or the whole.
+        Principal moments, or the whole tensor.
     rates : (float, float, float), rad/s, body axes
     seconds : float
         How long it lasts; without meaning where there are torques.
@@ -98,7 +98,7 @@ class Scene:
 
     @cached_property
     def solvers(self):
-        """Those that have a way to answer."""
+        """Solvers that can compute it."""
         return tuple(solver for solver in SOLVERS if solver != 'exact' or not self.torques)
 
     def propagate(self, solver, at=None, **options):

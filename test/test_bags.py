@@ -47,7 +47,7 @@ EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '300'))
 WITH_MESSAGES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
 every_form = pytest.mark.parametrize('form', FORMS)
-#: Of which each message has two times.
+#: In these, each message has two times.
 MCAP = [form for form in FORMS if form.startswith(('mcap', 'ros2-'))]
 every_traffic = pytest.mark.parametrize('sent', SENT)
 
@@ -378,7 +378,7 @@ FUZZED = {
     'rosbag2-mcap-file': 'bag/bag.mcap.zstd',
     'rosbag2-mcap-none': 'bag/metadata.yaml',
 }
-#: Those whose messages have a checksum.
+#: Bags whose messages have a checksum.
 CHECKED = ('mcap-zstd', 'mcap-zstd-unindexed', 'mcap-lz4')
 
 

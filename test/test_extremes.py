@@ -147,7 +147,7 @@ def test_names_of_axes_do_not_matter(order, torque, solver):
 @pytest.mark.parametrize('solver', ['auto', 'taylor', 'exact'])
 @pytest.mark.parametrize('seconds', [1, 10, 1000])
 def test_time_runs_backwards(solver, seconds):
-    # From the end with the rates turned round a body goes back to its start.
+    # From the end, with the rates reversed, a body returns to its start.
     body, start = RigidBody(FULL), State(0, (0.1, -0.3, 0.2, 0.9), FULL_RATES)
     there = propagate(body, start, at=[seconds * SECOND], solver=solver)
     back = propagate(body, State(0, there.attitude[0], -there.angular_velocity[0]),

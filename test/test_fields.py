@@ -458,7 +458,7 @@ def test_a_sphere_feels_no_gravity_gradient():
     assert_close(under([], body=body), under([ORBIT], body=body))
 
 
-#: Those of a difference of order eight.
+#: The coefficients of a difference of order eight.
 WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 
 

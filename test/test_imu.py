@@ -26,7 +26,7 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import InputError, Scene
 
 ALL = ImuErrors(2e-3, 1e-3, (0.01, -0.02, 0.0), 3e-3, seed=7)
-#: Of all errors but the delay.
+#: All errors except the delay.
 KEYS = {'imu.gyro_noise_density': 2e-3, 'imu.gyro_random_walk': 1e-3, 'imu.gyro_bias.x': 0.01,
         'imu.gyro_bias.y': -0.02, 'imu.attitude_noise': 3e-3, 'imu.seed': 7}
 MOMENTS = dict.fromkeys(('inertia.ixx', 'inertia.iyy', 'inertia.izz'), 1.0)

@@ -123,7 +123,7 @@ def check(whole, output):
 
 
 def complete(path):
-    """Return topics, times and bytes of a file that is whole."""
+    """Return topics, times and bytes of a complete file."""
     with open(path, 'rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
         statistics = reader.get_summary().statistics

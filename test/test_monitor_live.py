@@ -136,7 +136,7 @@ def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domai
         session.play([message for message in found if message[0] >= begin_ns])
         session.wait(lambda: session.status('model').level == b'\x00')
         assert b'\x02' not in session.levels()
-        # Nothing comes any more, but for the time.
+        # Only the time is still published.
         session.set_clock(found[-1][0] + 20 * SECOND)
         session.wait(lambda: session.status('model').message.startswith('no measurements since'))
         assert session.stop() == 0

@@ -35,7 +35,7 @@ from rigid_body_ros.commands.arguments import load_scene
 
 #: For a thorough run 20 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))
-#: Of each kind of file that a user writes.
+#: One of each kind of file that a user writes.
 WRITTEN = [max(1, EXAMPLES // 9), *at_night(2000)]
 
 LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(

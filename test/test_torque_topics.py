@@ -251,7 +251,7 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         assert live.stop() == 0
         _, committed, expected, logs, run = replayed_sources(tmp_path, live)
     assert run.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
-    # Those in force are logged again in each epoch.
+    # Torques in force are logged again in each epoch.
     assert [len(live.accepted(topic)) for topic in LOGS] == [1, 3, 3]
     assert [len(log.times_ns) for log in logs] == [1, 1, 1]
     np.testing.assert_array_equal(committed, expected)

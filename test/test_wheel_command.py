@@ -53,7 +53,7 @@ KINDS = {COMMITTED: messages.ODOMETRY, **dict.fromkeys(TORQUES, messages.WRENCH)
 SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', *RELIABLE,
            '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
            '-p', 'qos_overrides./wheel_command.subscription.reliability:=reliable')
-#: Of the torques of thrusters, beside the wheels.
+#: Torques of thrusters, in addition to the wheels.
 ACTUATOR = ('-p', 'actuator.topics:=[torque]', '-p', 'actuator.delay:=0.011',
             '-p', 'actuator.time_constant:=0.03', '-p', 'actuator.limit.x:=0.002')
 LOCKSTEP = ('-p', 'mode:=lockstep')
@@ -194,7 +194,7 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
         zeros = judge.refused_commands(0, stamp_ns)
         live.wait_until(lambda: live.diagnosis('wheel commands')[0]['applied'] == 100, 'counts')
         counts, _, _ = live.diagnosis('wheel commands')
-        # Of those that late commands cannot change any more.
+        # Only of states that late commands can no longer change.
         assert 0 < counts['zero at max_speed'] <= zeros < 100
         assert counts['clipped to max_torque'] == 50
         # A repeated command is the same, though NaN is not NaN.

@@ -337,7 +337,7 @@ def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Colum
 
 def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
     """
-    Return what a sensor measured relative to a motion at the same times.
+    Return the measurements of a sensor relative to a motion at the same times.
 
     Returns
     -------

@@ -83,7 +83,7 @@ class Alignment:
         return Poses(attitude, so3.rotate(so3.conjugate(self.mount), states.angular_velocity))
 
     def applied(self, sensor: Measured) -> Measured:
-        """Return what a sensor measured, in the time and the frames of the motion."""
+        """Return the measurements of a sensor in the time and the frames of the motion."""
         attitude, rate = sensor.attitude, sensor.angular_velocity
         if attitude is not None:
             attitude = so3.multiply(so3.multiply(so3.conjugate(self.space), attitude),

@@ -56,7 +56,7 @@ class Cause:
     name : str
         Of a sensor: 'quaternion_order', 'inverse_quaternion', 'degrees', 'clock_offset',
         'constant_rotation', 'gyro_bias', 'gyro_scale', 'gyro_saturation', 'frozen_attitude' or
-        'flipped_attitude'. Of the model: 'start', 'torque_axes', 'torque_scale', 'torque_gains',
+        'flipped_attitude'. For the model: 'start', 'torque_axes', 'torque_scale', 'torque_gains',
         'torque_bias', 'weight', 'rotor_momentum', 'damping', 'inertia' or 'inertia_change'.
     text : str
         The cause in words.

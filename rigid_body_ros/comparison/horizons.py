@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far the motion is off some time after a restart from the measurement."""
+"""The errors of the motion some time after a restart from the measurement."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ import yaml
 #: Groups of scene parameters of which each member can vary.
 _GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
            ORBIT)
-#: Units of all keys that vary by a normal or a uniform distribution, but for those of fields.
+#: Units of all keys that vary by a normal or a uniform distribution, except keys of fields.
 UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
             if name.split('.')[0] in _GROUPS},
          'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which dispersed parameters explain how the runs end."""
+"""The dispersed parameters that explain the ends of the runs."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ The motions of an ensemble as Zarr.
 
 The format is version 2, which Zarr 2 and 3 read, and the metadata are those of xarray. A chunk has
 a fixed number of runs, so its bytes depend on their numbers only. It is replaced as a whole when a
-block of runs is written that it has a part of.
+block is written that has some of its runs.
 """
 
 from __future__ import annotations

@@ -71,8 +71,8 @@ class Reach:
         -------
         array, shape (n,), rad
             The computation takes about one step per radian. Zero for motions in closed form and
-            for fixed steps. Not finite if that is reported elsewhere: bodies, states or torques
-            are not possible.
+            for fixed steps. Not finite for impossible bodies, states or torques, which are
+            reported elsewhere.
 
         """
         impossible = [bool(body or start) for body, start in zip(applied.bodies.messages,

@@ -96,8 +96,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     validate : float
         Fraction of each recording, at its end, that is not fitted but predicted.
     priors : dict of str to float or str, optional
-        What is known beforehand: by name of a parameter or of a component, the standard deviation
-        of its guess, in its unit, or relative to the guess ('5%').
+        Prior knowledge: by name of a parameter or of a component, the standard deviation of its
+        guess, in its unit, or relative to the guess ('5%').
     gravity : sequence of 3 float, m/s^2, space axes
         The field of the weight.
     accept : float

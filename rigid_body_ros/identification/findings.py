@@ -163,8 +163,8 @@ def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
         spreads.append([])
         for channel, noise in zip(channels, every):
             given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            # The fit finds the size of all axes again. An axis without errors, as of a sensor that
-            # is stuck, must not count for all.
+            # The fit finds the size of all axes again. An axis without errors, such as from a
+            # stuck sensor, must not dominate the others.
             relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
             sizes = np.ones(3) if given else np.maximum(relative, _LEAST)
             spreads[-1].append(sizes * noise.lasting)

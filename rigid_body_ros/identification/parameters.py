@@ -42,7 +42,7 @@ from rigid_body_ros.scene.fields import MOMENT
 GRAVITY = 0.0, 0.0, -9.80665
 #: The second moments of a guess are at least this fraction of their trace.
 _THINNEST = 1e-5
-#: Those from which a fit starts are at least this fraction.
+#: Moments from which a fit starts are at least this fraction.
 _FLATTEST = 0.02
 #: Damping from which a fit starts if the scene has none, relative to the scale.
 _LITTLE = 1e-3

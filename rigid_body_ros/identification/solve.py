@@ -16,8 +16,9 @@
 The fit: windows that grow, noise levels, and outliers.
 
 Short windows first, whose states begin at the measurements: there a guess far off does no harm,
-because an error has no time to grow. Then longer ones, each fit from the one before, up to the
-whole recording, or until the motion magnifies errors so much that a longer window does not fit.
+because an error has no time to grow. Then longer windows, each fit from the previous one, up to
+the whole recording, or until the motion magnifies errors so much that a longer window does not
+fit.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
 
 
 def _lasts(solution: Solution) -> bool:
-    """Return whether errors of neighbouring samples are alike, in any channel."""
+    """Return whether errors of neighbouring samples are correlated, in any channel."""
     for error, middle in _with_middles(solution):
         clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # an outlier hides the others
         if np.nansum(clipped[1:] * clipped[:-1]) > _LASTING * np.nansum(clipped ** 2):

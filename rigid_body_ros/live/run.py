@@ -120,7 +120,7 @@ class Run:
             return replace(start, wheel_speeds=speeds)
         total = sum((wheel.inertia * wheel.initial_speed * np.asarray(wheel.axis)
                      for wheel in wheels), others)
-        # With speeds, a momentum of zero is that of no other rotors.
+        # If speeds are given, a momentum of zero means that there are no other rotors.
         return replace(start, wheel_speeds=speeds, rotor_momentum=total) if total.any() else start
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
@@ -264,7 +264,7 @@ class Run:
         return self.epoch
 
     def _commit(self, epoch: Epoch, until_ns: int, until: float) -> None:
-        """Compute the states up to a time, which no torque can change any more."""
+        """Compute the states up to a time, which no torque can change from now on."""
         for stamp_ns in epoch.uncommitted(until_ns):
             state = self.state(stamp_ns, until)
             epoch.mark_committed(stamp_ns)

@@ -37,7 +37,7 @@ class BodyLog:
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. Of equal stamps, the later one in the array is used.
+        In any order. If stamps are equal, the later one in the array is used.
     bodies : sequence of n RigidBody
         The body from each stamp to the next.
     keep : str

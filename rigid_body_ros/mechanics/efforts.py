@@ -32,7 +32,7 @@ class EffortLog:
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. Of commands for one wheel with equal stamps, the later one in the array is
+        In any order. If commands for one wheel have equal stamps, the later one in the array is
         used.
     efforts : array, shape (n, k), N m
         On k wheels, in their order. NaN: the wheel keeps its command.

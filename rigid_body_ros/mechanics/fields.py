@@ -48,7 +48,7 @@ class UniformField:
 
     The torque is m x R^T f. For the weight about a pivot, the moment is the mass times the centre
     of mass as seen from the pivot, the field is gravity, and the inertia of the body is that about
-    the pivot. A magnetic dipole (A m^2) in a magnetic field (T), and buoyancy, are alike.
+    the pivot. A magnetic dipole (A m^2) in a magnetic field (T), and buoyancy, have the same form.
 
     Parameters
     ----------
@@ -92,8 +92,8 @@ class UniformField:
         Parameters
         ----------
         least, largest : array, kg m^2
-            Smallest and largest moments of inertia of the bodies. The energy bounds the root of twice the
-            kinetic energy over the smallest moment.
+            Smallest and largest moments of inertia of the bodies. The energy bounds the root of
+            twice the kinetic energy over the smallest moment.
 
         """
         strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)

@@ -127,7 +127,7 @@ class State:
                 f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
 
 
-# As defaults: to store them in every state would take a tenth of the time to make one.
+# Defaults, because storing them in every state would take a tenth of the time to make one.
 for _name in ('wheel_speeds', 'wheel_efforts'):
     type.__setattr__(State, _name, _NO_WHEELS)
 

@@ -132,7 +132,7 @@ class JumpDetector:
         if not self._now_ns:
             self._now_ns, self._read_at_ns, self._advanced_at_ns = now_ns, before_ns, before_ns
             self._read_by_ns = before_ns
-        # At most: the process may be interrupted while it reads the clocks.
+        # An upper bound, because the process may be interrupted while it reads the clocks.
         after_ns = time.monotonic_ns()
         elapsed_ns = after_ns - self._read_at_ns
         silence_ns = min(after_ns - self._advanced_at_ns, _LONGEST_PAUSE_NS)

@@ -263,7 +263,7 @@ class Lockstep(Mode):
         self._duplicates[torque.source].discard(torque)
 
     def _publish_start(self) -> None:
-        # That of the epoch, with what acts on the body and on the wheels.
+        # The state of the epoch, with the torques on the body and on the wheels.
         start = Snapshot(self._start, self._start)
         if self.run.epoch is not None:
             start = self.run.snapshot(self._start.time_ns, math.inf) or start

@@ -102,8 +102,8 @@ class Mode:
         """
         End the epoch, if there is one, and reject all torques that still wait.
 
-        Those that are early for the cause `kept` stay for the next epoch. The states of the epoch
-        are committed by `until`, s, monotonic clock, or within 0.2 s.
+        Torques that are early for the cause `kept` stay for the next epoch. The states of the
+        epoch are committed by `until`, s, monotonic clock, or within 0.2 s.
         """
         if self._current and self._is_applied:  # its response takes too long
             self.run.log(self._current[0])

@@ -31,9 +31,9 @@ from sensor_msgs.msg import JointState
 
 #: The topic of the torque of the motors on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'
-#: That of the inertia of a body that changes.
+#: The source of the inertia of a body that changes.
 _INERTIA = 'inertia'
-#: That of the commands of wheels with names.
+#: The source of the commands of wheels with names.
 _WHEEL_COMMAND = 'wheel_command'
 
 

@@ -63,7 +63,7 @@ class Integration:
 
     """
 
-    # As defaults, because most motions do not need them and to set them takes time.
+    # Defaults, because most motions do not need them and setting them takes time.
     #: How many commands of wheels with names are known to act or not.
     _resolved = refused_commands = 0
     #: When the first row begins if not at the start, and the momentum of the rotors there.

@@ -120,9 +120,10 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
     at : array of int, shape (m,), ns
         As for `propagate`, the same for all runs.
     wheels : TorqueLog, or sequence of n TorqueLog, optional
-        As for `propagate`: of all runs, or of each.
+        As for `propagate`: one for all runs, or one for each.
     fields : sequence of UniformField or GravityGradient, or n such sequences, optional
-        As for `Problem`: of all runs, or of each. Runs with fields do not share a step.
+        As for `Problem`: the same for all runs, or one sequence for each. Runs with fields do not
+        share a step.
     torque_gains : array, shape (n,), optional
         Each log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
@@ -163,7 +164,7 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
 
 
 def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
-    """Return fields for the kernels, a row for each run or, if they are alike, one; or None."""
+    """Return fields for the kernels, a row for each run or, if they are equal, one; or None."""
     if not fields:
         return None
     begins_ns = starts.time_ns.tolist()

@@ -113,7 +113,7 @@ class Propagator:
         return self._history.changes[max(self._history.index_of(time_ns), 0)].body
 
     def bodies_since(self, time_ns: int) -> list[NewBody]:
-        """Return the body in force at a time, and all later ones, but for the first one."""
+        """Return the body in force at a time, and all later ones, except the first one."""
         index = max(self._history.index_of(time_ns), 0)
         found = dict.fromkeys(change.body for change in self._history.changes[index:])
         return [body for body in found if body.stamp_ns != -NEVER_NS]
@@ -272,8 +272,8 @@ class Propagator:
         time_ns : int
             As for `apply`.
         efforts : mapping of str to float, N m
-            By name; other wheels keep their efforts. Of equal stamps, the last to arrive is used
-            for each wheel.
+            By name; other wheels keep their efforts. If stamps are equal, the last to arrive is
+            used for each wheel.
 
         Returns
         -------

@@ -37,7 +37,7 @@ _CHUNK = 65536
 
 
 class OtherTorques(NamedTuple):
-    """Torques in addition to the logs and the rotors; None for each that does not."""
+    """Torques in addition to the logs and the rotors; None for each term that does not."""
 
     #: The torques that depend on the attitude: FIELDS, shape (1,).
     fields: NDArray[Any] | None = None
@@ -81,7 +81,7 @@ class Timeline:
 
     """
 
-    # As defaults, because most motions have none of these and to set them takes time.
+    # Defaults, because most motions have none of these and setting them takes time.
     has_rotors = has_terms = _has_motors = _always_acts = False
     _fields: NDArray[Any] | None = None
     _lagging: LaggingSources | None = None

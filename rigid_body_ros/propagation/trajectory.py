@@ -121,7 +121,7 @@ class Trajectory:
 
     @cached_property
     def models(self) -> tuple[Model, ...]:
-        """Which solver was used for each span, and why."""
+        """The solver that was used for each span, and the reason."""
         found = list[Model]()
         for before, part in zip((None, *self._parts), self._parts):
             models = part.models()
@@ -135,7 +135,7 @@ class Trajectory:
         """
         Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3).
 
-        That of wheels with names is included.
+        The momentum of wheels with names is included.
         """
         def of_part(part: SolverUsage, rows: Any) -> Floats:
             momentum = part.timeline.momentum(self.times_ns[rows])[:, 0]

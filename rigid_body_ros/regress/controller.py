@@ -100,7 +100,7 @@ class ControllerProcess:
     def _send(self, number: int) -> None:
         for process in {self._process.pid, *_members(self._process.pid)}:
             try:
-                # Not the first process once it has ended: its number may be another's.
+                # Not the first process once it has ended: another process may have its number.
                 if process != self._process.pid or self._process.poll() is None:
                     os.kill(process, number)
             except ProcessLookupError:

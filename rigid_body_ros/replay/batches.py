@@ -279,7 +279,7 @@ class _OutputTimes:
     """
     The times of the outputs, from one piece of the log to the next.
 
-    Those of an epoch of a node begin at its start, like the states that a node commits. Its
+    The times of an epoch of a node begin at its start, like the states that a node commits. Its
     torques may all be older than the start, or there may be none.
     """
 

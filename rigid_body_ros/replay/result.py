@@ -70,7 +70,7 @@ class Replay:
     seconds : dict
         Wall time spent to read, propagate and write, s.
     problem, trajectory : Problem, Trajectory, optional
-        With all torques, and the whole motion, if `keep` was set.
+        The problem with all torques, and the whole motion, if `keep` was set.
     collected : optional
         What `collect` returned.
     earlier : tuple of Replay

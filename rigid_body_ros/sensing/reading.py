@@ -60,9 +60,9 @@ _LAYOUTS: dict[MessageType, _Values] = {
 }
 #: The message types that can be measured.
 KINDS = tuple(_LAYOUTS)
-#: Those that are certainly measurements of an attitude or an angular velocity.
+#: Types that are certainly measurements of an attitude or an angular velocity.
 _CERTAIN = tuple(kind for kind in KINDS if kind is not messages.VECTOR3)
-#: Those whose frames can be chosen.
+#: Types whose frames can be chosen.
 _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 
 
@@ -99,7 +99,7 @@ def read_measured(path: str | Path, topic: str | None = None, *,
     Returns
     -------
     Measured
-        Sorted by stamp. Of messages with equal stamps, the last in the recording is kept.
+        Sorted by stamp. If messages have equal stamps, the last in the recording is kept.
 
     Raises
     ------

@@ -103,7 +103,7 @@ def with_attitude(rates: Measured, attitudes: Measured) -> Measured:
 
 def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None:
     """
-    Return the torque that explains what a sensor measured, beyond the torques of a problem.
+    Return the torque that explains the measurements, in addition to the torques of a problem.
 
     J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured w, each term averaged over
     the window. tau has the torques of the fields, at the measured attitude.

@@ -16,9 +16,9 @@
 The prediction of a model over a window of a measured motion, and the measurement at its end.
 
 The measurements in the first fifth of the window give the state at its begin, which is propagated
-under the logged torques. Those in the last fifth correct it. That correction, at the end of the
-window, is the error. Its covariance is that of both estimates; the constant torque that explains
-it best is the residual torque.
+under the logged torques. The samples in the last fifth correct it. That correction, at the end of
+the window, is the error. Its covariance is that of both estimates; the constant torque that
+explains it best is the residual torque.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     Parameters
     ----------
     problem : Problem
-        Its torques; its start does not matter, but for the momentum of the rotors.
+        Its torques; of its start, only the momentum of the rotors matters.
     sensors : sequence of Measured
         In the time and the axes of the problem.
     noises : sequence of SensorNoise
@@ -292,7 +292,7 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
 def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
                first: _Estimate, last: _Estimate) -> Floats:
     """Return the derivative of the second of two estimates by a constant torque, shape (p, 3)."""
-    # As large as what changes the rate by _CHANGE.
+    # The torque that changes the rate by _CHANGE.
     end_ns = int(times_ns[-1])
     seconds = 1e-9 * (end_ns - problem.start.time_ns)
     size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds

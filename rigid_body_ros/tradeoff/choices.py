@@ -141,7 +141,7 @@ class OnWhole:
     Attributes
     ----------
     reference : Reference or None
-        Of the whole log, None as long as no error was measured there.
+        The reference of the whole log, None as long as no error was measured there.
 
     """
 

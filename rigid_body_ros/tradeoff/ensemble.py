@@ -86,7 +86,8 @@ def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
     """
     Return the cheapest setting for many runs.
 
-    One setting of each solver is timed. The costs of its other settings are scaled alike.
+    One setting of each solver is timed. The costs of its other settings are scaled by the same
+    factor.
     """
     single = {one.setting: one for one in result.measurements if not one.failure}
     best: dict[str, Setting] = {}
