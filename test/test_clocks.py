@@ -156,7 +156,7 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
         first = len(decoded(live, ACCEPTED, messages.WRENCH))
         run_clock(live, again_ns, again_ns + 3 * SECOND // 2, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
-        # Simulated time is faster than real time, so a pause of the node may be a jump ahead, too.
+        # Simulated time is faster than real time, so a pause of the node may also be a jump ahead.
         live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
         live.wait_for_torques(len(range(begin_ns, end_ns + 1, SECOND // 10))
                               + len(range(again_ns, again_ns + 3 * SECOND // 2 + 1, SECOND // 10)))

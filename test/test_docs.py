@@ -137,7 +137,7 @@ def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
     assert (result.returncode, result.stderr) == (0, '')
     built = {path.stem: path.read_text(encoding='utf-8') for path in tmp_path.glob('*.html')}
     assert {page.stem for page in PAGES[1:]} <= set(built)
-    # Without a network, too, a reader sees formulas and layout.
+    # A reader sees formulas and layout even without a network.
     assert [name for name, text in built.items() if _REMOTE.search(text)] == []
     assert built['theory'].count('<math') > 100
     assert '\\frac' not in built['theory']

@@ -375,7 +375,7 @@ def test_several_frames_are_one_file(tmp_path, temporary):
     assert outcome(path) == ''
 
 
-# What is copied and compared
+# The parts that are copied and compared
 
 def test_a_message_that_cannot_be_copied_is_named(tmp_path):
     wrenches = [zstandard.ZstdCompressor().compress(messages.wrench(stamp, '', [0.0] * 3))

@@ -284,7 +284,7 @@ def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
     imu = Measured('/imu', stamps, so3.multiply(motion.attitude, so3.exp(
         attitude * random.normal(size=(999, 3)))),
         motion.angular_velocity + rate * random.normal(size=(999, 3)))
-    # The momenta of the wheels depend on the rate at the start, which is estimated, too.
+    # The momenta of the wheels depend on the rate at the start, which is also estimated.
     result = identify(GUESS, Experiment(State(), None, [imu], wheels, efforts=efforts))
     assert result.unidentifiable == []
     if rate:

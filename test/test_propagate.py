@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The time loop: what a caller asks for, and in which order, changes no number."""
+"""The time loop: the requested times and their order change no number."""
 
 from conftest import chord, EPOCH_NS, Reference, SECOND
 from hypothesis import given, settings, strategies

@@ -362,7 +362,7 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
     arguments = [str(flight), '--scene', str(SCENE)]
     assert main.attitude_compare([*arguments, '--json', str(tmp_path / 'found.json')]) == 0
     found = json.loads((tmp_path / 'found.json').read_text())
-    # A part of the motion begins with the momenta of the wheels, too.
+    # A part of the motion also begins with the momenta of the wheels.
     assert found['attitude_error_rad']['max'] < 1e-15
     assert found['horizons'][-1]['attitude_p95_rad'] < 1e-11
     fitted = tmp_path / 'fitted.yaml'

@@ -491,7 +491,7 @@ def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
 
 @pytest.mark.parametrize(('other', 'speed'), [(0.0, 7.0), (0.2, 7.0), (1e-9, 7.0), (-1.5, 30.0)])
 def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
-    # Rotors without a name turn, too. If they cancel the momentum of the wheels, the marker does
+    # Rotors without a name also turn. If they cancel the momentum of the wheels, the marker does
     # not have their speeds.
     scene = Scene.from_values({**SCENE, 'initial_rotor_momentum.x': other,
                                'initial_rotor_momentum.y': 0.0})

@@ -39,7 +39,7 @@ class Command:
     add_arguments : callable
         Adds the options of the command to a parser.
     run : callable
-        Does what the options ask for, and returns the exit status.
+        Runs the command with its options, and returns the exit status.
     rest : str
         Usage of the arguments after '--', which are in `options.rest`; '' if none are allowed.
 

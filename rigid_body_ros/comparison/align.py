@@ -46,8 +46,8 @@ _STAGE, _EARLY, _MOST = 400, 6, 20
 _PART = 2000
 #: Relative change of the sum of squares at which a fit ends.
 _TOLERANCE = 1e-6
-#: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
-#: out of the last stage.
+#: Residuals, in standard deviations, above which the loss grows linearly, or a sample is left out
+#: of the last stage.
 _HUBER, _OUTLIER = 2.0, 5.0
 #: Number of motions that are kept: the latest, and the one at the point of a Jacobian.
 _KEPT = 2

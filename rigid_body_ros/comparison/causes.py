@@ -188,7 +188,7 @@ def _judged(fault: Fault, undone: Comparison, until_ns: int,
     before = wrong[worst.key]
     cause = Cause(fault.name, text, before.median, worst.median, UNITS[worst.kind], worst.topic,
                   is_noise)
-    # Undoing a factor changes the noise, too.
+    # Undoing a factor also changes the noise.
     left = max(worst.ratio / before.ratio, worst.median / before.median)
     yield _Tried(cause, frozenset(one.key for one in changed), left)
 

@@ -43,7 +43,7 @@ from rigid_body_ros.sensing.noise import (
 
 #: Ratio of the standard deviation of normal noise to the median of its magnitude.
 _NORMAL = 1.4826
-#: Spreads from which on an error is an outlier, and share of outliers that no sensor has.
+#: Number of spreads above which an error is an outlier, and share of outliers that no sensor has.
 _OUTLIER, _SCATTERED = 15.0, 0.3
 #: rad or rad/s; smaller errors are rounding errors.
 _ROUNDING = 1e-7

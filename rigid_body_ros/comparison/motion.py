@@ -56,7 +56,7 @@ class Recorded:
         self.end_ns = int(stamps_ns[-1])
 
     def propagate(self, *, at: NDArray[np.int64]) -> Poses:
-        """Return the states at times between those of samples; see `hermite.between`."""
+        """Return the states at times between samples; see `hermite.between`."""
         stamps_ns, (attitude, rates) = self._stamps_ns, self._poses
         rows = np.clip(np.searchsorted(stamps_ns, at, 'right') - 1, 0, len(stamps_ns) - 2)
         span = np.diff(stamps_ns)[rows] * 1e-9

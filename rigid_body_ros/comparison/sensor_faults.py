@@ -138,7 +138,8 @@ def _of_gyro(aligned: Measured, channel: Channel) -> Iterator[Fault]:
         return
     limit = float(np.median(values))
     if np.mean(np.abs(values - limit) < _SAME * spread) > _AT_LIMIT:
-        # Chosen by what is expected: choosing by what is measured would choose the noise, too.
+        # Chosen by the expected values: a choice by the measured values would also depend on the
+        # noise.
         kept = np.flatnonzero((np.abs(expected) < limit - _SAME * spread).all(axis=1))
         if len(kept) >= FEWEST:
             yield Fault('gyro_saturation', f'the gyro saturates at {limit:.4g} rad/s',

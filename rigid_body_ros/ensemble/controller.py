@@ -145,7 +145,7 @@ class Controller:
     def _called(self, function: Callable[..., Any], seconds: float, *arguments: Any) -> Any:
         try:
             return function(*arguments)
-        except BaseException as error:  # SystemExit, too: the exit of a controller ends its run
+        except BaseException as error:  # also SystemExit: the exit of a controller ends its run
             interrupts.check()
             raise ControllerError(f'{seconds:.9g} s: controller {self.name}: '
                                   f'{_described(error)}') from error

@@ -43,10 +43,10 @@ def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any
     Returns
     -------
     dict
-        'edges_rad', shape (m + 1,), and 'runs', shape (m,). The intervals are equally wide from
-        0 to the largest angle. If the angles span decades, they are equally wide on a logarithmic
+        'edges_rad', shape (m + 1,), and 'runs', shape (m,). The intervals are equally wide from 0
+        to the largest angle. If the angles span decades, they are equally wide on a logarithmic
         axis, from a tenth of the first percentile or the smallest angle, whichever is larger. The
-        first interval has the smaller angles, too.
+        first interval also has all smaller angles.
 
     """
     bars = min(math.isqrt(angles.size), _BARS)

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-A fit close to its solution: what would change if other parameters were estimated, too.
+A fit close to its solution: the changes if other parameters were also estimated.
 
 The derivatives by all parameters, those that were estimated and those that were not, make a linear
 problem of a few rows. A *score test* asks how much of the errors a parameter that was not

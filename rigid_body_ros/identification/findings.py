@@ -52,7 +52,7 @@ from rigid_body_ros.sensing.noise import (
     Noise,
 )
 
-#: Ratio of spreads from which on the fit is repeated with them.
+#: Ratio of spreads above which the fit is repeated with them.
 _UNEQUAL = 1.05
 #: Pieces of a recording, after each of which the inertia may have changed.
 _PIECES = 16

@@ -40,7 +40,7 @@ from rigid_body_ros.sensing.measured import Measured
 
 #: How much shorter windows are if the guess is too far off for the first ones.
 _CLOSER = 8
-#: Correlation of neighbouring errors from which on the first fit is in doubt.
+#: Correlation of neighbouring errors above which the first fit is in doubt.
 _LASTING = 0.5
 #: Number of windows of the first fit, which only has to find out roughly what acts.
 _FEW = 8

@@ -118,7 +118,7 @@ def extended(setup: Setup, physics: Physics, names: Sequence[str]) -> Parameters
 
 
 def with_suspect(solution: Solution, name: str) -> Solution:
-    """Return the fit that estimates a suspect, too."""
+    """Return the fit that also estimates a suspect."""
     setup = solution.problem.setup
     groups = setup.parameters.groups
     physics = solution.physics
@@ -153,7 +153,7 @@ def value_of(solution: Solution, name: str) -> list[float]:
 
 
 def command_with(setup: Setup, name: str) -> str:
-    """Return the option that estimates a suspect, too."""
+    """Return the option that also estimates a suspect."""
     kind, topic = split_topic(name)
     names = [*setup.parameters.groups, *([START] if setup.fits_start else [])]
     replaced = {'inertia': 'inertia_diagonal', 'torque_gains': 'torque_gain'}.get(name)

@@ -49,8 +49,8 @@ _MEANINGS = {
     REJECTED: 'the model does not explain the measurements; do not use the estimates'}
 #: Suspects that are tried by a fit, and those that are listed.
 _TRIED, _LISTED = 5, 3
-#: Part of the drop of the best suspect from which on another one explains as much, and from
-#: which on what it moves counts.
+#: Parts of the drop of the best suspect above which another one explains as much, and above which
+#: the shift by it counts.
 _ALIKE, _COUNTS = 0.98, 0.1
 
 
@@ -100,7 +100,7 @@ class Verdict:
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]
           ) -> list[tuple[Suspect, Solution]]:
     """
-    Return fits that estimate one of the likeliest suspects, too; none if all is explained.
+    Return fits that also estimate one of the likeliest suspects; none if all is explained.
 
     Parameters
     ----------

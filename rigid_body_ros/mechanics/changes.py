@@ -43,7 +43,7 @@ class BodyLog:
     keep : str
         'rate': the angular velocity stays the same, as when a payload is dropped, which takes its
         momentum along. 'momentum': the momentum J w stays the same and the angular velocity jumps,
-        as when an arm is deployed within a moment. The momentum of the rotors stays the same in
+        as when an arm is deployed in an instant. The momentum of the rotors stays the same in
         both cases, and so does the axial momentum I (Omega + a . w) of each wheel with a name.
 
     Attributes

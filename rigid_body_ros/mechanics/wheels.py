@@ -335,7 +335,7 @@ class Wheels:
         Raises
         ------
         ValueError
-            There is no wheel with a name, or an effort is not finite.
+            A name is not the name of a wheel, or an effort is not finite.
 
         """
         found = np.full(len(self), np.nan)

@@ -131,7 +131,7 @@ class Realtime(Mode):
 
     def catch_up(self) -> None:
         """Publish the present state if the timer is late, because many messages arrive."""
-        # Simulated time, which the timer then follows, may stand still.
+        # Simulated time, which the timer then follows, may stop.
         if self._timer and not self._is_simulated and self._is_overdue:
             self._publish_now()
 

@@ -190,7 +190,7 @@ class History:
             del self.changes[:oldest], self._times_ns[:oldest]
 
     def _discard_segments(self, index: int) -> None:
-        # Segments are computed from the front: if one is missing, all later ones are, too.
+        # Segments are computed in order: if one is missing, so are all later ones.
         self.changes[index].discard()
         for change in self.changes[index + 1:]:
             if change.active is None:

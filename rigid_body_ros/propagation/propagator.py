@@ -283,7 +283,7 @@ class Propagator:
         Raises
         ------
         ValueError
-            As for `apply`, there is no wheel with a name, or there are no wheels.
+            As for `apply`; or a name is not the name of a wheel, or there are no wheels.
         TypeError
             The time is not an integer.
 

@@ -52,7 +52,7 @@ class Node(Protocol):
 
     @property
     def has_rival(self) -> bool:
-        """Return whether another node publishes the states, too."""
+        """Return whether another node also publishes the states."""
 
     def spin(self, seconds: float) -> None:
         """Run the node for this time, s."""
@@ -149,7 +149,7 @@ class NodeProcess:
                              'hangs')
 
     def _received(self, seconds: float) -> Status | str | None:
-        """Return the next message, or None if there is none for a time, s."""
+        """Return the next message, or None if none arrives within a time, s."""
         try:
             found = self._connection.recv() if self._connection.poll(seconds) else None
         except (EOFError, OSError):

@@ -74,7 +74,8 @@ class Batch(NamedTuple):
     """
     A part of the motion, its piece of the torques, and the wall time to compute it, s.
 
-    `sensed` is what the IMU measures at the times of the trajectory: the motion, or that earlier.
+    `sensed` is the motion that the IMU measures at the times of the trajectory, earlier by its
+    delay.
     """
 
     problem: Problem
@@ -134,7 +135,7 @@ class Batches:
         self._alternatives = names
         #: Their final attitudes; None if the body spins too fast.
         self._final_attitudes: dict[str, Floats | None] = {}
-        #: The frames of the torques of each stream so far: whether in space axes.
+        #: The frames of the torques of each stream so far: whether they are in space axes.
         self._frames: list[set[bool]] = [set() for _ in streams]
         #: Advances the alternatives. A daemon thread does not delay the end of the program.
         self._thread: Thread | None = None

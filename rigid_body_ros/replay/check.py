@@ -196,7 +196,7 @@ def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
     start, body = problem.start, problem.body
     momentum = start_momentum = so3.rotate(
         start.attitude, body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
-    for log in problem.logs:  # the momentum of a rotor is the integral of a torque, too
+    for log in problem.logs:  # the momentum of a rotor is also the integral of a torque
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
         rotors = problem.solved_by().replaced(start=State(start.time_ns), log=(), wheels=driven)
         momentum = momentum + rotors.rotor_momentum(trajectory.times_ns)

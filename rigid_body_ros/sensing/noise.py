@@ -120,7 +120,8 @@ def come_together(bad: NDArray[np.bool_]) -> bool:
 
 def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     """
-    Return the noise of a channel: the autoregression of least Bayesian information criterion.
+    Return the noise of a channel: the autoregression with the least Bayesian information
+    criterion.
 
     Parameters
     ----------

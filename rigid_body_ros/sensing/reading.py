@@ -34,7 +34,7 @@ from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import FEWEST, Measured
 from rigid_body_ros.sensing.text_files import is_text_file, read_text_file
 
-#: Variances, rad^2 or rad^2/s^2, from which on a value counts as not measured.
+#: Variances, rad^2 or rad^2/s^2, above which a value counts as not measured.
 _MEANINGLESS = 1e3
 
 

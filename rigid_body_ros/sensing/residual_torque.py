@@ -43,7 +43,7 @@ WINDOW, FEWEST = 0.25, 11
 #: The nodes of Gauss's formula with two points, exact for a cubic.
 _NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
 _BLOCK = 2 ** 15
-#: Distance from the median around a sample, in usual ones, from which on it is an outlier.
+#: Distance from the median around a sample, in usual distances, above which it is an outlier.
 _OUTLIER = 10.0
 #: Tensors with one of the six entries.
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
