@@ -149,7 +149,7 @@ class Session:
         return self.values(name)['rejected: unknown frame'] > before
 
     def count(self):
-        """Return how many messages have arrived, or are known to be lost."""
+        """Return the number of messages that have arrived, or are known to be lost."""
         return sum(self.values(name)[key] for name in NAMES for key in ('received', 'lost'))
 
     def play(self, found):

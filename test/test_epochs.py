@@ -468,7 +468,7 @@ def test_every_command_takes_an_epoch_without_torques(run, tmp_path, capsys, nam
     log = save(tmp_path / 'log.mcap', epoch(run, FIRST, {ACCEPTED: []}))
     status = called(tmp_path, name, log)
     captured = capsys.readouterr()
-    # One state determines nothing, and is no motion to measure.
+    # One state determines nothing, and is not a motion to measure.
     assert (status, len(captured.err.splitlines())) in ((0, 0), (2, 1), (3, 0))
 
 

@@ -74,7 +74,7 @@ def check_estimates(scene):
 
 @free_scenes
 def test_free_motion_keeps_energy_and_momentum(scene):
-    # To be finite is not enough: mujoco_warp's joints were at 1e12 rad/s.
+    # Being finite is not enough: mujoco_warp's joints were at 1e12 rad/s.
     times = np.linspace(0, int(scene.times_ns[-1]), 50).astype(np.int64)
     for solver in affordable(scene):
         motion = scene.propagate(solver, at=times)

@@ -484,7 +484,7 @@ def test_the_momentum_changes_at_the_rate_of_the_torque(given):
     assert np.linalg.norm(rate - torque) < 1e-11 * np.linalg.norm(torque)
 
 
-# When an orbit is where
+# The time of an orbit
 
 
 @pytest.mark.parametrize('solver', ['taylor', 'rk4'])

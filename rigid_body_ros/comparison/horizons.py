@@ -37,7 +37,8 @@ _SAMPLES = 11
 _USUAL, _WINDOWS = (0.1, 1.0, 10.0), 500
 #: Shortest horizon, in intervals between samples, which jitter.
 _SHORTEST = 0.99
-#: Most corrections of an estimated restart. The last is below an angle, rad, or part of the noise.
+#: Largest number of corrections of an estimated restart. The last is below an angle, rad, or part
+#: of the noise.
 _CORRECTIONS, _CORRECTED, _NEGLIGIBLE = 8, 1e-10, 0.02
 
 

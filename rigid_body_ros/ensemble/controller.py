@@ -87,7 +87,7 @@ class Controller:
         return found
 
     def check(self) -> None:
-        """Raise InputError if the controller cannot be imported, or is another one, here."""
+        """Raise InputError if the controller cannot be imported here, or is a different one."""
         digest = _digest(self.name, self.folder)
         if digest != self.digest:
             raise InputError(f'controller {self.name}: expected the source file that the command '

@@ -93,7 +93,7 @@ class Fitted:
 
     @cached_property
     def _factor(self) -> Floats:
-        """Return the Cholesky factor of the covariance, without BLAS as well."""
+        """Return the Cholesky factor of the covariance, computed without BLAS."""
         scale, rest = _scaled(self.covariance)
         factor = np.zeros_like(rest)
         for k in range(len(rest)):

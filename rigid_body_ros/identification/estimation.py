@@ -259,7 +259,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
 
 
 def _first_motion(solution: Solution, end_ns: int) -> Problem:
-    """Return the problem of the first recording with all estimates; a bias acts up to a time."""
+    """Return the problem of the first recording with all estimates; a bias ends at a time."""
     given, physics = solution.problem.setup.problems[0], solution.physics
     start = _start(solution, 0)[0]
     momentum = given.start.rotor_momentum + physics.value('rotor_momentum') \

@@ -100,7 +100,7 @@ def split_topic(name: str) -> tuple[str, str]:
 
 
 def field_of(name: str) -> str:
-    """Return the name of the field whose moment a parameter is; empty if it is no moment."""
+    """Return the name of the field whose moment a parameter is; empty if it is not a moment."""
     found = _OF_FIELD.fullmatch(name)
     return found[1] if found else ''
 

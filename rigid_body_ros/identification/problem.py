@@ -358,7 +358,7 @@ class LeastSquares:
                                     for unit in np.eye(shared)] for times in (1, 2)]
         predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
             k, np.concatenate([np.zeros((1, 6)), *moves])))
-        # One-sided, so that values on the boundary of possible bodies are no exception.
+        # One-sided, so that values on the boundary of possible bodies are not an exception.
         rows = self._rows(k, slopes(window, [one[0] for one in predicted], [
             (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
             / (2.0 * step[:, None, None]) for one in predicted]))

@@ -31,7 +31,7 @@ from rigid_body_ros.identification.windows import Window, windows_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 
-#: Most samples that an autocorrelation reaches.
+#: Largest lag of an autocorrelation, in samples.
 _LONGEST = 2000
 #: A sample of the validation is left out if its error is this many times the median.
 _OUTLIER = 8.0

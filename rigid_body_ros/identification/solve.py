@@ -55,7 +55,7 @@ _FAST = 6
 _WORSE, _WORST = 1.1, 2.0
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
-#: rad or rad/s; errors of a few times this are no outliers, however small the others.
+#: rad or rad/s; errors of a few times this are not outliers, however small the others.
 _NO_OUTLIER = 1e-8
 #: Scale of the Cauchy loss, in standard deviations.
 _CAUCHY = 2.4

@@ -318,7 +318,7 @@ class Wheels:
         return np.where(np.abs(others) <= _ROUNDED * size, 0.0, others)
 
     def shown(self, state: State, axial: Axial, momenta: Floats) -> State:
-        """Return a state of the carrier with the speeds of the wheels, of momenta (2, n), too."""
+        """Return a state of the carrier with the speeds of wheels with these momenta (2, n)."""
         rates = state.angular_velocity
         speeds = self.speeds(momenta[0], rates)
         momentum = self.relative(state._rotors[0], momenta[0], rates)

@@ -165,7 +165,7 @@ def odometry(state: State, space_frame: str, body_frame: str, attitude_variance:
     Return an Odometry at the origin with the attitude and the body rates of a state.
 
     A variance other than 0, rad^2 or rad^2/s^2, is on the diagonal of its covariance. Position and
-    linear velocity, which are no estimates, then have one of 1e6 m^2 or m^2/s^2.
+    linear velocity, which are not estimates, then have a variance of 1e6 m^2 or m^2/s^2.
     """
     values = np.zeros(ODOMETRY.doubles)
     values[ORIENTATION] = state.attitude

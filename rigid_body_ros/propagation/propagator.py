@@ -140,7 +140,7 @@ class Propagator:
             if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
 
     def commands_at(self, time_ns: int) -> Commands:
-        """Return the commands of wheels in force at a time; -NEVER_NS is no stamp."""
+        """Return the commands of wheels in force at a time; -NEVER_NS stands for no stamp."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].commands
 
     def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:

@@ -85,7 +85,7 @@ class Sum(NamedTuple):
     @property
     def others(self) -> tuple[Floats, ...]:
         """Return the torque in space axes if one in body axes acts too, and that on the rotors."""
-        # Most motions have neither, and to ask arrays of zeros takes a tenth of a short segment.
+        # Most motions have neither, and checking arrays of zeros takes a tenth of a short segment.
         if self.space is self.motors or not (self.space.any() or self.motors.any()):
             return ()
         return self.space, self.motors

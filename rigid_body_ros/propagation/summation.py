@@ -31,7 +31,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels, Samples, Sums
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: To add it changes no bit of a torque.
+#: Adding it changes no bit of a torque.
 _NOTHING = np.full((1, 3), -0.0)
 _NO_MARKS = np.empty(0, np.int64)
 

@@ -32,7 +32,7 @@ from rigid_body_ros.scene import Scene
 _LONG, _TIMES = 1.0, 100
 #: Spacings are counted in this many classes per factor of two.
 _CLASSES = 16
-#: Most steps over a gap, which take hours, and the approximate time of a step, s.
+#: Largest number of steps over a gap, which take hours, and the approximate time of a step, s.
 _MOST_STEPS, _STEP = 1e10, 4e-6
 #: Avoids a division by zero.
 _TINY = 1e-250

@@ -23,7 +23,7 @@ from rigid_body_ros.common.errors import printable
 
 #: Units of angles: number of units per radian, and names.
 _ANGLES = {'rad': (math.degrees(1.0), 'deg'), 'rad/s': (math.degrees(1.0), 'deg/s')}
-#: Most significant digits of a value, and the exponents between which it has no exponent.
+#: Largest number of digits of a value, and the exponents between which it is written without one.
 _DIGITS, _PLAIN = 15, range(-4, 7)
 
 

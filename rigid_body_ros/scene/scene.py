@@ -195,7 +195,7 @@ class Scene:
 
     @property
     def notes(self) -> list[str]:
-        """Return lines for the log about values that are no mistake, but have no effect."""
+        """Return lines for the log about values that are valid, but have no effect."""
         return [f'parameters that are not those of a scene are ignored: {listed(self.ignored)}'] \
             if self.ignored else []
 

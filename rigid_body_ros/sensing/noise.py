@@ -27,7 +27,7 @@ from rigid_body_ros.common.arrays import Floats
 ALARM = 1e-4
 #: Fewest samples of a batch, and fewest outliers that can come together.
 FEWEST = 10
-#: Most samples before, on which a sample depends.
+#: Largest number of previous samples on which a sample depends.
 _ORDER = 3
 #: No sensor has noise that lasts longer; it is an autoregression with a coefficient of 0.92.
 LONGEST = 5.0
@@ -120,8 +120,7 @@ def come_together(bad: NDArray[np.bool_]) -> bool:
 
 def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     """
-    Return the noise of a channel: the autoregression with the least Bayesian information
-    criterion.
+    Return the noise of a channel, the autoregression with the best information criterion.
 
     Parameters
     ----------

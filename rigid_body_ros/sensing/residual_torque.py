@@ -17,7 +17,7 @@ The torque that must have acted in addition to the logged one.
 
 The change of the angular momentum that was measured, less the impulse of everything that the
 model knows, is the impulse of what it does not know. Its slope over a short window is the residual
-torque. Logged torques enter as exact impulses, so a step between two measurements is no error.
+torque. Logged torques enter as exact impulses, so a step between two measurements is not an error.
 """
 
 from __future__ import annotations

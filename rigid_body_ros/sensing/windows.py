@@ -41,7 +41,8 @@ _PART, FEWEST = 5, 3
 #: A sample is an outlier if it is off by this many standard deviations, and by this many times the
 #: error of most samples.
 _OUTLIER, _UNUSUAL = 6.0, 4.0
-#: Most corrections of an estimated start, and the chi-square of one that is not worth another.
+#: Largest number of corrections of an estimated start, and the chi-square below which another one
+#: is not worthwhile.
 _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
 #: Samples that the first guess of the rates is from.
 _GUESSED = 5
@@ -143,7 +144,7 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     Returns
     -------
     WindowError or None
-        None if too few samples are at the begin or at the end.
+        None if there are too few samples at the beginning or at the end.
 
     """
     turn_ns = end_ns - (end_ns - begin_ns) // _PART
@@ -191,7 +192,7 @@ def _needs_attitude(problem: Problem) -> bool:
 
 def _guess(sensors: Sequence[Measured], begin_ns: int,
            has_attitude: bool) -> tuple[Floats, Floats]:
-    """Return about the attitude and the angular velocity at the begin of samples."""
+    """Return an approximate attitude and angular velocity at the beginning of samples."""
     name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
     rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
     if not has_attitude:
@@ -284,7 +285,7 @@ class _Samples(NamedTuple):
 
 
 def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
-    """Return which errors are no outliers."""
+    """Return a mask of the errors that are not outliers."""
     sizes = np.abs(errors).max(axis=1)
     return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
 
