@@ -104,7 +104,7 @@ def test_while_the_clock_stands_nothing_is_published_and_nothing_lost(tmp_path, 
         count = len(stamps(live))
         live.spin(1.0)
         assert len(stamps(live)) == count
-        live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is taken all the same
+        live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is nevertheless accepted
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
         settle(live, 7 * SECOND)
         live.dump_parameters(tmp_path / 'live.yaml')

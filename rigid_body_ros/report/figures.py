@@ -123,7 +123,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     title : str
         Drawn literally: a $ does not start a formula.
     lines : dict
-        By description, attitude errors in rad to draw as vertical lines.
+        Attitude errors, rad, to draw as vertical lines, by their description.
 
     Raises
     ------
