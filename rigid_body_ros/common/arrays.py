@@ -32,7 +32,7 @@ def written(values: Floats) -> str:
 
 
 def as_json(values: ArrayLike) -> Any:
-    """Return an array, or a number, as JSON types; None for values that are not finite."""
+    """Return an array, or a number, as JSON types; None for what is not finite."""
     return np.where(np.isfinite(values), values, None).tolist()  # type: ignore[call-overload]
 
 
