@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.runtime.fingerprint import build_info
 else:
     # Importing the engine takes a while, and commands must handle signals before.
-    #: The module of each public name; a module stands for itself.
+    #: The module of each public name; for a module, its own name.
     _HOMES = {'RigidBodies': 'mechanics.bodies', 'RigidBody': 'mechanics.body',
               'Actuator': 'mechanics.actuator', 'BodyLog': 'mechanics.changes',
               'State': 'mechanics.state', 'States': 'mechanics.states',

@@ -41,7 +41,7 @@ from launch.events.process import ShutdownProcess
 from launch_ros.actions import Node
 
 NAME = 'rigid_body_ros'
-#: What a stack with several robots does: every robot has its own /tf, in its namespace.
+#: As in a stack with several robots: every robot has its own /tf, in its namespace.
 RELATIVE_TF = (('/tf', 'tf'), ('/tf_static', 'tf_static'))
 _FLAG = ('false', 'true')
 #: Default of an argument that is not given: the scene decides.

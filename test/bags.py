@@ -325,8 +325,8 @@ FORMS = {
     'sqlite3-humble': sqlite,
     'sqlite3-killed': partial(sqlite, killed=True),
 }
-#: Those that rosbags does not read: it wants a profile, finds no message without an index of
-#: messages where there is one of chunks, and opens no journal.
+#: Bags that rosbags does not read: it requires a profile, finds no message if there is an index of
+#: chunks but none of messages, and opens no journal.
 UNREAD = {'mcap-no-profile', 'mcap-chunk-index-only', 'sqlite3-killed'}
 
 

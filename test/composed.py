@@ -49,7 +49,7 @@ def spin_events(node, sibling, stop):
 
 
 def spin_until(node, name, sibling, stop):
-    """Spin in an executor without a timeout; a callback is the only way out of it."""
+    """Spin in an executor without a timeout; only a callback can end it."""
     def check():
         if stop:
             raise StoppedError

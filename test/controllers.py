@@ -66,7 +66,7 @@ def not_a_number(state, time):
 
 
 def huge(state, time):
-    """Return more than a body can stand, for some runs."""
+    """Return too large a torque for some runs."""
     return [1e300 if state.angular_velocity[0] > 0.0 else 0.0, 0.0, 0.0]
 
 

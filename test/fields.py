@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Known motions under fields: closed forms, what they conserve, and how they magnify errors.
+Known motions under fields: closed forms, conserved quantities, and magnification of errors.
 
 The closed forms are those of Whittaker, "A treatise on the analytical dynamics of particles and
 rigid bodies", 1937: the pendulum in section 44, the top in sections 71 and 72. They share no code
@@ -39,10 +39,11 @@ def magnification(run, start, times_ns, coordinates=range(6)):
     """
     Return by how much a motion magnifies a change of its start, at least 1, by time, shape (m,).
 
-    The start is changed by 1e-11 in both directions of each coordinate: a rotation about each
-    body axis, rad, and each component of the angular velocity, relative to the largest rate of
-    the motion. The differences of the changed motions, in the same coordinates, over that of their
-    starts are a matrix of 6 by 6 for each time. Its largest singular value is the result.
+    The start is changed by 1e-11 in both directions of each coordinate: a rotation about each body
+    axis, rad, and each component of the angular velocity, relative to the largest rate of the
+    motion. The differences of the changed motions, in the same coordinates, divided by the
+    difference of their starts, are a 6 by 6 matrix for each time. Its largest singular value is
+    the result.
 
     Parameters
     ----------
@@ -96,7 +97,7 @@ def plane_pendulum(problem, times_ns):
     """
     Return the motion about the body's x axis under one uniform field as [(attitude, rates)].
 
-    The x axis is principal and starts along that of space; moment and field have no x component.
+    The x axis is principal and starts along space x; moment and field have no x component.
     """
     one, = problem.fields
     (_, my, mz), (_, fy, fz) = truth.exact(one.moment), truth.exact(one.field)

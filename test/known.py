@@ -150,9 +150,9 @@ def dual_spin(axis, rotors):
     """
     Return the rate, 1/s, at which small deviations of a dual spin grow or swing.
 
-    The body 1 : 2 : 3 spins at 1 rad/s about one of its axes, 0 to 2, where its rotor is, too. If
-    I is the moment of that axis, and I' and I" are the others, the square of the rate is
-    -(I - I' + h) (I - I" + h) / (I' I") (Schaub and Junkins, Analytical Mechanics of Space
+    The body 1 : 2 : 3 spins at 1 rad/s about one of its axes, 0 to 2, which is also the axis of
+    its rotor. If I is the moment of that axis, and I' and I" are the others, the square of the
+    rate is -(I - I' + h) (I - I" + h) / (I' I") (Schaub and Junkins, Analytical Mechanics of Space
     Systems, chapter 4): the spin is stable where it is negative.
     """
     moments, spin = np.array([1.0, 2.0, 3.0]), np.eye(3)[axis]
@@ -195,7 +195,7 @@ def lost_momentum(solver, step):
     return apart.max() / np.linalg.norm(momentum[0])
 
 
-#: By quantity (with its unit): a function that returns both values, and the bound.
+#: By quantity with its unit: a function that returns the reference and the result, and the bound.
 KNOWN = {
     **{f'period of {name}, s': (lambda name=name: period(name), 1e-15) for name in TOPS},
     **{f'escape from the intermediate axis, offset {offset:.0e}, s':

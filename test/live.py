@@ -76,7 +76,7 @@ class Run(NamedTuple):
 
 
 def replayed(tmp_path, live):
-    """Replay what a session accepted, with the parameters in live.yaml."""
+    """Replay the torques that a session accepted, with the parameters in live.yaml."""
     live.write(tmp_path / 'live.mcap')
     path, run = tmp_path / 'live.mcap', scene.load(tmp_path / 'live.yaml')
     recorded = recording.read(path, ACCEPTED)
@@ -87,7 +87,7 @@ def replayed(tmp_path, live):
     # --verify accepts every epoch.
     accepted = recording.Topics((ACCEPTED,))
     assert verify(path, run, path, accepted, motion_topic=COMMITTED).same.all()
-    # Of several states at the start time, the last is the start of the last epoch.
+    # If several states have the start time, the last is the start of the last epoch.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
     motion = run.problem().replaced(log=log).propagate(at=stamps_ns)

@@ -58,7 +58,7 @@ class Truth:
 
     def measured(self, attitude_noise=0.0, rate_noise=0.0, clock=0.0, mount=None, space=None,
                  outliers=0.0, seed=0):
-        """Return what a sensor measures; its clock is `clock` seconds behind."""
+        """Return the measurements of a sensor whose clock is `clock` seconds behind."""
         random, count = np.random.default_rng(seed), len(self.stamps_ns)
         # Whether a rotation is true depends on its length, which a single one lacks in SciPy 1.8.
         mount, space = (Rotation.identity() if one is None else one for one in (mount, space))

@@ -156,7 +156,7 @@ class Session:
         return self.values(name)['rejected: unknown frame'] > before
 
     def count(self):
-        """Return how many messages have arrived, or are known to be lost."""
+        """Return the number of messages that have arrived, or are known to be lost."""
         return sum(self.values(name)[key] for name in NAMES for key in ('received', 'lost'))
 
     def play(self, found):
@@ -174,7 +174,7 @@ class Session:
         self.wait(lambda: self.count() >= self.received)
 
     def keeps_up(self, stamp_ns, number):
-        """Return whether the monitor is not far behind a message, the last of a number."""
+        """Return whether the monitor has almost caught up with the last message."""
         errors = self.errors['rate_error']
         last_ns = messages.VECTOR3.decode(errors[-1]).stamp_ns if errors else BEGIN_NS
         # If an input is silent, no window may be judged.

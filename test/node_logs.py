@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a node records of its epochs: markers and torques in its logs, and committed states."""
+"""The records of a node's epochs: markers and torques in its logs, and committed states."""
 
 from conftest import CONFIG, SECOND
 import numpy as np
@@ -60,7 +60,7 @@ def motion_of(run, start, torques, at=None):
 
 
 def epoch(run, start, torques):
-    """Return what a node publishes in an epoch: (topic, message) in order."""
+    """Return the messages that a node publishes in an epoch: (topic, message) in order."""
     motion = motion_of(run, start, torques)
     states = [State(int(time), *state) for time, *state in zip(
         motion.times_ns, motion.attitude, motion.angular_velocity)]
@@ -73,7 +73,7 @@ def epoch(run, start, torques):
 
 
 def save(path, sent, topics=(ACCEPTED,)):
-    """Write what a node published, each message 1 ms after the one before; return the path."""
+    """Write the messages of a node, each 1 ms after the previous one; return the path."""
     with recording.Writer(path) as writer:
         for topic in (*topics, COMMITTED):
             writer.add_topic(topic, KINDS.get(topic, messages.WRENCH))
@@ -83,7 +83,7 @@ def save(path, sent, topics=(ACCEPTED,)):
 
 
 def without(sent, topic, *numbers):
-    """Return messages without some of a topic, by number on that topic."""
+    """Return messages without those of a topic that have certain numbers on that topic."""
     places = [place for place, (name, _) in enumerate(sent) if name == topic]
     left_out = {places[number] for number in numbers}
     return [one for place, one in enumerate(sent) if place not in left_out]

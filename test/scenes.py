@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Motions at the edges of what a body can do, each with a right answer.
+Extreme motions of bodies, each with its exact result.
 
 It has 50 digits, or 25 under torque.
 
-`test_extremes.py` holds every solver to them, `benchmarks/extremes.py` prints what each one gave.
+`test_extremes.py` checks every solver against them, `benchmarks/extremes.py` prints what each one
+gave.
 """
 
 from dataclasses import dataclass
@@ -33,9 +34,9 @@ import truth
 SECOND = 10 ** 9
 FIXED_STEP = ('rk4', 'strang', 'explicit_euler')
 ULP = 2.0 ** -52
-#: What steps lose to rounding for a turn of one radian: their errors are random, so that those of
-#: the rates grow with the root of the angle, and those of the attitude, which adds them up, with
-#: its power of 3/2 (Brouwer, "On the accumulation of errors in numerical integration", 1937).
+#: Rounding error of the steps for a turn of one radian: the errors are random, so the error of the
+#: rates grows with the root of the angle, and the error of the attitude, which adds them up, with
+#: its power 3/2 (Brouwer, "On the accumulation of errors in numerical integration", 1937).
 LOSS = 5e-17
 
 
@@ -48,7 +49,7 @@ class Scene:
     ----------
     group, name : str
     tensor : array, shape (3,) or (3, 3), kg m^2
-        Principal moments, or the whole.
+        Principal moments, or the whole tensor.
     rates : (float, float, float), rad/s, body axes
     seconds : float
         How long it lasts; without meaning where there are torques.
@@ -97,7 +98,7 @@ class Scene:
 
     @cached_property
     def solvers(self):
-        """Those that have a way to answer."""
+        """Solvers that can compute it."""
         return tuple(solver for solver in SOLVERS if solver != 'exact' or not self.torques)
 
     def propagate(self, solver, at=None, **options):
@@ -121,7 +122,7 @@ class Scene:
             for (duration, _, in_space), rows in zip(self.torques, between)], digits)
 
     def errors(self, motion):
-        """Return by what angles, rad, a motion is off, and by what rates, rad/s."""
+        """Return the errors of a motion: angles, rad, and rates, rad/s."""
         attitudes, rates = self.truth
         return (np.array([truth.chord(q, p) for q, p in zip(attitudes, motion.attitude)]),
                 np.array([np.linalg.norm((w - v).astype(float))
@@ -168,7 +169,7 @@ class Scene:
     @cached_property
     def growth(self):
         """
-        Return what becomes of a last digit, rad.
+        Return the effect of a change of the last digit, rad.
 
         Of the rates, or, under torque, of inertia, rates and torques.
         """

@@ -107,7 +107,7 @@ def reference(name):
 
 
 def assert_agrees(problem, values):
-    """Assert that a motion is that of a `reference`, to rounding as the motion magnifies it."""
+    """Assert that a motion equals a `reference`, up to rounding that the motion magnifies."""
     rows = values['truth']
     times_ns = np.array([row['t_ns'] for row in rows])
     limits = values['magnification'] * bound_at(

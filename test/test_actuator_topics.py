@@ -77,7 +77,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
     assert result.same.all()
     assert not result.pending
     assert set(stamps.tolist()) <= set(result.stamps_ns.tolist())
-    # The actuator matters: without it the motion is another one.
+    # The actuator matters: without it the motion differs.
     assert problem.actuators[0].time_constant == 0.05
     assert problem.actuators[1] is None
     end = [int(stamps[-1])]

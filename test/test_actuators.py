@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Actuators: what becomes of commands, to rounding, and the same bits in any order of arrival."""
+"""Actuators: the torques that act, to rounding, and the same bits in any order of arrival."""
 
 import re
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The comparison of machines, `make arm`: exact inputs, and no difference that it overlooks."""
+"""The comparison of machines, `make arm`: its inputs are exact, and it overlooks no difference."""
 
 import json
 import subprocess

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""No command writes over what it reads: every output against every input, under every name."""
+"""No command overwrites its inputs: every output against every input, under every name."""
 
 import os
 from pathlib import Path
@@ -27,11 +27,11 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.scene import InputError
 
-#: By option, the command, and the suffix of what it writes.
+#: By option, the command, and the suffix of the file that it writes.
 OUTPUTS = {'replay -o': '.mcap', 'replay --plot': '.png', 'many -o': '.mcap',
            'tradeoff --json': '.json', 'tradeoff --plot': '.png', 'tradeoff --report': '.html',
            'library replay': '.mcap', 'library many': '.mcap'}
-#: What is attacked: the recording that is given, and the file of it (or the scene).
+#: Inputs that are attacked: the recording that is given, and a file of it (or the scene).
 VICTIMS = {'mcap': ('in/log.mcap', 'in/log.mcap'), 'csv': ('in/log.csv', 'in/log.csv'),
            'bag': ('in/bag', 'in/bag/bag_0.mcap'), 'folder': ('in/bag', 'in/bag'),
            'metadata': ('in/bag', 'in/bag/metadata.yaml'),
@@ -251,7 +251,7 @@ def test_a_folder_that_takes_the_name_meanwhile_is_not_replaced(place, kind, nam
 
 
 def test_a_copy_of_an_input_may_be_replaced(place):
-    # What is refused is the file, not what looks like it.
+    # Only the file itself is refused, not one that looks like it.
     Path('out/log.mcap').write_bytes(Path('in/log.mcap').read_bytes())
     assert main.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o',
                                 'out/log.mcap', '--overwrite']) == 0

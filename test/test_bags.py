@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings of every form: the torques are read to the last bit, or what is lost is told."""
+"""Recordings of every form: the torques are read to the last bit, or losses are reported."""
 
 from functools import cache
 from io import BytesIO
@@ -47,13 +47,13 @@ EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '300'))
 WITH_MESSAGES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
 every_form = pytest.mark.parametrize('form', FORMS)
-#: Of which each message has two times.
+#: In these, each message has two times.
 MCAP = [form for form in FORMS if form.startswith(('mcap', 'ros2-'))]
 every_traffic = pytest.mark.parametrize('sent', SENT)
 
 
 def read(path, **options):
-    """Return what is read, as it can be compared, and what is said of damage."""
+    """Return the contents in a form that can be compared, and the report of damage."""
     found = recording.read(path, **options)
     assert found.stamps_ns.dtype == np.int64
     assert found.values.dtype == np.float64
@@ -70,7 +70,7 @@ def read_whole(path, **options):
 
 
 def outcome(path):
-    """Return a line on what is wrong, or '', and the rows that are read; within 10 s."""
+    """Return the error as one line, or '', and the rows that are read, within 10 s."""
     def too_long(number, frame):
         pytest.fail('reads for more than 10 s')
     before = signal.signal(signal.SIGPROF, too_long)
@@ -217,7 +217,7 @@ def test_zeros_that_a_crash_left_at_the_end_are_damage(tmp_path, form, share):
 
 
 def check_truncated(path, data, end, recorded, zeros=0):
-    """Read the first bytes of a file: what the whole records there hold, or a line."""
+    """Read the first bytes of a file: expect the contents of the complete records, or one line."""
     expected = held(data, [place for place in records(data) if place[2] <= end])
     path.write_bytes(data[:end])
     os.truncate(path, end + zeros)
@@ -378,7 +378,7 @@ FUZZED = {
     'rosbag2-mcap-file': 'bag/bag.mcap.zstd',
     'rosbag2-mcap-none': 'bag/metadata.yaml',
 }
-#: Those whose messages have a checksum.
+#: Bags whose messages have a checksum.
 CHECKED = ('mcap-zstd', 'mcap-zstd-unindexed', 'mcap-lz4')
 
 

@@ -225,7 +225,7 @@ def test_the_last_piece_may_have_no_output(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize('error', [MemoryError('no room'), RuntimeError('a defect')], ids=repr)
 def test_what_goes_wrong_in_another_reading_ends_the_replay_as_what_it_is(monkeypatch, error):
-    # Not as a reading that spins the body up.
+    # It must not be read as torques that spin the body up.
     log = recording.Piece.log
 
     def failing(piece, interpolation):

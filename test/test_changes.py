@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Bodies that change: what goes on, to rounding, and the same bits in any order of arrival."""
+"""Bodies that change: what is kept, to rounding, and the same bits in any order of arrival."""
 
 import re
 
@@ -57,7 +57,7 @@ def same(one, other):
 
 
 def scene(rng, keep, count=4):
-    """Return logs, motor torques and changes at stamps of theirs and between them."""
+    """Return logs, motor torques, and changes at and between the stamps of the logs."""
     stamps = np.arange(60) * 50_000_000
     logs = [TorqueLog(stamps, rng.normal(size=(60, 3))),
             TorqueLog(stamps[::3] + 12_345, rng.normal(size=(20, 3)), frame='space')]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The file of a checkpoint: the same bits again, or one line that says why not."""
+"""The file of a checkpoint: the same bits again, or one line with the reason."""
 
 from dataclasses import replace
 import os

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A clock that is silent, stands still, or jumps ahead or back; and stamps of other clocks."""
+"""A clock that is silent, stops, or jumps ahead or back; and stamps of other clocks."""
 
 from dataclasses import replace
 import itertools
@@ -104,7 +104,7 @@ def test_while_the_clock_stands_nothing_is_published_and_nothing_lost(tmp_path, 
         count = len(stamps(live))
         live.spin(1.0)
         assert len(stamps(live)) == count
-        live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is taken all the same
+        live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is nevertheless accepted
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
         settle(live, 7 * SECOND)
         live.dump_parameters(tmp_path / 'live.yaml')
@@ -156,7 +156,7 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
         first = len(decoded(live, ACCEPTED, messages.WRENCH))
         run_clock(live, again_ns, again_ns + 3 * SECOND // 2, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
-        # Simulated time is faster than real time, so a pause of the node may be a jump ahead, too.
+        # Simulated time is faster than real time, so a pause of the node may also be a jump ahead.
         live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
         live.wait_for_torques(len(range(begin_ns, end_ns + 1, SECOND // 10))
                               + len(range(again_ns, again_ns + 3 * SECOND // 2 + 1, SECOND // 10)))
@@ -494,7 +494,7 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
     assert run.committed[0].tolist() == [0.5, 0.5, -0.5, 0.5, 0.3, 0.2, -0.1]
     np.testing.assert_array_equal(run.committed, run.replay)
     assert 'initial_state rejected: late' in words
-    # The torque in force goes on in the epoch that the reset began.
+    # The torque in force continues in the epoch that the reset began.
     mark, carried = torques
     start = scene.load(TUMBLER).start
     assert mark == messages.epoch_marker(replace(start, time_ns=7 * SECOND))

@@ -166,7 +166,7 @@ def test_residual_torque_shows_when_and_where_a_torque_is_missing():
 
 
 def test_horizons_see_the_model_not_the_distance():
-    # An inertia that is off lets the motion drift away, but little within a second.
+    # With a wrong inertia the motion drifts away, but little within a second.
     motion = truth()
     body = RigidBody(INERTIA + np.diag([0.0, 0.001, 0.0]))
     found = compare(body, motion.start, motion.log, measured=noisy(), horizons=[0.5, 2.0],

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The compiled kernels: their bits, what they refuse, and what an installation takes of them."""
+"""The compiled kernels: their bits, their errors, and the files that an installation contains."""
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -254,14 +254,14 @@ def no_array(array, good, label, choose):
 TYPES = ('f4', 'f8', '>f8', 'i4', 'i8', '>i8', 'u8', 'u1', '?', 'c16', 'O', 'U1', 'V5')
 SPOILT = [other_type, other_dimensions, other_shape, other_strides, misaligned, read_only,
           no_array]
-#: What is no number of a type.
+#: Values that are not numbers of a type.
 NUMBERS = {int: [1.5, None, '1', 2 ** 63, (), np.zeros(2)],
            float: [None, '1.0', 1j, (), np.zeros(2)], bool: [1, None, 'yes', np.zeros(2, bool)],
            type(None): [0, (), np.zeros(2)]}
 
 
 def spoilt(good, choose):
-    """Return the error, the labels of which it names one, and what replaces the first."""
+    """Return the error, the labels that it may name, and the replacement of the first argument."""
     label, kind = choose.choice([*good.leaves.items()])
     value = good.get(label)
     if isinstance(kind, list):

@@ -160,7 +160,7 @@ def test_a_node_goes_on_from_its_checkpoint_and_says_how_long_it_was_away(tmp_pa
         *last.values[messages.ORIENTATION], *last.values[messages.ANGULAR_VELOCITY]]
     with driven(mode, domain, '-p', f'checkpoint:={file}') as (live, drive):
         drive(0.5)
-        if mode == 'lockstep':  # the loop goes on at that stamp
+        if mode == 'lockstep':  # the loop continues at that stamp
             live.wait_until(lambda: live.torques, 'a torque')
             stamps = [message.stamp_ns for message in decoded(live, ACCEPTED, messages.WRENCH)]
             assert stamps == [*range(last.stamp_ns, last.stamp_ns + len(stamps) * STEP_NS,

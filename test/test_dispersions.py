@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Dispersions: what a file may say, the statistics of what is drawn, and percentiles."""
+"""Dispersions: valid files, the statistics of the numbers drawn, and percentiles."""
 
 from conftest import nearest_rank
 import numpy as np

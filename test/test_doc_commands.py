@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The commands of the pages: each runs as it stands on files that ship, or says what it needs.
+The commands of the pages: each runs as shown on files that ship, or says what it needs.
 
 The commands of a page run one after the other, in a folder that looks like the repository. A block
 of text after one has its output. A block that begins with `# needs` is not run, except that of
@@ -45,7 +45,7 @@ PATIENCE = 300
 
 
 def blocks(page):
-    """Return the language and the text of each fenced block of a page; not those of Sphinx."""
+    """Return the language and the text of each fenced block of a page, except those of Sphinx."""
     found = test_docs._FENCE.finditer(page.read_text(encoding='utf-8'))
     return [(match[2], match[3]) for match in found if not match[0].startswith('```{')]
 
@@ -63,7 +63,7 @@ def commands(text):
 
 
 def needs(text):
-    """Return what a block needs that is not in the repository, or nothing."""
+    """Return the needs of a block that the repository does not meet, or nothing."""
     return text.partition('\n')[0].removeprefix('# needs ') if text.startswith('# needs ') else ''
 
 
@@ -75,7 +75,7 @@ def of(needed):
 
 
 def run(line):
-    """Run a command; return what it prints. Its status is that which a comment states."""
+    """Run a command; return its output. Its status is that which a comment states."""
     expected = int(match[1]) if (match := _STATUS.search(line)) else 0
     name, *words = shlex.split(line, comments=True)
     printed = io.StringIO()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The documentation: what it shows runs and gives what it says, and its links lead somewhere."""
+"""The documentation: its examples run and print what it shows, and its links lead somewhere."""
 
 import ast
 from contextlib import suppress
@@ -80,7 +80,7 @@ def test_no_example_stands_where_it_is_not_run(page):
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_the_names_in_the_text_of_a_page_are_there(page):
-    # Code within a sentence is not run; its names are found where those of the examples are.
+    # Code within a sentence is not run; its names are looked up like the names of the examples.
     names, _ = run(page)
     text = _FENCE.sub('', page.read_text(encoding='utf-8'))
     assert [name for name in _DOTTED.findall(text) if not exists(name, names)] == []
@@ -137,7 +137,7 @@ def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
     assert (result.returncode, result.stderr) == (0, '')
     built = {path.stem: path.read_text(encoding='utf-8') for path in tmp_path.glob('*.html')}
     assert {page.stem for page in PAGES[1:]} <= set(built)
-    # Without a network, too, a reader sees formulas and layout.
+    # A reader sees formulas and layout even without a network.
     assert [name for name, text in built.items() if _REMOTE.search(text)] == []
     assert built['theory'].count('<math') > 100
     assert '\\frac' not in built['theory']
@@ -164,7 +164,7 @@ def test_the_python_interface_has_an_example_of_every_public_name():
 
 
 def names_in_examples():
-    """Return what the examples use of the package, by full name; commands are elsewhere."""
+    """Return the full names that the examples use from the package; commands are elsewhere."""
     found = set()
     for path in (ROOT / 'examples').glob('*.py'):
         tree = ast.parse(path.read_text(encoding='utf-8'))
@@ -209,7 +209,7 @@ def exists(name, names):
 
 
 def links(page):
-    """Return what a page links to inside of the repository."""
+    """Return the targets in the repository that a page links to."""
     found = (match[match.lastindex] for match in _LINK.finditer(_prose(page)))
     return [target for target in found if not _EXTERNAL.match(target)]
 

@@ -64,7 +64,7 @@ for moments in ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5), (1.1, 2.0, 2.7, 0.15, -0.2, 0.
             results += [motion.attitude, motion.angular_velocity, motion.kinetic_energy]
 print(hashlib.sha256(b''.join(map(np.ndarray.tobytes, results))).hexdigest()[:16])
 """
-#: What the script prints: another number means that results have changed.
+#: The output of the script: another number means that results have changed.
 DIGEST = '47dd80c0e92a05ad'
 
 

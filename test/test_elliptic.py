@@ -82,7 +82,8 @@ def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
             sn, cn, dn = elliptic.jacobi(u, complement)
             exact = [mpmath.ellipfun(name, mpf(u), m=1 - mpf(complement))
                      for name in ('sn', 'cn', 'dn')]
-            # What a rounding of u does to each, and one of its own; relative where it is small.
+            # The effect of a rounding error of u on each, and one rounding error of its own;
+            # relative where it is small.
             slopes = (exact[1] * exact[2], exact[0] * exact[2],
                       (1 - mpf(complement)) * exact[0] * exact[1])
             for value, right, slope in zip((sn, cn, dn), exact, slopes):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The folder of an ensemble: one process at a time, and nothing false under a final name."""
+"""The folder of an ensemble: one process at a time, and only valid files under final names."""
 
 from contextlib import contextmanager, ExitStack
 import errno

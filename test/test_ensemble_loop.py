@@ -295,7 +295,7 @@ def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tm
 
 @pytest.fixture(scope='module')
 def example(tmp_path_factory):
-    """Return the folder of the example in the documentation, with fewer runs, and what it says."""
+    """Return the folder of the example in the documentation, with fewer runs, and its output."""
     folder = tmp_path_factory.mktemp('example')
     text = (ROOT / 'docs' / 'ensemble.md').read_text()
     command, = re.findall(r'^attitude_ensemble --scene examples/damp[^`]*', text, re.MULTILINE)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The motions of an ensemble: the states of `propagate`, and the same bytes however written."""
+"""The motions of an ensemble: the states of `propagate`, in the same bytes however it is run."""
 
 import shutil
 

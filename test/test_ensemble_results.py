@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What people look at after an ensemble: the numbers that are drawn."""
+"""The figure of an ensemble: the numbers that it shows."""
 
 import json
 import re
@@ -65,7 +65,7 @@ def arguments(tmp_path):
 
 
 def results_of(angles, **more):
-    """Return results as in summary.json."""
+    """Return results in the form of summary.json."""
     known = angles[np.isfinite(angles)]
     found = dict(zip((f'p{k}' for k in PERCENTILES), percentiles(known, PERCENTILES).tolist()))
     return {'runs': len(angles), 'failed': len(angles) - len(known),

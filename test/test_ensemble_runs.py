@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Runs of an ensemble: what is drawn is applied, and what is applied is reported."""
+"""Runs of an ensemble: the values drawn are applied, and the values applied are reported."""
 
 from dataclasses import replace
 import time

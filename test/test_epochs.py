@@ -291,7 +291,7 @@ def wheeled(tmp_path):
 
 @pytest.mark.parametrize(('torque', 'raw'), [(None, False), (ACCEPTED, False), (ACCEPTED, True)])
 def test_what_a_node_has_logged_is_found_beside_its_torques(tmp_path, torque, raw):
-    # Without it the motion would be another one, and nobody would say so.
+    # Without it the motion would differ, and no message would say so.
     run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')
     run = scene.Scene.from_values({**run.values, 'inertia_topic': True})
     kind = messages.joint_commands([wheel.name for wheel in run.named_wheels])
@@ -468,7 +468,7 @@ def test_every_command_takes_an_epoch_without_torques(run, tmp_path, capsys, nam
     log = save(tmp_path / 'log.mcap', epoch(run, FIRST, {ACCEPTED: []}))
     status = called(tmp_path, name, log)
     captured = capsys.readouterr()
-    # One state determines nothing, and is no motion to measure.
+    # One state determines nothing, and is not a motion to measure.
     assert (status, len(captured.err.splitlines())) in ((0, 0), (2, 1), (3, 0))
 
 

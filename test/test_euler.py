@@ -28,7 +28,7 @@ PROPER = ('XYX', 'XZX', 'YXY', 'YZY', 'ZXZ', 'ZYZ')
 TAIT_BRYAN = ('XYZ', 'XZY', 'YXZ', 'YZX', 'ZXY', 'ZYX')
 INTRINSIC = PROPER + TAIT_BRYAN
 ALL = INTRINSIC + tuple(name.lower() for name in INTRINSIC)
-#: `turned` rounds, too, where long double is no longer than double.
+#: `turned` also rounds if long double has no more digits than double.
 ROUND_TRIP = 1e-15 if np.finfo(np.longdouble).eps < EPS else 2e-15
 RANDOM = np.random.default_rng(313)
 Q = so3.normalize(RANDOM.normal(size=(500, 4)))
@@ -279,7 +279,7 @@ def test_unwrapped_angles_go_through_both_poles_and_around(sequence, start):
     angles = euler.unwrap(euler.from_quaternion(attitude, sequence), sequence)
     sense = np.sign(angles[1, 1] - angles[0, 1])
     off = np.abs(angles - angles[0] - (given - given[0]) * [1.0, sense, 1.0])
-    # The closer to a pole, the less a rounded attitude tells the outer angles apart.
+    # The closer to a pole, the less a rounded attitude distinguishes the outer angles.
     noise = np.minimum(0.5, 8 * EPS / np.maximum(EPS, np.abs(np.sin(2 * middle))))
     assert np.all(off[:, 1] < 32 * EPS)
     assert np.all(off[:, ::2] < noise[:, None] + 32 * EPS)

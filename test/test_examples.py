@@ -44,7 +44,7 @@ def started(folder, name, *arguments):
 
 
 def printed(folder, name, *arguments):
-    """Return the lines that an example prints, by what stands first in each."""
+    """Return the lines that an example prints, by the label at the beginning of each."""
     result = started(folder, name, *arguments)
     assert (result.returncode, result.stderr) == (0, '')
     return dict(re.split('  +', line.strip(), maxsplit=1) for line in result.stdout.splitlines())
@@ -70,7 +70,7 @@ def textbook(moments, rates):
 
 @pytest.fixture(scope='module')
 def of_the_wing_nut(tmp_path_factory):
-    """Return what the example prints where it is given no path, and its folder."""
+    """Return the output of the example without a path, and its folder."""
     folder = tmp_path_factory.mktemp('wing_nut')
     return printed(folder, 'intermediate_axis'), folder
 

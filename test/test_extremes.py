@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""At the edges of what a body can do every solver is right to rounding, or says that it is not."""
+"""In extreme scenes every solver is right to rounding, or reports that it is not."""
 
 import itertools
 
@@ -33,7 +33,7 @@ LONGEST_PHASE, MOST_STEPS = 2e5, 1e5
 TO_ROUNDING = ('auto', 'taylor', 'exact')
 
 scenes = pytest.mark.parametrize('scene', SCENES, ids=lambda scene: scene.name)
-#: Scenes whose truth takes seconds; the rod with body torques stands for them in `make test`.
+#: Scenes whose truth takes seconds; `make test` runs only the rod with body torques.
 LONG = ('the same, linear between them', 'rod 1e-4, full tensor, space torques',
         'ruler 1e-6, full tensor, cubic body torque', 'plate, full tensor, body torques',
         'plate, full tensor, linear space torque')
@@ -62,7 +62,7 @@ def test_motion_is_that_of_fifty_digits(scene):
 
 
 def check_estimates(scene):
-    """Check what a trade estimates; here, because the truth of these scenes takes seconds."""
+    """Check the estimates of a trade-off, here because the truth of these scenes takes seconds."""
     problem = Problem(scene.body, scene.start, scene.log)
     reference = Reference.of(Case(problem, scene.times_ns))
     apart, _ = scene.errors(reference.trajectory)
@@ -74,7 +74,7 @@ def check_estimates(scene):
 
 @free_scenes
 def test_free_motion_keeps_energy_and_momentum(scene):
-    # To be finite is not enough: mujoco_warp's joints were at 1e12 rad/s.
+    # Being finite is not enough: mujoco_warp's joints were at 1e12 rad/s.
     times = np.linspace(0, int(scene.times_ns[-1]), 50).astype(np.int64)
     for solver in affordable(scene):
         motion = scene.propagate(solver, at=times)
@@ -147,7 +147,7 @@ def test_names_of_axes_do_not_matter(order, torque, solver):
 @pytest.mark.parametrize('solver', ['auto', 'taylor', 'exact'])
 @pytest.mark.parametrize('seconds', [1, 10, 1000])
 def test_time_runs_backwards(solver, seconds):
-    # From the end with the rates turned round a body goes back to its start.
+    # From the end, with the rates reversed, a body returns to its start.
     body, start = RigidBody(FULL), State(0, (0.1, -0.3, 0.2, 0.9), FULL_RATES)
     there = propagate(body, start, at=[seconds * SECOND], solver=solver)
     back = propagate(body, State(0, there.attitude[0], -there.angular_velocity[0]),
@@ -161,7 +161,7 @@ def test_time_runs_backwards(solver, seconds):
 @pytest.mark.parametrize('power', [-300, -40, 40, 300])
 @pytest.mark.parametrize('solver', SOLVERS[:2] + FIXED_STEP)
 def test_the_unit_of_inertia_does_not_matter(power, solver):
-    # Tensor and torque times a power of two: the same motion, to the last bits.
+    # Tensor and torque times a power of two give the same motion, to the last bits.
     times = np.arange(1, 11) * 2 * SECOND
 
     def moved(scale):
@@ -174,7 +174,7 @@ def test_the_unit_of_inertia_does_not_matter(power, solver):
 @pytest.mark.parametrize('solver', SOLVERS)
 @pytest.mark.parametrize('theta', [0.0, np.pi])
 def test_euler_angles_through_their_singularities(theta, solver):
-    # Theta runs through 0 and pi while phi or psi jumps by pi: the attitude knows of neither.
+    # Theta runs through 0 and pi while phi or psi jumps by pi: neither affects the attitude.
     body, rates = RigidBody.from_moments(1.0, 2.0, 2.5), (1.0, 0.0, 0.0)
     near = round(theta * 1e9) + np.arange(-5, 6)
     times = near[near >= 0]

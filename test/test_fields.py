@@ -152,8 +152,8 @@ def libration(name, rate):
     """
     Return the angular rate, rad/s, and the amplitudes about the three directions of a libration.
 
-    For small angles (Hughes, chapter 9). The amplitude about the first direction is that of -sin,
-    those of the others that of cos.
+    For small angles (Hughes, chapter 9). The angle about the first direction is minus a sine,
+    about the others a cosine.
     """
     if name == 'pitch':
         return rate * np.sqrt(3.0 * (ROLL - YAW) / PITCH), np.array([0.0, 0.0, 1.0])
@@ -320,7 +320,7 @@ def test_a_state_restarts_with_the_same_bits(solver, rotors, max_step):
     middle = propagator.at(1_234_567_891)
     at = np.arange(13, 30) * SECOND // 10
     whole = problem.propagate(at=at)
-    # The orbit of the problem has the time of the first start; without one it would begin anew.
+    # The orbit of the problem has the time of the first start; without one it would start again.
     for rest in (problem.replaced(start=middle), problem.between(middle, 3 * SECOND),
                  Problem(body, middle, logs, wheels=wheels, fields=problem.fields, **options)):
         np.testing.assert_array_equal(terms.numbers(rest.propagate(at=at)), terms.numbers(whole))
@@ -458,7 +458,7 @@ def test_a_sphere_feels_no_gravity_gradient():
     assert_close(under([], body=body), under([ORBIT], body=body))
 
 
-#: Those of a difference of order eight.
+#: The coefficients of a difference of order eight.
 WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 
 
@@ -484,7 +484,7 @@ def test_the_momentum_changes_at_the_rate_of_the_torque(given):
     assert np.linalg.norm(rate - torque) < 1e-11 * np.linalg.norm(torque)
 
 
-# When an orbit is where
+# The time of an orbit
 
 
 @pytest.mark.parametrize('solver', ['taylor', 'rk4'])

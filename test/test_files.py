@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Outputs are complete or what they were, and never replace what is protected."""
+"""Outputs are complete or unchanged, and never replace protected files."""
 
 import errno
 import os
@@ -181,7 +181,7 @@ def test_temporary_names_cannot_be_predicted(tmp_path):
 
 
 def test_a_temporary_file_never_replaces_another(tmp_path, monkeypatch):
-    # What an attacker would do who guessed the name: have a link to somebody's file there.
+    # An attacker who guessed the name would put a link to somebody's file there.
     monkeypatch.setattr('secrets.token_hex', lambda size: 'guessed')
     other = tmp_path / 'other'
     other.write_text('unchanged')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ensembles of what was fitted: the joint distribution, and from a bag to a spread."""
+"""Ensembles from a fit: the joint distribution, and from a bag to a spread."""
 
 import json
 
@@ -186,7 +186,7 @@ def test_a_file_that_is_not_json_is_one_line(tmp_path, text):
 
 @pytest.fixture(scope='module')
 def fit(tmp_path_factory):
-    """Return a folder with a recording, the guess, and what the first command writes."""
+    """Return a folder with a recording, the guess, and the outputs of the first command."""
     folder, truth = tmp_path_factory.mktemp('fit'), measurements.truth()
     guess = measurements.Truth(*(getattr(truth, name) for name in (
         'stamps_ns', 'attitude', 'rates', 'torque_times', 'torques')), inertia=0.03 * np.eye(3))

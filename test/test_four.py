@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Four doubles at a time: each is what it would be alone, to the last bit."""
+"""Four doubles at a time: each result has the bits that it has alone."""
 
 from fractions import Fraction
 
@@ -25,7 +25,7 @@ A, B, C = np.random.default_rng(4).normal(size=(3, 4))
 
 
 def applied(operation):
-    """Return what an operation makes of A, B and C."""
+    """Return the result of an operation on A, B and C."""
     out = np.empty(4)
     four.store(out, 0, operation(four.load(A, 0), four.load(B, 0), four.load(C, 0)))
     return out

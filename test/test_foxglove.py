@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What we write, Foxglove's reader reads to the last bit."""
+"""Foxglove's reader reads our outputs to the last bit."""
 
 import shutil
 import subprocess

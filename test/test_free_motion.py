@@ -127,7 +127,7 @@ def test_rotation_about_the_intermediate_axis_stays_put():
 @pytest.mark.parametrize('seconds', [1, 30, 60, 100, 1000])
 @pytest.mark.parametrize('offset', [1e-10, 1e-15, 1e-20, 1e-30])
 def test_as_near_to_the_intermediate_axis_as_one_likes(offset, seconds):
-    # It takes ln(2 / offset) / 1.15 s to fall off, and rounding has no say in it.
+    # It takes ln(2 / offset) / 1.15 s to leave the axis, and rounding does not affect this time.
     attitude, speed = error(ASYMMETRIC, (0.0, 0.0, 0.0, 1.0), (offset, 2.0, 0.0),
                             seconds * SECOND)
     assert attitude < 3e-14
@@ -135,8 +135,8 @@ def test_as_near_to_the_intermediate_axis_as_one_likes(offset, seconds):
 
 
 def test_where_the_closed_form_has_no_digits_the_series_takes_over_and_says_so():
-    # Exactly about the intermediate axis, but that lies along (-4, 3, 0) / 5: what 32 digits make
-    # of 3/5 and 4/5 is all that the closed form has to go by.
+    # Exactly about the intermediate axis, but that lies along (-4, 3, 0) / 5: the closed form has
+    # only the 32 digits of 3/5 and 4/5.
     tensor = np.array([[41.0, -12.0, 0.0], [-12.0, 34.0, 0.0], [0.0, 0.0, 75.0]])
     start = State(0, angular_velocity=(-4.0, 3.0, 0.0))
     motion = propagate(RigidBody(tensor), start, at=[SECOND], solver='exact')

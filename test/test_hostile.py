@@ -69,7 +69,7 @@ def scene_file(folder, text):
     return path
 
 
-# What a bag says of itself
+# The metadata of a bag
 
 @pytest.mark.parametrize('text', ['2020-13-45', '!!int x', '!!timestamp x', '!!binary x',
                                   '!!set {a, a}', '!!python/name:os.abort', '9' * 5000])
@@ -261,7 +261,7 @@ def test_a_summary_does_not_unpack_chunks(tmp_path):
 # What is compressed
 
 def bomb(size):
-    """Return zeros, compressed to almost nothing, that do not say how many they are."""
+    """Return zeros, compressed to almost nothing, without their number in the header."""
     compressor = zstandard.ZstdCompressor().compressobj()
     pieces = [compressor.compress(bytes(2 ** 20)) for _ in range(size // 2 ** 20)]
     return b''.join([*pieces, compressor.flush()])
@@ -375,7 +375,7 @@ def test_several_frames_are_one_file(tmp_path, temporary):
     assert outcome(path) == ''
 
 
-# What is copied and compared
+# The parts that are copied and compared
 
 def test_a_message_that_cannot_be_copied_is_named(tmp_path):
     wrenches = [zstandard.ZstdCompressor().compress(messages.wrench(stamp, '', [0.0] * 3))

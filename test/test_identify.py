@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Parameters of a body from measured motions: the truth, its uncertainty, and what is unknown."""
+"""Parameters of a body from measured motions: values, uncertainties, and unknowns."""
 
 from dataclasses import replace
 from functools import cache
@@ -284,7 +284,7 @@ def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
     imu = Measured('/imu', stamps, so3.multiply(motion.attitude, so3.exp(
         attitude * random.normal(size=(999, 3)))),
         motion.angular_velocity + rate * random.normal(size=(999, 3)))
-    # The momenta of the wheels depend on the rate at the start, which is estimated, too.
+    # The momenta of the wheels depend on the rate at the start, which is also estimated.
     result = identify(GUESS, Experiment(State(), None, [imu], wheels, efforts=efforts))
     assert result.unidentifiable == []
     if rate:
@@ -414,7 +414,7 @@ def test_the_result_as_json():
         'samples', 'outliers', 'attitude_rms_rad', 'rate_rms_rad_s', 'chi2_per_dof'}
 
 
-#: A weight about a pivot, and what a fit starts from.
+#: A weight about a pivot, and the guess that a fit starts from.
 WEIGHT = {'moment': (0.002, -0.003, -0.02), 'field': (0.0, 0.0, -9.81)}
 NEAR = UniformField((0.0, 0.0, -0.01), WEIGHT['field'], 'pivot')
 MOMENT = [f'pivot.moment.{axis}' for axis in 'xyz']

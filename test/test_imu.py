@@ -26,14 +26,14 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import InputError, Scene
 
 ALL = ImuErrors(2e-3, 1e-3, (0.01, -0.02, 0.0), 3e-3, seed=7)
-#: Of all errors but the delay.
+#: All errors except the delay.
 KEYS = {'imu.gyro_noise_density': 2e-3, 'imu.gyro_random_walk': 1e-3, 'imu.gyro_bias.x': 0.01,
         'imu.gyro_bias.y': -0.02, 'imu.attitude_noise': 3e-3, 'imu.seed': 7}
 MOMENTS = dict.fromkeys(('inertia.ixx', 'inertia.iyy', 'inertia.izz'), 1.0)
 
 
 def noise(errors, stamps_ns):
-    """Return what is measured of a body at rest: rotation vectors, and angular velocities."""
+    """Return measurements of a body at rest: rotation vectors, and angular velocities."""
     count = len(stamps_ns)
     attitude, rates = errors.measured(stamps_ns, np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
                                       np.zeros((count, 3)))

@@ -85,7 +85,7 @@ def test_live_lockstep_and_replay_have_the_same_noise_in_any_order_of_arrival(tm
         np.testing.assert_array_equal(live.imu[stamp_ns], values)
     for stamp_ns in live.imu.keys() - {0}:
         np.testing.assert_array_equal(again.imu[stamp_ns], live.imu[stamp_ns])
-    # It is no copy of the motion.
+    # It is not a copy of the motion.
     state = live.odometry[int(written.stamps_ns[-1])]
     assert abs(written.values[-1, :4] - state[messages.ORIENTATION]).max() > 1e-3
 

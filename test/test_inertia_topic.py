@@ -110,7 +110,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
     assert set(stamps) < set(result.stamps_ns.tolist())
     motion = problem.propagate(at=stamps_ns)
     np.testing.assert_array_equal(states, np.hstack([motion.attitude, motion.angular_velocity]))
-    # The changes matter: without them the motion is another one.
+    # The changes matter: without them the motion differs.
     without = scene.load(tmp_path / 'live.yaml').problem(problem.start).replaced(
         log=problem.logs, wheels=problem.wheels).propagate(at=stamps_ns)
     assert abs(without.attitude - motion.attitude).max() > 0.1

@@ -99,7 +99,7 @@ def parts(folder):
 
 
 def interrupt(whole, output, number, stage, moment):
-    """Send a signal to a replay; return its exit status and what it said."""
+    """Send a signal to a replay; return its exit status and its output."""
     process = start([*whole.arguments, output])
     wait_for(stage, process, output.parent)
     time.sleep(moment * whole.seconds[stage])
@@ -109,7 +109,7 @@ def interrupt(whole, output, number, stage, moment):
 
 
 def check(whole, output):
-    """Check what a replay left behind; return the number of messages in its unfinished file."""
+    """Check the files that a replay left; return the number of messages in the unfinished one."""
     folder = output.parent
     partial = output.with_suffix('.partial.mcap')
     assert set(folder.iterdir()) <= {output, partial, *parts(folder)}
@@ -123,7 +123,7 @@ def check(whole, output):
 
 
 def complete(path):
-    """Return topics, times and bytes of a file that is whole."""
+    """Return topics, times and bytes of a complete file."""
     with open(path, 'rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
         statistics = reader.get_summary().statistics

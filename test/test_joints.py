@@ -29,7 +29,7 @@ COMMANDS = messages.joint_commands(WHEELS)
 
 
 def theirs(names, position=(), velocity=(), effort=(), little_endian=True):
-    """Return what others encode."""
+    """Return the encoding by another library."""
     types = STORE.types
     stamp = types['builtin_interfaces/msg/Time'](*divmod(STAMP_NS, 10 ** 9))
     lists = [np.array(numbers, float) for numbers in (position, velocity, effort)]
@@ -60,7 +60,7 @@ def test_a_command_lists_some_of_the_joints_in_any_order():
     again = messages.decoded_joints(COMMANDS.encode(STAMP_NS, 'base_link', found.values))
     assert (again.names, again.effort.tolist()) == (('rw_x', 'rw_skewed'), [1.0, 3.0])
     assert np.isnan(COMMANDS.decode(theirs([])).values).all()
-    # That of other lists is the same command.
+    # Other lists give the same command.
     more = theirs(['rw_y'], [7.0], [8.0], [9.0])
     np.testing.assert_array_equal(COMMANDS.decode(more).values, [np.nan, 9.0, np.nan])
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The layouts for Foxglove, rviz2 and PlotJuggler show what a replay writes, by its names."""
+"""The layouts for Foxglove, rviz2 and PlotJuggler show the topics that a replay writes."""
 
 import json
 import re
@@ -27,20 +27,20 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 import yaml
 
-#: What is to be plotted: topic, vector in it, unit.
+#: Vectors to plot: topic, vector in it, unit.
 PLOTS = [('/euler_angles', 'vector', 'rad'), ('/angular_velocity', 'vector', 'rad/s'),
          ('/torque', 'wrench/torque', 'N m')]
 MARKER = 'visualization_msgs/msg/Marker'
 #: Topics of the node only: a replay writes no odometry. They are relative, because view.launch.py
 #: gives rviz2 the namespace of the node.
 LIVE = {'odometry': messages.ODOMETRY.name}
-#: What each display of rviz2 subscribes to.
+#: The topics that each display of rviz2 subscribes to.
 DISPLAYS = {'rviz_default_plugins/Marker': MARKER,
             'rviz_default_plugins/Odometry': messages.ODOMETRY.name}
 
 
 class Written:
-    """What a file has: its topics by type, its doubles by path, the frames of its /tf."""
+    """The contents of a file: its topics by type, its doubles by path, the frames of its /tf."""
 
     def __init__(self, path):
         with open(path, 'rb') as stream:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The managed node: every transition, and what it leaves."""
+"""The managed node: every transition, and the state after it."""
 
 import subprocess
 import sys

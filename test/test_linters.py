@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The linters of ROS, with the settings of ROS, and what no linter checks."""
+"""The linters of ROS, with the settings of ROS, and rules that no linter checks."""
 
 from collections import Counter
 import re

@@ -60,7 +60,7 @@ def controller(live, *arguments):
 
 
 def closed_loop(tmp_path, domain, attitude):
-    """Let the controller turn the body; return what was committed and accepted."""
+    """Let the controller turn the body; return the committed states and the accepted torques."""
     with LiveSession(TUMBLER, domain, *SLOWLY, *start_at(attitude)) as live:
         process = controller(live)
         live.wait_until(lambda: process.poll() is not None, 'the controller to end')
@@ -333,7 +333,7 @@ def test_a_state_may_be_set_before_and_between_torques(tmp_path, domain):
         live.wait_until(lambda: live.received[COMMITTED], 'the new epoch')
         for k in range(5):
             ask(live, 7 * SECOND + k * STEP_NS, [0.01, 0.0, 1e-3 * k])
-        # Between two torques: the one in force goes on.
+        # Between two torques: the one in force continues to act.
         later = State(7 * SECOND + 4 * STEP_NS + 12345, (0, 0, 0, 1), (0.0, 0.1, 0.0))
         live.set_state(later)
         live.wait_until(lambda: responses(live)[-1] == (later.time_ns, [0, 0, 0, 1]),

@@ -129,7 +129,7 @@ def test_a_process_that_is_killed_is_told(tmp_path, two_long_ones):
     for name in 'ab':
         part, *_ = [*(tmp_path / 'out').glob(f'.{name}.*.part')]
         os.kill(int(part.suffixes[-2][1:]), signal.SIGKILL)
-        time.sleep(3.0)  # with one processor the other begins now
+        time.sleep(3.0)  # with one processor, the other run begins now
     out, words = two_long_ones.communicate(timeout=30)
     assert two_long_ones.returncode == 2
     first, second, last = out.splitlines()

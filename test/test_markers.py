@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Markers: what rviz and Foxglove draw of a replay."""
+"""Markers: the shapes that rviz and Foxglove draw for a replay."""
 
 from conftest import CONFIG, RECORDINGS
 import numpy as np
@@ -31,7 +31,7 @@ def brick(sides, mass=3.0):
 
 
 def vectors(values):
-    """Return what arrows point along, and how long they are."""
+    """Return the directions of arrows, and their lengths."""
     return so3.rotate(values[:, 3:7], [1.0, 0.0, 0.0]), values[:, 7]
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages: the bytes and definitions that other tools know."""
+"""Messages: the bytes and definitions that other tools expect."""
 
 import numpy as np
 import pytest

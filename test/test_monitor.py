@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A live check of a model: what it finds, what it does not, in any order of arrival."""
+"""A live check of a model: its alarms, also false ones, in any order of arrival."""
 
 import sys
 
@@ -181,7 +181,7 @@ def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
 
 
 def lagging(actuator, seconds=60):
-    """Return the problem of a body under lagging torques, and what is measured of its motion."""
+    """Return the problem of a body under lagging torques, and measurements of its motion."""
     random = np.random.default_rng(9)
     times_ns = EPOCH_NS + np.arange(0, seconds * SECOND, SECOND // 20)
     at_ns = EPOCH_NS + np.arange(0, seconds * SECOND, SECOND // 100)
@@ -196,7 +196,7 @@ def lagging(actuator, seconds=60):
 
 
 def test_the_lag_of_an_actuator_is_part_of_the_model_with_the_bits_of_the_offline_twin():
-    # The limit matters, and what lags lasts for longer than a window.
+    # The limit matters, and the lag lasts longer than a window.
     actuator = Actuator(0.04, 0.3, (5e-3, 5e-3, 4e-3))
     problem, (mocap, gyro) = lagging(actuator)
     twin = [*monitored(problem, [mocap, gyro], PATIENT._replace(history=1.0))]

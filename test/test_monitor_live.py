@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node `attitude_monitor`: what it publishes, and what it says of its inputs."""
+"""The node `attitude_monitor`: its outputs, and its reports about its inputs."""
 
 from collections import Counter
 import json
@@ -49,7 +49,7 @@ pytestmark = pytest.mark.ros
 
 
 def compared(folder, found):
-    """Return what attitude_compare says of a recording of the same messages."""
+    """Return the result of attitude_compare for a recording of the same messages."""
     with Writer(folder / 'flight.mcap') as writer:
         for topic, (_, kind) in TOPICS.items():
             writer.add_topic(topic, kind)
@@ -63,7 +63,7 @@ def compared(folder, found):
 
 
 def expected(session, found):
-    """Return what a monitor without ROS says of the same messages, in the order of stamps."""
+    """Return the result of a monitor without ROS for the same messages, in the order of stamps."""
     monitor = Monitor(session.scene.problem(), settings_of(session.scene.values),
                       session.scene.actuators or ())
     for stamp_ns, topic, data in found:
@@ -110,7 +110,7 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
         session.play(first)
         session.wait(lambda: session.status('model').level == b'\x02')
         assert 'sigma' in session.status('model').message
-        # The mocap has no valid message any more: its status says so, and the check goes on.
+        # The mocap sends no more valid messages: its status says so, and the check continues.
         session.play([(stamp_ns, topic, messages.QUATERNION.encode(
             stamp_ns, 'nowhere', (0.0, 0.0, 0.0, 1.0)) if topic == '/mocap' else data)
             for stamp_ns, topic, data in wrong[len(first):]])
@@ -140,7 +140,7 @@ def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domai
         session.play([message for message in found if message[0] >= begin_ns])
         session.wait(lambda: session.status('model').level == b'\x00')
         assert b'\x02' not in session.levels()
-        # Nothing comes any more, but for the time.
+        # Only the time is still published.
         session.set_clock(found[-1][0] + 20 * SECOND)
         session.wait(lambda: session.status('model').message.startswith('no measurements since'))
         assert session.stop() == 0

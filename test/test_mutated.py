@@ -35,13 +35,13 @@ from rigid_body_ros.commands.arguments import load_scene
 
 #: For a thorough run 20 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))
-#: Of each kind of file that a user writes.
+#: One of each kind of file that a user writes.
 WRITTEN = [max(1, EXAMPLES // 9), *at_night(2000)]
 
 LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
     f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
                                                                                   'bcdefghi'))
-#: What is put between or in the place of words.
+#: Text to insert between words or in their place.
 SNIPPETS = [
     b'\0', b'\r', b'\t', b'\x1b[2J', b'"', b"'", b'\xff\xfe', b'\xed\xa0\x80', b'\xe9', b'\xc3',
     *(text.encode() for text in (
@@ -74,7 +74,7 @@ def mutations(data):
         st.tuples(place.map(lambda at: (at, at)), snippet), st.tuples(spans, st.just(b'')),
         st.tuples(st.tuples(st.just(0), st.just(0)), snippet),
         st.tuples(st.tuples(st.just(len(data)), st.just(len(data))), snippet),
-        # Something that is there already: lines and keys that stand twice.
+        # A copy of existing text: lines and keys that occur twice.
         st.tuples(place.map(lambda at: (at, at)), spans.map(lambda span: data[slice(*span)])))
 
 

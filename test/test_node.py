@@ -274,7 +274,7 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-# `ros2 launch` sends it, and the terminal does, too.
+# Both `ros2 launch` and the terminal send it.
 @pytest.mark.parametrize('count', [1, *at_night(1000)])
 def test_signals_end_it_cleanly(domain, number, count):
     with LiveSession(TUMBLER, domain) as live:

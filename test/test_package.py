@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The package: what is installed where, and one version."""
+"""The package: the places of installed files, and a single version."""
 
 import ast
 from contextlib import contextmanager
@@ -30,7 +30,7 @@ from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
 NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_monitor', 'attitude_node')
-#: These run in test_readme.py, too, as a pip installs them.
+#: These also run in test_readme.py, as pip installs them.
 OFFLINE = ('attitude_compare', 'attitude_ensemble', 'attitude_identify', 'attitude_regress',
            'attitude_replay', 'attitude_tradeoff')
 

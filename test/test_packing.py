@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What Python packs, the kernels unpack: bodies, states, motions, options and progress."""
+"""The kernels unpack what Python packs: bodies, states, motions, options and progress."""
 
 import numpy as np
 import pytest

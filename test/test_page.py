@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The page of a motion, in a browser: what it shows, what moves, and that it stays by itself."""
+"""The page of a motion in a browser: its contents, its controls, and no network."""
 
 import re
 import shlex

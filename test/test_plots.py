@@ -25,7 +25,7 @@ from rigid_body_ros.report import figures, spread
 
 @pytest.fixture
 def panels(tmp_path, monkeypatch):
-    """Return what draws a motion and returns the panels of the figure."""
+    """Return a function that draws a motion and returns the panels of the figure."""
     drawn = []
 
     class Kept(figures.Figure):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The time loop: what a caller asks for, and in which order, changes no number."""
+"""The time loop: the requested times and their order change no number."""
 
 from conftest import chord, EPOCH_NS, Reference, SECOND
 from hypothesis import given, settings, strategies
@@ -61,7 +61,7 @@ def test_any_order_of_arrival_and_any_questions_give_the_states_of_the_log(seed,
     arrival = np.argsort(stamps + random.integers(0, HISTORY_NS, len(stamps)), kind='stable')
     for row in arrival:
         newest = max(newest, int(stamps[row]))
-        # What comes now can change nothing that is `history` older.
+        # A torque that arrives now cannot change a state that is older by `history`.
         for stamp in after[(after <= newest - HISTORY_NS)].tolist():
             if stamp not in states:
                 states[stamp] = propagator.at(stamp)
@@ -410,7 +410,7 @@ class TestPropagator:
             propagator.at(EPOCH_NS)
 
     def test_an_open_segment_costs_only_what_is_new(self, monkeypatch):
-        # An hour of coast asked for at 10 Hz: each call goes on from the one before.
+        # An hour of coast, requested at 10 Hz: each call continues from the previous one.
         spans, run = [], kernels.run
 
         def recorded(progress, *rest):

@@ -32,7 +32,7 @@ GAINS = np.array([0.08, 0.05, 0.02])
 
 
 def logged(path, truth, gains=1.0, noise=(2e-3, 5e-3)):
-    """Write a log of a motion; what it publishes is 3 ms late."""
+    """Write a log of a motion; messages are published 3 ms late."""
     sensor = truth.measured(*noise)
     stamps = (sensor.stamps_ns // 1000 + BOOT).tolist()
     attitude = np.roll(sensor.attitude, 1, axis=1).tolist()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The README: what is installed does what it says. `test_doc_commands` runs its commands."""
+"""The README: the installed package does what it says. `test_doc_commands` runs its commands."""
 
 from contextlib import contextmanager
 import os

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings: what others write we read, what we write others read, damage is told."""
+"""Recordings: we read the files of others, others read ours, and damage is reported."""
 
 import itertools
 import re
@@ -199,7 +199,7 @@ def test_the_log_of_a_node_is_divided_at_its_markers(tmp_path):
     assert [log.times_ns.tolist() for log in logs] == [[4, 8], [0, 9], []]
     assert [log.torques[:, 0].tolist() for log in logs] == [[1.0, 2.0], [5.0, 4.0], []]
     assert logs[0].in_space.tolist() == [True, False]
-    # As a whole it is not a log.
+    # The complete file is not a log.
     with pytest.raises(InputError, match="message 1: frame_id: expected .*, found '/epoch "):
         torque_log(path)
 

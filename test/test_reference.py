@@ -52,7 +52,7 @@ def test_motion_is_that_of_fifty_digits(name, solver):
 
 
 def euler_error(attitude, angles):
-    """Return by how much 3-1-3 angles are off; at a pole, theta and the sum or difference."""
+    """Return the error of 3-1-3 angles; at a pole, of theta and the sum or difference."""
     errors = []
     with mp.workdps(30):
         for (x, y, z, w), given in zip(attitude.tolist(), angles.tolist()):

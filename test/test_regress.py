@@ -99,7 +99,7 @@ def on_state(state):
 node.create_subscription(Odometry, 'odometry', on_state, 10)
 rclpy.spin(node)
 """
-#: What no other command on this machine has among its arguments.
+#: An argument that no other command on this machine has.
 MARK = '98765.4321'
 
 
@@ -325,7 +325,7 @@ def test_rods_stop_a_satellite_that_tumbles():
     for seconds in range(4000):
         state = propagator.at(seconds * SECOND)
         propagator.apply(seconds * SECOND, law.torque(float(seconds), state.attitude))
-    # What is left is about the rate at which the field turns.
+    # The remaining rate is about that of the rotation of the field.
     assert np.linalg.norm(state.angular_velocity) < 3.0 * 1.1068e-3
     assert np.linalg.norm(found.start.angular_velocity) > 0.1
 

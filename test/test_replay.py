@@ -526,7 +526,7 @@ def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
 @pytest.mark.slow
 def test_messages_compressed_one_by_one_are_copied_as_they_were(tmp_path):
     sent = bags.torques()
-    sent.values[:6] = 0.0  # of which there is no motion
+    sent.values[:6] = 0.0  # there is no motion of it
     source = bags.FORMS['rosbag2-mcap-message'](tmp_path, bags.traffic(sent))
     replay(source, scene.load(CONFIG / 'tumbler.yaml'), tmp_path / 'motion.mcap', also=('input',))
     read = [recording.read(path) for path in (source, tmp_path / 'motion.mcap')]

@@ -85,7 +85,7 @@ def recorded(tmp_path):
 
 @pytest.fixture
 def written(tmp_path):
-    """Return what writes a scene of the tumbler with more keys."""
+    """Return a function that writes a scene of the tumbler with more keys."""
     def write_scene(*lines):
         path = tmp_path / 'scene.yaml'
         path.write_text((CONFIG / 'tumbler.yaml').read_text()
@@ -153,7 +153,7 @@ def test_the_rotors_follow_their_measured_momentum(recorded, written, tmp_path):
     for axis in range(3):
         measured = np.interp(seconds, (stamps - stamps[0]) * 1e-9, momenta[:, axis])
         np.testing.assert_allclose(read.values[:, axis], measured, rtol=0.0, atol=1e-16)
-    # The earliest sample begins the motion, so its momentum is that of the start.
+    # The motion begins at the earliest sample, so the start has the momentum of that sample.
     assert read.stamps_ns[0] == stamps[0]
     np.testing.assert_array_equal(read.values[0], momenta[0])
 

@@ -15,7 +15,7 @@
 """
 Thin bodies under torque: rods and plates with full tensors are right to rounding.
 
-One motion, or as many as the environment variable RODS says, against 25 digits.
+One motion, or as many as the environment variable RODS sets, against 25 digits.
 """
 
 import os

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the last digit of a tensor, a torque or a start makes of a motion."""
+"""The effect of the last digit of a tensor, a torque or a start on a motion."""
 
 import numpy as np
 import pytest

@@ -20,7 +20,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.scene import InputError, Scene
 
 INERTIA = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
-#: As nodes of common stacks call their parameters.
+#: Names of parameters in common stacks.
 FOREIGN = (
     'rate', 'frame_id', 'update_rate', 'controller.kp', 'publish_frequency', 'publish_cloud',
     'model', 'node', 'steps', 'links', 'base_frame', 'odom_frame', 'map_frame', 'world_frame',

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Controllers that fall silent, and too many torques: what the node reports and publishes."""
+"""Controllers that fall silent, and too many torques: the reports and outputs of the node."""
 
 import re
 
@@ -125,7 +125,7 @@ def test_outputs_go_on_while_torques_wait(domain):
         live.wait_until(lambda: len(sent_at[ACCEPTED]) == count, 'all torques')
         live.spin(0.5)
         assert live.stop() == 0
-    # From when all are sent until the last is applied, by the clock of the node.
+    # The time from sending all torques until the last is applied, by the clock of the node.
     last_ns = sent_at[ACCEPTED][-1]
     outputs = sum(end_ns < time_ns < last_ns for time_ns in sent_at[ATTITUDE])
     assert outputs >= 2.0 * (last_ns - end_ns) / SECOND

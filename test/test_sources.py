@@ -146,7 +146,7 @@ def silent(log, frame):
     return TorqueLog(log.times_ns, np.zeros((len(log), 3)), frame)
 
 
-#: By name: how a scene with a log can be written with terms that are absent.
+#: By name: ways to write a scene with a log by terms that have no effect.
 ABSENT = {
     'no damping': lambda log: (RigidBody(FULL, np.zeros((3, 3))), START, log, None),
     'no rotors': lambda log: (PLAIN, State(EPOCH_NS, START.attitude, START.angular_velocity,

@@ -32,7 +32,7 @@ RECORDED_MESSAGE = bags.traffic(RECORDED)[0].cdr()
 
 
 def database(folder, *statements, **options):
-    """Return a bag after some statements, as a file alone."""
+    """Return a bag as a single file, after running some SQL statements on it."""
     path = bags.sqlite(folder, bags.traffic(RECORDED), **options)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.executescript(';'.join(statements))

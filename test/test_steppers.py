@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The classical solvers of fixed step: their orders, what they conserve, and steps too long."""
+"""The classical fixed-step solvers: orders, conserved quantities, and steps that are too long."""
 
 from conftest import chord, SECOND
 from known import lost_momentum, ODE_LOSSES
@@ -47,7 +47,7 @@ def moved(solver, step, log=None, at=(END,), body=BODY):
 
 
 def slope(steps, errors):
-    """Return the order of errors in the step, and how well a power of it describes them."""
+    """Return the order of errors in the step, and the correlation with a power law."""
     x, y = np.log(steps), np.log(errors)
     return np.polyfit(x, y, 1)[0], np.corrcoef(x, y)[0, 1]
 
@@ -77,7 +77,7 @@ def test_the_order_is_the_one_promised(solver, scene):
 @pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_no_torque_acts_on_a_turned_rod_after_the_timeout(solver, interpolation):
-    # On a rod the kernels also use what rounding took from the coefficients of the torque.
+    # On a rod the kernels also use the rounding errors of the coefficients of the torque.
     axis = so3.normalize([0.3, -0.1, 0.7])
     body = RigidBody(np.eye(3) - (1.0 - 1e-6) * np.outer(axis, axis))
     across = TORQUES - np.outer(TORQUES @ axis, axis)

@@ -106,7 +106,7 @@ def test_a_wheel_that_speeds_up_about_z_turns_the_body_about_minus_z():
     (2.0, 3.0, 1.5, 4.0), (2.0, 1.0, 1.5, 4.0), (2.0, 3.0, 1.5, -1.5), (2.0, 2.0, -0.25, 1.0)])
 def test_the_rates_of_a_symmetric_gyrostat_turn_at_a_constant_rate(across, along, spin, rotors,
                                                                    fifty_digits):
-    # The third one stands still in the body: the rotors cancel the precession.
+    # The third one is constant in the body: the rotors cancel the precession.
     start = State(0, angular_velocity=(0.5, -0.25, spin), rotor_momentum=(0.0, 0.0, rotors))
     times = np.arange(0, 101) * SECOND
     motion = propagate(RigidBody.from_moments(across, across, along), start, at=times)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a page keeps of a series: every extreme of it, and rows at equal distances."""
+"""Thinned series of a page: every extreme value, and rows at equal distances."""
 
 import base64
 import json

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The topics that docs/nodes.md lists are those of a running node."""
+"""The topics that docs/nodes.md lists match a running node."""
 
 import time
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torque logs: what holds between the samples."""
+"""Torque logs: the torque between the samples."""
 
 from conftest import EPOCH_NS, SECOND
 import numpy as np

@@ -233,7 +233,7 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         begin_ns = live.now_ns()
         live.publish_on(WHEELS, begin_ns, [0.0, 0.1, 0.0])
         live.wait_until(lambda: live.accepted(WHEELS), 'the torque on the rotors')
-        live.spin(1.2)  # longer than `history`: a slow source keeps its torque, too
+        live.spin(1.2)  # longer than `history`: a slow source also keeps its torque
         live.publish_on('disturbance', live.now_ns(), [0.0, 0.0, 0.01])
         live.wait_until(lambda: live.accepted('disturbance'), 'the torque')
         live.set_state(State(0, (0, 0, 1, 0), (0.1, 0.2, 0.3)))
@@ -251,7 +251,7 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         assert live.stop() == 0
         _, committed, expected, logs, run = replayed_sources(tmp_path, live)
     assert run.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
-    # Those in force are logged again in each epoch.
+    # Torques in force are logged again in each epoch.
     assert [len(live.accepted(topic)) for topic in LOGS] == [1, 3, 3]
     assert [len(log.times_ns) for log in logs] == [1, 1, 1]
     np.testing.assert_array_equal(committed, expected)

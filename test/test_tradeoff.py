@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_tradeoff: errors that are errors, a recommendation that holds, and what it prints."""
+"""attitude_tradeoff: true errors, a recommendation that holds, and the output."""
 
 from dataclasses import replace
 import json
@@ -226,7 +226,7 @@ def test_the_floor_is_about_the_true_error_or_more(name):
 
 
 def test_the_floor_shows_an_error_that_other_steps_share():
-    # J^-1 in doubles, without what rounding took from it, misses this rod by 1e-11 rad.
+    # J^-1 in doubles, without its rounding errors, is wrong by 1e-11 rad for this rod.
     known = Known('rod_full_tensor_body_torque')
     body = RigidBody(known.scene.body.inertia)
     body._constants[body_layout.LOST_INVERSE] = 0.0

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Trajectories: what they hand on and how they are printed."""
+"""Trajectories: their results and how they are printed."""
 
 from conftest import EPOCH_NS, SECOND
 import numpy as np

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""URDF links against point masses, and what is no inertia of a link."""
+"""URDF links against point masses, and links with an invalid inertia."""
 
 import re
 
@@ -39,7 +39,7 @@ def inertial(origin='', **entries):
 
 
 def robot(**links):
-    """Return a URDF with the given links, a joint between, and what else such a file has."""
+    """Return a URDF with the given links, a joint between them, and other usual elements."""
     return ('<?xml version="1.0" encoding="utf-8"?>\n<!-- <xacro:link name="${old}"/> -->\n'
             '<robot name="it" xmlns:xacro="http://www.ros.org/wiki/xacro">'
             + ''.join(f'<link name="{name}"><visual/>{text}</link>'

@@ -36,7 +36,7 @@ TUMBLER, SCENE = RECORDINGS / 'tumbler.mcap', CONFIG / 'tumbler.yaml'
 
 
 def rewritten(source, target, change=lambda values: values, metadata=None):
-    """Write the attitude of a replay anew, changed."""
+    """Write the attitude of a replay again with a change."""
     read = recording.read(source, '/attitude', messages.QUATERNION)
     with recording.Writer(target) as writer:
         writer.add_topic('/attitude', messages.QUATERNION)
@@ -143,8 +143,8 @@ def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=ST
     """
     Write the torques and the committed states of a run of a node.
 
-    Return the path of the recording, and that of a scene with a start time. In place of the log
-    of the node, the recording may have the torques that it received.
+    Return the path of the recording, and the path of a scene with a start time. In place of the
+    log of the node, the recording may have the torques that it received.
     """
     config = folder / 'run.yaml'
     config.write_text(f'{SCENE.read_text()}    start_time: {start_time}\n')

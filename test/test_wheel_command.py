@@ -53,7 +53,7 @@ KINDS = {COMMITTED: messages.ODOMETRY, **dict.fromkeys(TORQUES, messages.WRENCH)
 SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', *RELIABLE,
            '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
            '-p', 'qos_overrides./wheel_command.subscription.reliability:=reliable')
-#: Of the torques of thrusters, beside the wheels.
+#: Torques of thrusters, in addition to the wheels.
 ACTUATOR = ('-p', 'actuator.topics:=[torque]', '-p', 'actuator.delay:=0.011',
             '-p', 'actuator.time_constant:=0.03', '-p', 'actuator.limit.x:=0.002')
 LOCKSTEP = ('-p', 'mode:=lockstep')
@@ -115,7 +115,7 @@ def checked(tmp_path, live, torques=TORQUES[:1]):
     assert not result.pending
     assert result.epochs == result.compared_epochs
     problem = read(path, run, topic=torques, wheel_command=ACCEPTED)
-    # The parameters are those of the epoch, too.
+    # The parameters also belong to the epoch.
     np.testing.assert_array_equal([wheel.initial_speed for wheel in run.named_wheels],
                                   problem.start.wheel_speeds)
     assert not run.start.rotor_momentum.any()
@@ -157,7 +157,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, fr
     assert counts['applied'] == 600
     given = np.array([efforts for *_, efforts in plan])
     assert counts['clipped to max_torque'] == np.sum(np.abs(given) > 0.004)
-    # What was published is the motion, whatever came later.
+    # The published states are the motion, whatever came later.
     last_ns = max(stamp for _, stamp, _ in plan)
     found = {stamp: values for stamp, values in live.states().items()
              if stamp > last_ns + SECOND // 2}
@@ -194,7 +194,7 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
         zeros = judge.refused_commands(0, stamp_ns)
         live.wait_until(lambda: live.diagnosis('wheel commands')[0]['applied'] == 100, 'counts')
         counts, _, _ = live.diagnosis('wheel commands')
-        # Of those that late commands cannot change any more.
+        # Only of states that late commands can no longer change.
         assert 0 < counts['zero at max_speed'] <= zeros < 100
         assert counts['clipped to max_torque'] == 50
         # A repeated command is the same, though NaN is not NaN.
@@ -226,7 +226,7 @@ def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, dom
         live.reset()
         for number in range(31, 40):
             ask(number)
-        # The parameters are those of the last epoch, whose speeds are not the first ones.
+        # The parameters belong to the last epoch, whose speeds are not the first ones.
         live.set_state(State(SECOND + 40 * STEP_NS + 5, (0.0, 0.6, 0.0, 0.8)))
         ask(41)
         _, result = checked(tmp_path, live)
@@ -362,7 +362,7 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
     arguments = [str(flight), '--scene', str(SCENE)]
     assert main.attitude_compare([*arguments, '--json', str(tmp_path / 'found.json')]) == 0
     found = json.loads((tmp_path / 'found.json').read_text())
-    # A part of the motion begins with the momenta of the wheels, too.
+    # A part of the motion also begins with the momenta of the wheels.
     assert found['attitude_error_rad']['max'] < 1e-15
     assert found['horizons'][-1]['attitude_p95_rad'] < 1e-11
     fitted = tmp_path / 'fitted.yaml'

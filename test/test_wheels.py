@@ -172,7 +172,7 @@ def test_friction_takes_energy_until_the_wheels_turn_with_the_body():
     assert change[:100].max() < -1e-4
     loss = 0.02 * (motion.wheel_speeds[:-1] ** 2 + motion.wheel_speeds[1:] ** 2).sum(axis=1) / 2
     assert change[:100] == pytest.approx(-0.1 * loss[:100], rel=1e-2)
-    # What is left is a body with wheels that are locked but for its rotation.
+    # In the end the wheels hardly turn relative to the body.
     assert abs(motion.wheel_speeds[-1]).max() < 0.1
     momentum = motion.angular_momentum_space
     assert abs(momentum - momentum[0]).max() < 4e-15 * np.linalg.norm(momentum[0])
@@ -491,7 +491,7 @@ def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
 
 @pytest.mark.parametrize(('other', 'speed'), [(0.0, 7.0), (0.2, 7.0), (1e-9, 7.0), (-1.5, 30.0)])
 def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
-    # Rotors without a name turn, too. If they cancel the momentum of the wheels, the marker does
+    # Rotors without a name also turn. If they cancel the momentum of the wheels, the marker does
     # not have their speeds.
     scene = Scene.from_values({**SCENE, 'initial_rotor_momentum.x': other,
                                'initial_rotor_momentum.y': 0.0})

@@ -38,7 +38,7 @@ START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2), (0.2, -0.1, 0.4))
 WHEELS = [Wheel(name, axis, 0.05, speed, max_torque=0.3, max_speed=9.0) for name, axis, speed in (
     ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 9.0), ('c', (1, -1, 1), -8.0))]
 SLOWED = [replace(wheel, friction=0.0005) for wheel in WHEELS]
-#: Of three sources: with a lag, ideal, and with another lag.
+#: Actuators of three sources: with a lag, ideal, and with another lag.
 ACTUATORS = (Actuator(0.05, 0.02, (0.8, 0.0, 0.5)), None, Actuator(0.02, 0.1))
 
 

@@ -61,7 +61,7 @@ def colcon(folder, *arguments):
 
 
 def sourced(folder, command, cwd):
-    """Return what a shell says that has sourced the workspace."""
+    """Return the output of a shell that has sourced the workspace."""
     return subprocess.run(
         ['bash', '-c', f'. {shlex.quote(str(folder))}/install/setup.bash && {command}'], cwd=cwd,
         env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': ''}, check=False,

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Motions with known parameters, integrated by SciPy, and what sensors measure of them."""
+"""Motions with known parameters, integrated by SciPy, and the measurements of sensors."""
 
 from dataclasses import dataclass
 from dataclasses import field as default
@@ -31,7 +31,7 @@ INERTIA = np.array([[0.020, 0.001, -0.002], [0.001, 0.030, 0.0005], [-0.002, 0.0
 
 @dataclass
 class Truth:
-    """What SciPy's DOP853 integrates: all torques are held between samples."""
+    """A motion that SciPy's DOP853 integrates: all torques are held between samples."""
 
     seconds: float = 20.0
     torque_hz: int = 10

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What commands do alike with their options: read the scene, torques and measurements."""
+"""Steps that commands share: read the scene, torques and measurements."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def note(options: argparse.Namespace, text: str) -> None:
 
 
 def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Measured]) -> None:
-    """Warn of measurements in other frames than those of the scene."""
+    """Warn of measurements in frames other than those of the scene."""
     for one in measured:
         if one.frames:
             report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')

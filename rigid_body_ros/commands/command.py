@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a command is: its options, and what it does with them."""
+"""A command: its options, and the function that runs it."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class Command:
     add_arguments : callable
         Adds the options of the command to a parser.
     run : callable
-        Does what the options ask for, and returns the exit status.
+        Runs the command with its options, and returns the exit status.
     rest : str
-        The usage of what may follow '--', which `options.rest` then has; '' if nothing may.
+        Usage of the arguments after '--', which are in `options.rest`; '' if none are allowed.
 
     """
 
@@ -147,7 +147,7 @@ class Parser(argparse.ArgumentParser):
                              'the message')
 
     def add_outputs(self, *, report: str, json: str = '', plot: str = '') -> None:
-        """Add the options for those outputs of which there is help, and --overwrite."""
+        """Add the options of the outputs that have a help text, and --overwrite."""
         if json:
             self.add_argument('--json', metavar='OUT', help=json)
         if plot:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 #: Exit status if the model does not explain the measurements.
 REJECTED = 4
-#: What a check estimates for an alignment, besides the start.
+#: Parameters that a check estimates for an alignment, in addition to the start.
 _FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 

@@ -102,7 +102,7 @@ class Outputs:
                     data: Callable[[], Mapping[str, Any]] = dict,
                     draw: Callable[[Path], object] | None = None) -> None:
         """
-        Write those of the outputs --json, --plot and --report that are asked for.
+        Write the outputs that were requested with --json, --plot and --report.
 
         Parameters
         ----------

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.regress.session import Span
     from rigid_body_ros.scene import Scene
 
-#: Exit status if the loop is not that of the reference.
+#: Exit status if the loop differs from the reference.
 DIFFERENT = 1
 _SUFFIX = '.mcap'
 

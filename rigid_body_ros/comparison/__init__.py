@@ -15,11 +15,11 @@
 """
 Compare measured motions with the propagated one.
 
-`motion` is what is compared with. `align`, from the guess of `coarse` on, brings both into one
-time and one pair of frames. `comparison` returns the errors, `horizons` those after restarts, and
-`predictable` how long errors say something. Each of the `causes` is one of `sensor_faults` or
-`torque_faults`, judged by what is left of the `channels` if it is undone. The command reads with
-`recorded`, and writes with `outputs`; the `result` prints itself.
+`motion` has the motion to compare with. `align` starts from the guess of `coarse`, and brings both
+into one time and one pair of frames. `comparison` returns the errors, `horizons` the errors after
+restarts, and `predictable` the time over which errors are meaningful. Each of the `causes` is one
+of `sensor_faults` or `torque_faults`, judged by the errors of the `channels` that remain if it is
+undone. The command reads with `recorded`, and writes with `outputs`; the `result` prints itself.
 """
 
 from rigid_body_ros.comparison.align import ALIGNMENTS

@@ -35,7 +35,7 @@ from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
-#: What can be fitted.
+#: Parameters that can be fitted.
 ALIGNMENTS = (START, CLOCK, MOUNT)
 #: Steps of the differences for the Jacobian: rad and rad/s, and s of the clock.
 _STEP, _CLOCK_STEP = 1e-6, 1e-5
@@ -46,10 +46,10 @@ _STAGE, _EARLY, _MOST = 400, 6, 20
 _PART = 2000
 #: Relative change of the sum of squares at which a fit ends.
 _TOLERANCE = 1e-6
-#: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
-#: out of the last stage.
+#: Residuals, in standard deviations, above which the loss grows linearly, or a sample is left out
+#: of the last stage.
 _HUBER, _OUTLIER = 2.0, 5.0
-#: Number of motions that are kept: the latest, and that of the point of a Jacobian.
+#: Number of motions that are kept: the latest, and the one at the point of a Jacobian.
 _KEPT = 2
 #: Singular value, relative to the largest, below which the data does not determine a direction.
 _SINGULAR = 1e-7
@@ -58,12 +58,12 @@ _SINGULAR = 1e-7
 def align(motion: Motion, sensors: Sequence[Measured],
           names: Collection[str], most: int | None = None) -> tuple[Alignment, ...]:
     """
-    Fit what is asked for by robust least squares.
+    Fit the requested parameters by robust least squares.
 
     Parameters
     ----------
     motion : Problem or Recorded
-        What they are aligned with.
+        The motion that they are aligned with.
     sensors : sequence of Measured
         Each has its own clock and mounting; the two space axes and the start are common.
     names : collection of str
@@ -221,7 +221,7 @@ class _Fit:
 
     def _correlation(self) -> float:
         """
-        Return by how much errors that are not white enlarge the standard deviations.
+        Return the factor by which errors that are not white enlarge the standard deviations.
 
         Errors of the model last for many samples. With the correlation r of neighbours, n samples
         count as n (1 - r) / (1 + r).
@@ -324,7 +324,7 @@ class _Fit:
 
 
 def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Column]:
-    """Return what is fitted, first what changes no motion."""
+    """Return the fitted parameters, beginning with those that do not change the motion."""
     mounted = [k for k, sensor in enumerate(sensors) if is_asked(names, MOUNT, sensor.topic)]
     with_attitude = [k for k, sensor in enumerate(sensors) if sensor.attitude is not None]
     is_turned = bool({*mounted} & {*with_attitude})
@@ -337,7 +337,7 @@ def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Colum
 
 def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
     """
-    Return what a sensor measured relative to a motion at the same times.
+    Return the measurements of a sensor relative to a motion at the same times.
 
     Returns
     -------

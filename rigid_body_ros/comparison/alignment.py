@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What brings a sensor into the time, the frames and the start of a motion."""
+"""The transformation of a sensor to the time, the frames and the start of a motion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _identity() -> Floats:
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """
-    What brings a sensor into the time and the frames of a motion.
+    The transformation of a sensor to the time and the frames of a motion.
 
     Measured attitude = `space` * attitude of the motion * `mount`.
 
@@ -46,9 +46,9 @@ class Alignment:
         x y z w; `mount` maps vectors from the axes of the sensor to the body axes, and `space` is
         common to all sensors.
     start : State, optional
-        The fitted start; None for that of the scene.
+        The fitted start; None if it is the start of the scene.
     sigma : dict
-        Standard deviations of what was fitted: 'clock_offset_s' in s, and arrays of shape (3,):
+        Standard deviations of the fitted values: 'clock_offset_s' in s, and arrays of shape (3,):
         'mount_rad', 'space_rad' and 'initial_attitude_rad' about the axes of sensor, space and
         body, 'initial_angular_velocity_rad_s'. Infinite if the measurement does not determine a
         value.
@@ -62,7 +62,7 @@ class Alignment:
     sigma: dict[str, Any] | None = None
 
     def of_sensor(self) -> dict[str, Any]:
-        """Return what is of this sensor alone, as JSON types."""
+        """Return the values of this sensor alone, as JSON types."""
         return {'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist()}
 
     def as_dict(self) -> dict[str, Any]:
@@ -83,7 +83,7 @@ class Alignment:
         return Poses(attitude, so3.rotate(so3.conjugate(self.mount), states.angular_velocity))
 
     def applied(self, sensor: Measured) -> Measured:
-        """Return what a sensor measured, in the time and the frames of the motion."""
+        """Return the measurements of a sensor in the time and the frames of the motion."""
         attitude, rate = sensor.attitude, sensor.angular_velocity
         if attitude is not None:
             attitude = so3.multiply(so3.multiply(so3.conjugate(self.space), attitude),

@@ -15,8 +15,8 @@
 """
 Likely causes of the errors of a comparison.
 
-Each is undone, and judged by what it leaves beside the noise of the measurement. A cause that
-leaves no more than noise explains the errors; another one can only reduce them.
+Each is undone, and judged by the remaining error relative to the noise of the measurement. A cause
+that leaves no more than noise explains the errors; another one can only reduce them.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Cause:
     name : str
         Of a sensor: 'quaternion_order', 'inverse_quaternion', 'degrees', 'clock_offset',
         'constant_rotation', 'gyro_bias', 'gyro_scale', 'gyro_saturation', 'frozen_attitude' or
-        'flipped_attitude'. Of the model: 'start', 'torque_axes', 'torque_scale', 'torque_gains',
+        'flipped_attitude'. For the model: 'start', 'torque_axes', 'torque_scale', 'torque_gains',
         'torque_bias', 'weight', 'rotor_momentum', 'damping', 'inertia' or 'inertia_change'.
     text : str
         The cause in words.
@@ -67,7 +67,7 @@ class Cause:
     topic : str
         The sensor; empty for a cause of the model.
     explains : bool
-        Whether what is left is compatible with the noise.
+        Whether the remaining error is compatible with the noise.
 
     """
 
@@ -141,7 +141,7 @@ def find_causes(motion: Motion, comparison: Comparison, align: Collection[str],
 
 
 def _reducing(tried: Sequence[_Tried], open_keys: set[tuple[str, str]]) -> Iterator[Cause]:
-    """Generate the causes that leave least of what is open, of alike ones the simplest."""
+    """Generate the causes that leave the smallest error; among equals, the simplest."""
     while open_keys:
         good = [one for one in tried if one.left < _LEFT and one.keys <= open_keys]
         if not good:
@@ -188,7 +188,7 @@ def _judged(fault: Fault, undone: Comparison, until_ns: int,
     before = wrong[worst.key]
     cause = Cause(fault.name, text, before.median, worst.median, UNITS[worst.kind], worst.topic,
                   is_noise)
-    # Undoing a factor changes the noise, too.
+    # Undoing a factor also changes the noise.
     left = max(worst.ratio / before.ratio, worst.median / before.median)
     yield _Tried(cause, frozenset(one.key for one in changed), left)
 

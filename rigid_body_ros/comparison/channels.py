@@ -43,9 +43,9 @@ from rigid_body_ros.sensing.noise import (
 
 #: Ratio of the standard deviation of normal noise to the median of its magnitude.
 _NORMAL = 1.4826
-#: Spreads from which on an error is an outlier, and share of outliers that no sensor has.
+#: Number of spreads above which an error is an outlier, and share of outliers that no sensor has.
 _OUTLIER, _SCATTERED = 15.0, 0.3
-#: rad or rad/s; errors below this are those of rounding.
+#: rad or rad/s; smaller errors are rounding errors.
 _ROUNDING = 1e-7
 #: Smallest spread of an axis, relative to the largest.
 _LEAST = 1e-3
@@ -90,7 +90,7 @@ class Channel:
         return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))
 
     def _curved(self, share: Floats) -> Floats:
-        """Return by how much errors are off the line through those before and after."""
+        """Return the distances of errors from the line through the previous and the next error."""
         if self.kind != ATTITUDE:
             return self.errors[1:-1] - (1.0 - share) * self.errors[:-2] - share * self.errors[2:]
         turns = so3.exp(self.errors)  # rotation vectors jump at half a turn
@@ -110,7 +110,7 @@ class Channel:
 
     @property
     def ratio(self) -> float:
-        """Return the median error of an axis, in those of noise with the spread."""
+        """Return the median error of an axis, relative to that of noise with this spread."""
         return float(np.median(np.abs(self.errors) / self.spread)) * _NORMAL
 
     @cached_property

@@ -32,7 +32,7 @@ LARGEST_OFFSET = 10.0
 _POINTS = 2 ** 20
 #: Least part of the measurement that must lie within the motion.
 _OVERLAP = 0.5
-#: Of offsets whose cost is this close to the least, relative to the median, the smallest is taken.
+#: The smallest offset is taken whose cost is this close to the least, relative to the median.
 _SAME = 0.01
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -45,9 +45,9 @@ def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
     Parameters
     ----------
     motion : Problem or Recorded
-        What the sensors are aligned with.
+        The motion that the sensors are aligned with.
     sensors : sequence of Measured
-        The rotation of space is that of the one with the most attitudes.
+        The sensor with the most attitudes determines the rotation of space.
     clocks, mounts : sequence of bool
         Which to find, for each sensor; the others are zero and the identity.
 
@@ -149,7 +149,7 @@ def _mounting(motion: Motion, sensor: Measured, offset_ns: int
 
 
 def _stride(attitude: Floats) -> int:
-    """Return over how many samples the body turns by about one radian."""
+    """Return the number of samples in which the body turns by about one radian."""
     angles = so3.angle_between(attitude[:-1], attitude[1:])
     usual = max(float(np.median(angles)), 1e-9)
     return int(np.clip(1.0 / usual, 1, max(len(attitude) // 4, 1)))

@@ -51,7 +51,7 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     body, start, log
         As for `Problem`.
     measured : Measured or sequence of Measured
-        What sensors measured.
+        The measurements of sensors.
     align : collection of str
         What to fit: 'start' (initial attitude and angular velocity), 'clock' (a constant time
         offset of each sensor, up to 10 s) and 'mount' (the constant rotations between the axes of

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: What is compared: its name, its unit, and the attribute of `Errors`.
+#: Quantities that are compared: name, unit, and attribute of `Errors`.
 QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')
 
 

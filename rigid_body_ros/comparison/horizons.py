@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far the motion is off some time after a restart from the measurement."""
+"""The errors of the motion some time after a restart from the measurement."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ _SAMPLES = 11
 _USUAL, _WINDOWS = (0.1, 1.0, 10.0), 500
 #: Shortest horizon, in intervals between samples, which jitter.
 _SHORTEST = 0.99
-#: Most corrections of an estimated restart. The last is below an angle, rad, or part of the noise.
+#: Largest number of corrections of an estimated restart. The last is below an angle, rad, or part
+#: of the noise.
 _CORRECTIONS, _CORRECTED, _NEGLIGIBLE = 8, 1e-10, 0.02
 
 
@@ -77,8 +78,8 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
     Return errors after a time, each from a restart from the measurement.
 
     A restart is estimated from eleven samples, or fewer if a fifth of the horizon has fewer: the
-    motion is propagated from the first, and its errors, linear in time, are taken off. Of more
-    than 500 restarts, some are tried, evenly spread.
+    motion is propagated from the first, and its errors, linear in time, are subtracted. If there
+    are more than 500 restarts, only some are tried, evenly spaced.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class Recorded:
         self.end_ns = int(stamps_ns[-1])
 
     def propagate(self, *, at: NDArray[np.int64]) -> Poses:
-        """Return the states at times between those of samples; see `hermite.between`."""
+        """Return the states at times between samples; see `hermite.between`."""
         stamps_ns, (attitude, rates) = self._stamps_ns, self._poses
         rows = np.clip(np.searchsorted(stamps_ns, at, 'right') - 1, 0, len(stamps_ns) - 2)
         span = np.diff(stamps_ns)[rows] * 1e-9
@@ -65,7 +65,7 @@ class Recorded:
                                       (attitude[rows + 1], rates[rows + 1]), span, part))
 
 
-#: What measurements are compared with, and its states at times.
+#: A motion that measurements are compared with, and its states at times.
 Motion = Problem | Recorded
 States = Trajectory | Poses
 
@@ -82,7 +82,7 @@ def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> N
 
 
 def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
-    """Return the states at the samples of each sensor, from those of all of them."""
+    """Split the states at the samples of all sensors into those of each sensor."""
     ends = np.cumsum([0, *map(len, sensors)]).tolist()
     every = Poses(states.attitude, states.angular_velocity)
     return [every.rows(slice(*part)) for part in pairwise(ends)]

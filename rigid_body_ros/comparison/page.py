@@ -92,7 +92,7 @@ def _panels(comparison: Comparison, aligned: Sequence[Measured],
 
 def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
                start_ns: int) -> Iterator[Panel]:
-    """Generate what a sensor measured over what was computed, and the errors."""
+    """Generate the measured curves over the computed ones, and the errors."""
     samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
     states = motion.propagate(at=errors.times_ns)
     for name, unit, measured, computed, (label, error_unit, attribute) in (
@@ -122,7 +122,7 @@ def _noise(errors: Floats) -> float:
 
 
 def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
-    """Generate how far the motion is off some time after a restart."""
+    """Generate the errors of the motion some time after a restart."""
     horizons = sorted((horizon for horizon in comparison.horizons if len(horizon.angles)),
                       key=lambda horizon: horizon.seconds)
     if not horizons:

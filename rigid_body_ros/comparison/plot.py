@@ -34,7 +34,7 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
     path : str or Path
         The PNG file, with any suffix; an existing file is overwritten.
     comparison : Comparison
-        Of each kind of error, that of the first sensor that has it is drawn.
+        Errors of each kind are drawn for the first sensor that has them.
     name : str
         Name of the recording, for the title.
 

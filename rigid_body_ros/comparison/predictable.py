@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How long a motion can be predicted from what is measured of its start."""
+"""The time over which a motion can be predicted from a measured start."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from rigid_body_ros.propagation import Problem
 
 #: rad; a prediction that is less certain than this is none.
 _LOST = 0.1
-#: s; the start is known from the samples of this time, and from at least so many.
+#: s; the start is estimated from the samples of this time, and from at least this many.
 _SPAN, _FEWEST = 1.0, 11
-#: rad and rad/s; small changes of the start. About how many instants are looked at.
+#: rad and rad/s; small changes of the start. Approximate number of instants that are examined.
 _STEP, _INSTANTS = 1e-7, 1000
 
 

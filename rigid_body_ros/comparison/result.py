@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a comparison returns."""
+"""The result of a comparison."""
 
 from __future__ import annotations
 

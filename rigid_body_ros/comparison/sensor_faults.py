@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-What can be wrong with a sensor, and its measurements without that.
+Possible faults of a sensor, and its measurements without them.
 
-Each fault is undone: what is left shows whether it is the cause.
+Each fault is undone: the remaining error shows whether it is the cause.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Fault:
     measured : Measured
         Without it.
     align : tuple of str
-        What to align, besides what the user asked.
+        Alignments in addition to those that the user asked for.
     is_aligned : bool
         Whether the measurement is in the time and the axes of the motion.
 
@@ -68,7 +68,7 @@ class Fault:
     is_aligned: bool = False
 
     def described(self, alignment: Alignment) -> str:
-        """Return the fault in words, given the alignment of what was measured without it."""
+        """Return the fault in words, given the alignment of the measurements without it."""
         if self.align:
             return _clock_text(alignment) if self.name == 'clock_offset' else \
                 _rotation_text(alignment)
@@ -138,7 +138,8 @@ def _of_gyro(aligned: Measured, channel: Channel) -> Iterator[Fault]:
         return
     limit = float(np.median(values))
     if np.mean(np.abs(values - limit) < _SAME * spread) > _AT_LIMIT:
-        # Chosen by what is expected: choosing by what is measured would choose the noise, too.
+        # Chosen by the expected values: a choice by the measured values would also depend on the
+        # noise.
         kept = np.flatnonzero((np.abs(expected) < limit - _SAME * spread).all(axis=1))
         if len(kept) >= FEWEST:
             yield Fault('gyro_saturation', f'the gyro saturates at {limit:.4g} rad/s',
@@ -169,7 +170,7 @@ def _of_attitude(aligned: Measured, channel: Channel) -> Iterator[Fault]:
 
 
 def _still(attitude: Floats, expected: Floats, spread: float) -> NDArray[np.bool_]:
-    """Return in which samples the attitude stands still although the body moves."""
+    """Return the samples in which the attitude is constant although the body moves."""
     steps = so3.angle_between(expected[:-1], expected[1:])
     lag = max(1, math.ceil(_MOVES * spread / max(float(np.median(steps)), 1e-12)))
     still = np.zeros(len(attitude), bool)

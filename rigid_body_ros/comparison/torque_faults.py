@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-What can be wrong with torques and body: what explains the residual torque.
+Possible faults of torques and body that explain the residual torque.
 
 The residual torque is linear in each of these. A wrong start does not change it, and it does not
-grow, so what is left of it is judged in its own noise, however long the motion.
+grow, so the rest of it is compared with its own noise, however long the motion.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 #: Windows in a batch, whose mean is judged, and fewest windows.
 _BATCH, _FEWEST = 4, 12
-#: Torque that is a numerical error, relative to that of the motion.
+#: Size of a numerical error, relative to the torque of the motion.
 _ROUNDING = 3e-4
 #: Standard gravity in space axes, m/s^2.
 _GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -55,15 +55,15 @@ _SHAPES = np.array([[1, -1, 0, 0, 0, 0], [1, 1, -2, 0, 0, 0], [0, 0, 0, 1, 0, 0]
 
 class Explanation(NamedTuple):
     """
-    What would explain the residual torque.
+    A possible explanation of the residual torque.
 
     Attributes
     ----------
     name, text : str
     before, after : float, N m
-        Median of the residual torque, as it is and without what is explained.
+        Median of the residual torque, as it is and without the explained part.
     explains : bool
-        Whether what is left is compatible with its noise.
+        Whether the remaining torque is compatible with its noise.
     unknowns : int
         How many numbers were fitted.
 
@@ -112,7 +112,7 @@ class _Windows:
         scale = np.maximum(np.minimum(spread, self.noise), self.floor)
         count = len(left) // _BATCH
         means = np.median(left[:count * _BATCH].reshape(count, _BATCH, 3), axis=1)
-        # The variance of the median of four normal variables is 0.298 of theirs.
+        # The variance of the median of four normal variables is 0.298 times their variance.
         statistic = np.sum(np.square(means / scale), axis=0) / 0.298
         return float(chdtrc(count, statistic).min()) >= ALARM
 
@@ -135,7 +135,7 @@ class _Windows:
 def explanations(problem: Problem, residual: ResidualTorque,
                  sensors: Sequence[Measured]) -> list[Explanation]:
     """
-    Return what would explain the residual torque; none if it is compatible with its noise.
+    Return the explanations of the residual torque; none if it is compatible with its noise.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def _median(torques: Floats) -> float:
 
 
 def _tried(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
-    """Generate names, texts, what is left, and the number of unknowns."""
+    """Generate names, texts, remaining torques, and the number of unknowns."""
     logged = windows.logged
     if logged.any():
         needed = logged + windows.torques
@@ -204,7 +204,8 @@ def _of_inertia(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
     problem, columns = windows.problem, -windows.of_inertia
     known = windows.logged.any() or any(isinstance(one, UniformField) for one in problem.fields)
     turn = np.eye(6) if known else _SHAPES  # without a known torque only ratios are determined
-    # The change of a tensor: that of a body with named wheels lacks their axial inertia here.
+    # The change of a tensor, not the tensor: with named wheels, their axial inertia is missing
+    # here.
     words = 'ixx iyy izz ixy ixz iyz = {} kg m^2'
     found, left = windows.fitted(columns @ turn)
     if _is_possible(problem.body, turn @ found):

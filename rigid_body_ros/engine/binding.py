@@ -60,7 +60,7 @@ def _loaded() -> tuple[dict[str, Any], str, int, str]:
     return _compiled.kernels(level), level, _compiled.LANES[level], _compiled.SOURCES
 
 
-#: LANES is how many bodies `run_each` steps at once.
+#: LANES is the number of bodies that `run_each` steps at once.
 _KERNELS, LEVEL, LANES, _HASH = _loaded()
 
 

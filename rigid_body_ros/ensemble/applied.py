@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What acts in some runs of an ensemble, and the columns that report it."""
+"""The values applied in some runs of an ensemble, and the columns that report them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from rigid_body_ros.scene.fields import values_of, with_values
 @dataclass(frozen=True, eq=False)
 class Applied:
     """
-    What acts in n runs.
+    The values applied in n runs.
 
     Attributes
     ----------
@@ -142,9 +142,8 @@ def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     """
     Return tensors with the same principal axes and other moments, which some body has.
 
-    What is multiplied are the second moments of the mass along the axes, by the exponentials of
-    the numbers drawn, shape (n, 3). They stay positive, so the moments satisfy the triangle
-    inequality.
+    The second moments of the mass along the axes are multiplied by the exponentials of the numbers
+    drawn, shape (n, 3). They stay positive, so the moments satisfy the triangle inequality.
     """
     moments = body.principal_moments
     second = np.maximum(0.5 * moments.sum() - moments, 0.0) * exponentials(drawn)

@@ -40,7 +40,7 @@ def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
     Parameters
     ----------
     folder : Folder
-        Complete, with times.
+        A complete folder with times.
     nominal : array, shape (m, 7)
         The nominal motion at the times of the folder.
     runs : int

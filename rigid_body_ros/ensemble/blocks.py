@@ -15,8 +15,8 @@
 """
 The blocks of an ensemble: a file each, whose name has its runs and a digest.
 
-The digest is that of the ensemble, of the runs and of every byte of the file, and another one of
-the motions of the runs. A file that is damaged, or comes from elsewhere, does not fit its name.
+One digest covers the ensemble, the runs and every byte of the file, another one the motions of the
+runs. A file that is damaged, or comes from elsewhere, does not fit its name.
 """
 
 from __future__ import annotations

@@ -22,16 +22,16 @@ import re
 
 from rigid_body_ros.common.errors import CUT
 
-#: A number that is no part of a word or unit, such as that in 'kg m^2'.
+#: A number that is not part of a word or of a unit such as 'kg m^2'.
 _NUMBER = re.compile(r'(?<![\w^.])[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan)(?![\w^])')
-#: What stands for a number that differs, and several of them in a list.
+#: Placeholders for a number that differs, and for several of them in a list.
 _OTHER = '...'
 _OTHERS = re.compile(r'\.\.\.(, \.\.\.)+')
 
 
 def causes(messages: Iterable[str]) -> dict[str, int]:
     """
-    Return how many messages there are of each cause, in the order of the first ones.
+    Return the number of messages of each cause, in the order of their first message.
 
     A cause is a message in which '...' stands for the numbers that differ.
     """

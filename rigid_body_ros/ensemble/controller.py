@@ -87,7 +87,7 @@ class Controller:
         return found
 
     def check(self) -> None:
-        """Raise InputError if the controller cannot be imported, or is another one, here."""
+        """Raise InputError if the controller cannot be imported here, or is a different one."""
         digest = _digest(self.name, self.folder)
         if digest != self.digest:
             raise InputError(f'controller {self.name}: expected the source file that the command '
@@ -145,7 +145,7 @@ class Controller:
     def _called(self, function: Callable[..., Any], seconds: float, *arguments: Any) -> Any:
         try:
             return function(*arguments)
-        except BaseException as error:  # SystemExit, too: the exit of a controller ends its run
+        except BaseException as error:  # also SystemExit: the exit of a controller ends its run
             interrupts.check()
             raise ControllerError(f'{seconds:.9g} s: controller {self.name}: '
                                   f'{_described(error)}') from error

@@ -35,7 +35,7 @@ import yaml
 #: Groups of scene parameters of which each member can vary.
 _GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
            ORBIT)
-#: Units of all keys that vary by a normal or a uniform distribution, but for those of fields.
+#: Units of all keys that vary by a normal or a uniform distribution, except keys of fields.
 UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
             if name.split('.')[0] in _GROUPS},
          'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},
@@ -61,7 +61,7 @@ class Dispersion:
     bounds : tuple of float
         Lowest and highest value of 'uniform'; otherwise one standard deviation.
     relative : bool
-        Whether the nominal value is multiplied by one plus what is drawn.
+        Whether the nominal value is multiplied by one plus the number drawn.
 
     """
 
@@ -92,8 +92,8 @@ def draws(dispersions: Sequence[Dispersion], seed: int,
     """
     Return what some runs draw, by key; it depends on the seed and on their numbers only.
 
-    A key draws the same whatever other keys there are. The noise of the torque is drawn per
-    sample, elsewhere.
+    A key draws the same numbers whatever other keys there are. The noise of the torque is drawn
+    per sample, elsewhere.
     """
     return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 

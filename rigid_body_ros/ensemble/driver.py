@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # a worker needs neither Parquet nor MCAP
 Block = tuple[int, int, Columns]
 #: Generates the blocks of an ensemble in the order in which they are complete.
 Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
-#: The span of a block, and that of a part of it.
+#: The span of a block, and of a part of it.
 Part = tuple[Span, Span]
 
 #: Largest number of parts of a block, which different workers compute: a block may take minutes.
@@ -126,7 +126,7 @@ def _parts(spans: list[Span], workers: Workers) -> Iterator[Part]:
 
 
 def _joined(parts: Iterable[tuple[Span, Block]]) -> Iterator[Block]:
-    """Generate each block as soon as all of its parts are there."""
+    """Generate each block as soon as all of its parts are complete."""
     waiting: dict[Span, list[Block]] = {}
     for span, part in parts:
         found = waiting.setdefault(span, [])

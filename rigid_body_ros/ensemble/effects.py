@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which dispersed parameters explain how the runs end."""
+"""The dispersed parameters that explain the ends of the runs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rigid_body_ros.mechanics import so3
 
 #: Number of the first runs that effects are computed from.
 _SAMPLE = 100_000
-#: A square, relative to that of the largest number, below which is rounding.
+#: Squares below this, relative to the square of the largest number, are rounding errors.
 _ROUNDING = 1e-20
 
 
@@ -46,8 +46,9 @@ def effects(ensemble: Ensemble, folder: Folder, quantity: str) -> dict[str, floa
     Return the share of the variance of a quantity that each parameter explains.
 
     It is the adjusted R^2 of a quadratic in the parameter, fitted to the ranks of the quantity: an
-    effect counts whether it is odd in the deviation, as that of a gain on a final rate, or even,
-    as that of an initial rate about zero, whose rank correlation vanishes.
+    effect counts if it is odd in the deviation, such as the effect of a gain on a final rate, and
+    if it is even, such as the effect of an initial rate about zero, whose rank correlation
+    vanishes.
     """
     numbers = final(folder, quantity, _SAMPLE)
     return {name: _explained(deviation[known], numbers[known])

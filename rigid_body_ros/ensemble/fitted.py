@@ -93,7 +93,7 @@ class Fitted:
 
     @cached_property
     def _factor(self) -> Floats:
-        """Return the Cholesky factor of the covariance, without BLAS as well."""
+        """Return the Cholesky factor of the covariance, computed without BLAS."""
         scale, rest = _scaled(self.covariance)
         factor = np.zeros_like(rest)
         for k in range(len(rest)):
@@ -122,7 +122,7 @@ def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> F
     fields : iterable of str
         The names of the uniform fields of the scene.
     force : bool
-        Take a fit that is rejected, too.
+        Also take a fit that is rejected.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def _fitted(data: Any, known: Mapping[str, str], force: bool) -> Fitted:
 
 
 def _typed(value: Any, kind: type, where: str) -> Any:
-    """Return a value if it has a type; an integer is a float, too."""
+    """Return a value if it has a type; an integer counts as a float."""
     value = float(value) if type(value) is int and kind is float else value
     if not isinstance(value, kind):
         found = 'none' if value is None else quoted(value)

@@ -16,7 +16,7 @@
 The folder of an ensemble: which runs it has, their rows as Parquet, and their motions.
 
 Runs are computed and written in blocks, each to a file of its own, so that an interrupted ensemble
-goes on where it stopped. A row depends on the number of its run only, and the rows are put
+continues where it stopped. A row depends on the number of its run only, and the rows are put
 together in that order: `runs.parquet` has the same bytes whatever the blocks were.
 
 A folder with `summary.json` is complete. The results of fewer runs are removed before anything
@@ -47,11 +47,11 @@ from rigid_body_ros.ensemble.runs import MOTION, Span
 from rigid_body_ros.runtime import files, protection
 
 #: Number of blocks that the missing runs are divided into, so that all workers have some; but a
-#: block has at most so many runs, so that an interrupt does not lose many.
+#: block has a largest number of runs, so that an interrupt does not lose many.
 BLOCKS, LONGEST = 32, 2048
 #: Rows in a row group of `runs.parquet`.
 GROUP = 2 ** 16
-#: Columns of which many rows are equal; a dictionary of the others takes time and space.
+#: Columns with many equal rows; a dictionary for the others would take time and space.
 _REPEATED = ['status', 'message']
 _IDENTITY, _SUMMARY, _PICTURE, _TABLE = ('identity.json', 'summary.json', 'bands.png',
                                          'runs.parquet')
@@ -251,7 +251,7 @@ class Folder:
         return np.asarray(column.column(name).to_numpy(), float)[:wanted]
 
     def failures(self) -> dict[str, int]:
-        """Return how many runs failed for each cause."""
+        """Return the number of failed runs for each cause."""
         batches = parquet.ParquetFile(self.table).iter_batches(columns=['message'])
         return causes(message for batch in batches
                       for message in filter(None, batch.column(0).to_pylist()))
@@ -278,7 +278,7 @@ class Folder:
         return runs
 
     def _remove_results(self) -> None:
-        """Remove the results of fewer runs, first what says that the folder is complete."""
+        """Remove the results of fewer runs, first the file that marks the folder as complete."""
         with files.reported(self.path):
             for name in (_SUMMARY, _PICTURE, _TABLE):
                 (self.path / name).unlink(missing_ok=True)
@@ -289,7 +289,7 @@ class Folder:
             path.write_text(f'{json.dumps(data, indent=1)}\n', encoding='utf-8')
 
     def _check_runs(self, path: Path) -> None:
-        """Raise InputError unless the rows of a file are those of all runs, each once."""
+        """Raise InputError unless a file has exactly one row for each run."""
         end = 0
         for batch in parquet.ParquetFile(path).iter_batches(columns=['run']):
             numbers = batch.column(0).to_numpy()

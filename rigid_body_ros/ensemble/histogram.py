@@ -31,7 +31,7 @@ _DECADES = 100.0
 
 def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any]:
     """
-    Return how many runs have an angle in each of some intervals, as JSON.
+    Return the number of runs with an angle in each of some intervals, as JSON.
 
     Parameters
     ----------
@@ -43,10 +43,10 @@ def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any
     Returns
     -------
     dict
-        'edges_rad', shape (m + 1,), and 'runs', shape (m,). The intervals are equally wide from
-        0 to the largest angle. If the angles span decades, they are equally wide on a logarithmic
+        'edges_rad', shape (m + 1,), and 'runs', shape (m,). The intervals are equally wide from 0
+        to the largest angle. If the angles span decades, they are equally wide on a logarithmic
         axis, from a tenth of the first percentile or the smallest angle, whichever is larger. The
-        first interval has the smaller angles, too.
+        first interval also has all smaller angles.
 
     """
     bars = min(math.isqrt(angles.size), _BARS)

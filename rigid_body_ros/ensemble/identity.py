@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the runs of an ensemble depend on."""
+"""The inputs that the runs of an ensemble depend on."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from rigid_body_ros.scene import Scene
 
 
 def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
-    """Return what the runs depend on, as JSON: folders with the same have the same runs."""
+    """Return the inputs of the runs, as JSON: folders with equal inputs have equal runs."""
     values, controller = json.dumps(dict(scene.values), sort_keys=True), ensemble.controller
-    # Through JSON, so that what is compared is what is read from a file.
+    # Converted to JSON and back, so that it compares equal to the contents of a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',

@@ -28,7 +28,8 @@ import sys
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files
 
-#: The locked file. It stays in the folder: one that is removed could be locked twice.
+#: The locked file. It stays in the folder: if it were removed, two processes could lock files of
+#: this name.
 NAME = 'ensemble.lock'
 
 
@@ -37,8 +38,8 @@ def locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
     """
     Lock a folder in the context; if the process dies, the system releases the lock.
 
-    A file system without locks is no reason to refuse the folder: what another command does to it
-    is still found when the runs are put together.
+    A file system without locks is no reason to refuse the folder: changes by another command are
+    still found when the runs are put together.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ from rigid_body_ros.runtime import interrupts
 
 #: Returns the torque that acts, N m, for the one that a controller returned.
 Actuated = Callable[[Floats], Floats]
-#: A stamp, ns, and the call that applies what has this stamp.
+#: A stamp, ns, and the call that applies the input with this stamp.
 _Input = tuple[int, Callable[[], object]]
 
 
@@ -108,7 +108,7 @@ class _Motion:
         self._source = len(problem.logs)
         wheels = problem.named_wheels.wheels if problem.named_wheels else None
         actuators = [*(problem.actuators or [None] * self._source), controller.actuator]
-        # What is asked for is never older than the newest torque by more than a step.
+        # A requested time is never older than the newest torque by more than a step.
         self._propagator = Propagator(problem.body, problem.start, wheels=wheels,
                                       fields=problem.fields, actuator=actuators,
                                       history=controller.step_ns / 1e9, **asdict(problem.options))
@@ -144,7 +144,7 @@ class _Motion:
 
 
 class _Turned:
-    """A bound on how far a body turns in steps: one that turns too far would take days."""
+    """A bound on the angle of a body in steps: a body that turns too far would take days."""
 
     def __init__(self, problem: Problem, step_ns: int) -> None:
         moments = problem.body.principal_moments
@@ -156,7 +156,7 @@ class _Turned:
         self._angle = self._largest = 0.0
 
     def check(self, state: State, torque: Floats, seconds: float) -> None:
-        """Raise ValueError if a body turns too far within the step from a state on."""
+        """Raise ValueError if a body turns too far within the step that begins with a state."""
         self._largest = max(self._largest, math.hypot(*torque.tolist()))
         gained = self._largest / self._least * self._seconds
         rate = math.hypot(*state.angular_velocity.tolist()) * self._ratio + gained
@@ -175,5 +175,5 @@ def _calls(apply: Callable[..., object], times_ns: NDArray[np.int64],
 
 
 def _copied(state: State) -> State:
-    """Return a state of which nothing is shared with the motion, whatever is written to it."""
+    """Return a copy of a state: whatever is written to it does not change the motion."""
     return State._as_computed(state.time_ns, state._packed.copy(), None, state._rotors.copy())

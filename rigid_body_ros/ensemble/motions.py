@@ -17,7 +17,7 @@ The motions of an ensemble as Zarr.
 
 The format is version 2, which Zarr 2 and 3 read, and the metadata are those of xarray. A chunk has
 a fixed number of runs, so its bytes depend on their numbers only. It is replaced as a whole when a
-block of runs is written that it has a part of.
+block is written that has some of its runs.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Motions:
         self._shape = (min(max(_CHUNK // times.size, 1), _RUNS), min(times.size, _CHUNK))
         import zarr  # takes long, and only --times needs it
         with self._reported('open'):
-            # The consolidated metadata are what is written last.
+            # The consolidated metadata are written last.
             if not (path / '.zmetadata').exists():
                 self._create()
             with zarr.config.set({'array.write_empty_chunks': True}):  # chunks of failed runs

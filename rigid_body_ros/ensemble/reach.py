@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-How far runs turn at most: a run that turns too far would take days.
+Bounds on the angle by which runs turn: a run that turns too far would take days.
 
 The energy of a body bounds its speed. Torques change the square root of twice its energy by at
-most their impulse over that of the smallest moment. Damping only lowers it, and the momentum of
-rotors does not change it. Fields change it by their potential. The bounds depend on the values of
-a run only, not on the machine.
+most their impulse over the square root of the smallest moment. Damping only lowers it, and the
+momentum of rotors does not change it. Fields change it by their potential. The bounds depend on
+the values of a run only, not on the machine.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
 
-#: rad; how far a run may turn in steps, which take about a microsecond for each radian.
+#: rad; largest angle for a run in steps, which take about a microsecond for each radian.
 FARTHEST = 1e7
 #: How many times as far as the nominal run, if that is more.
 _TIMES_NOMINAL = 10.0
@@ -47,7 +47,7 @@ _NOISE = 5.0
 @dataclass(frozen=True)
 class Reach:
     """
-    What turns the bodies of all runs.
+    A bound on the angle by which the body of each run turns.
 
     Parameters
     ----------
@@ -70,8 +70,9 @@ class Reach:
         Returns
         -------
         array, shape (n,), rad
-            About as many steps are taken. Zero for motions in closed form and for fixed steps.
-            Not finite if that is reported elsewhere: bodies, states or torques are not possible.
+            The computation takes about one step per radian. Zero for motions in closed form and
+            for fixed steps. Not finite for impossible bodies, states or torques, which are
+            reported elsewhere.
 
         """
         impossible = [bool(body or start) for body, start in zip(applied.bodies.messages,
@@ -82,7 +83,7 @@ class Reach:
         return np.where(impossible | too_fast, np.nan, turned)
 
     def limit(self, nominal: Applied) -> float:
-        """Return how far a run may turn, rad, if the nominal one has no noise."""
+        """Return the largest angle allowed for a run, rad, given the nominal run."""
         turned, = replace(self, noise=0.0).turned(nominal).tolist()
         return max(FARTHEST, _TIMES_NOMINAL * turned)
 
@@ -103,7 +104,7 @@ class Reach:
             + applied.fields.speed(least, moments.max(-1))
 
     def _seconds(self, applied: Applied) -> Floats:
-        """Return how long each motion is computed in steps, s, shape (n,)."""
+        """Return the time that each motion is computed in steps, s, shape (n,)."""
         solver = self.problem.options.record
         if solver.fixed_step:
             return np.zeros(len(applied.runs))
@@ -116,7 +117,7 @@ class Reach:
 
     @property
     def _span(self) -> float:
-        """Return how long the motion is, s."""
+        """Return the duration of the motion, s."""
         return (self.end_ns - self.problem.start.time_ns) / 1e9
 
     @cached_property
@@ -141,7 +142,7 @@ class Reach:
                     for strengths, spans in on_body))
 
     def _pieces(self, log: TorqueLog) -> tuple[Floats, Floats]:
-        """Return how strong a torque is from each sample to the next, N m, and how long, s."""
+        """Return bounds on a torque between samples, N m, and the times between them, s."""
         strengths = _norm(log.torques)
         if log.interpolation != 'hold':
             strengths = np.maximum(strengths, np.append(strengths[1:], 0.0))

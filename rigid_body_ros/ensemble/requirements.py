@@ -33,9 +33,9 @@ from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE
 from rigid_body_ros.mechanics import so3
 
-#: What can be required, and its unit.
+#: Quantities that can be required, and their units.
 UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
-#: Percentiles of what is required.
+#: Percentiles of the required quantity.
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
 #: Number of the worst runs that are named.
 _WORST = 5
@@ -130,7 +130,7 @@ def final(folder: Folder, quantity: str, stop: int | None = None) -> Floats:
 
 
 def interval(met: int, runs: int) -> list[float]:
-    """Return the 95 % interval of Clopper and Pearson for the probability of what was counted."""
+    """Return the 95 % interval of Clopper and Pearson for the probability of a counted event."""
     from scipy.special import betaincinv  # takes long to import
     return [float(betaincinv(met, runs - met + 1, _TAIL)) if met else 0.0,
             float(betaincinv(met + 1, runs - met, 1.0 - _TAIL)) if met < runs else 1.0]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Runs of an ensemble: what is drawn is applied and propagated, and read back as columns."""
+"""Runs of an ensemble: values are drawn, applied and propagated, and read back as columns."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ class Ensemble:
     Raises
     ------
     InputError
-        A dispersion is relative to zero, of torques or of an orbit of which there are none, or of
-        a body that changes.
+        A dispersion is relative to zero, varies torques or an orbit that the scene does not have,
+        or varies a body that changes.
 
     """
 
@@ -223,7 +223,7 @@ class Ensemble:
         return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
     def applied(self, runs: NDArray[np.int64]) -> Applied:
-        """Return what acts in some runs; bodies and starts that are not possible say why."""
+        """Return the values applied in some runs; impossible bodies and starts have the reason."""
         drawn = draws(self.dispersions, self.seed, runs)
         values = dispersed(self.dispersions, self.nominal, drawn, len(runs))
         if self.fitted:
@@ -291,7 +291,7 @@ class Ensemble:
 
     @cached_property
     def _at_once(self) -> int:
-        """Return how many runs are computed at once."""
+        """Return the number of runs that are computed at once."""
         longest = self.problem.options.max_step or math.inf
         steps = (self.end_ns - self._start_ns) / 1e9 / longest
         steps += sum(map(len, self.problem.sources))
@@ -329,7 +329,7 @@ class Ensemble:
 
     @cached_property
     def _farthest(self) -> float:
-        """Return how far a run may turn, rad."""
+        """Return the largest angle allowed for a run, rad."""
         return self._reach.limit(self._applied_without)
 
     def _too_far(self, applied: Applied) -> list[str]:

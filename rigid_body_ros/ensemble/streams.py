@@ -30,8 +30,8 @@ def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats
     """
     Return numbers between 0 and 1, both excluded, of each run.
 
-    Philox makes its numbers from a key and a counter, so those of a run are computed without those
-    before: the runs divide the counter among themselves.
+    Philox makes its numbers from a key and a counter, so the numbers of a run are computed without
+    the earlier ones: the runs divide the counter among themselves.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _named(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the first texts, of which the first one has a name."""
+    """Return the first few texts as rows, the first row with a name."""
     return [*zip([name, *[''] * _PRINTED], texts[:_PRINTED])]
 
 

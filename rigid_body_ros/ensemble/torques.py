@@ -29,7 +29,7 @@ from rigid_body_ros.propagation import Problem
 @dataclass(frozen=True)
 class Torques:
     """
-    What acts on the bodies of all runs.
+    The torques on the bodies of all runs.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import actuator, Scene
 from rigid_body_ros.scene.text import text_of
 
-#: The folder of the worst runs, in that of the ensemble, and the files in it.
+#: The folder of the worst runs, within the folder of the ensemble, and its files.
 FOLDER = 'worst'
 _FILE = re.compile(r'\d+\.(mcap|yaml)')
 _WHEELS, _COMMANDS, _BODY = '/wheel_torque', '/wheel_command', '/inertia'
@@ -42,7 +42,7 @@ _WHEELS, _COMMANDS, _BODY = '/wheel_torque', '/wheel_command', '/inertia'
 
 def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -> None:
     """
-    Write the scenes and the torques of some runs to a folder, in place of those of others.
+    Write the scenes and the torques of some runs to a folder, and remove those of others.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -
 
 
 def command(ensemble: Ensemble, path: str | Path, run: int) -> str:
-    """Return the command that computes a run again from what is in the folder of an ensemble."""
+    """Return the command that computes a run again from the files in the folder of an ensemble."""
     seconds = (ensemble.end_ns - ensemble.problem.start.time_ns) / 1e9
     files_of = Path(path) / FOLDER / str(run)
     return shlex.join(['attitude_replay', f'{files_of}.mcap', '--scene', f'{files_of}.yaml',
@@ -101,7 +101,7 @@ def _turning(problem: Problem) -> dict[str, Any]:
 
 
 def _later_ns(problem: Problem) -> int:
-    """Return by how much stamps have to be later, ns: a start of 0 has another meaning."""
+    """Return the shift that makes all stamps valid, ns: a start of 0 has another meaning."""
     first_ns = min(problem.stamps_ns[:1].tolist(), default=0)
     return 1 - min(first_ns, 0) if first_ns < 0 or not problem.start.time_ns else 0
 

@@ -13,16 +13,16 @@
 # limitations under the License.
 
 """
-Identify the parameters of a body from what was measured.
+Identify the parameters of a body from measurements.
 
 `estimation` has the public function and `result` what it returns. `experiment` has the recordings,
 `names` and `parameters` the parameters, `clock` a first guess of the clock offset, `windows` the
-predictions, `actuator` and `sensors` what becomes of torques and motions, `setup` what is fitted
-to what, `problem` the least-squares problem, `solve` the fit, `residuals` its errors, and
-`identifiability` what the data does not determine. `findings` tests what is left, with its `noise`
-and the `evidence` close to the solution; `suspects` are parameters that were not estimated, and
-`verdict` says whether the model explains the measurements. The command reads and writes with
-`recorded`, and prints with `summary`.
+predictions, `actuator` and `sensors` the models of torques and measurements, `setup` the inputs of
+a fit, `problem` the least-squares problem, `solve` the fit, `residuals` its errors, and
+`identifiability` the parameters that the data does not determine. `findings` tests the remaining
+errors, with their `noise` and the `evidence` close to the solution; `suspects` are parameters that
+were not estimated, and `verdict` says whether the model explains the measurements. The command
+reads and writes with `recorded`, and prints with `summary`.
 """
 
 from rigid_body_ros.identification.estimation import identify

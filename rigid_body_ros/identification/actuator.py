@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the actuators make of the logged torques: gain, delay and lag."""
+"""The model of the actuators: gain, delay and lag of the logged torques."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
     away = np.stack([_away(first[:, axis].tolist(), ends[:, axis].tolist(), decay.tolist())
                      for axis in range(3)], axis=1)
     means = first + middle + share[:, None] * away
-    # The last node stands for what follows; there the lag is over.
+    # The last node represents all later times; there the lag is over.
     means[-1] = begin[-1]
     return TorqueLog(nodes_ns, means, 'space' if log.in_space.all() else 'body')
 

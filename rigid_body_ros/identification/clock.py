@@ -26,7 +26,7 @@ from rigid_body_ros.sensing.residual_torque import residual_torque
 
 #: s; largest offset that is searched for, and spacing of the offsets that are tried.
 _LARGEST, _SPACING = 10.0, 0.02
-#: About how many samples each offset is tried with.
+#: Approximate number of samples with which each offset is tried.
 _ROWS = 500
 #: Part of the samples that must lie within the torques.
 _OVERLAP = 0.5

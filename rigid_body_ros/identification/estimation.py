@@ -73,9 +73,9 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
              gravity: Sequence[float] = GRAVITY, accept: float = ACCEPT,
              torque_timeout: float = Options.torque_timeout) -> Identification:
     """
-    Estimate parameters of a body from what was measured.
+    Estimate parameters of a body from measurements.
 
-    The estimates are those of maximum likelihood for independent normal errors. Samples with much
+    The estimates maximize the likelihood for independent normal errors. Samples with much
     larger errors than the others are outliers, which do not count.
 
     Parameters
@@ -96,14 +96,14 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     validate : float
         Fraction of each recording, at its end, that is not fitted but predicted.
     priors : dict of str to float or str, optional
-        What is known beforehand: by name of a parameter or of a component, the standard deviation
-        of its guess, in its unit, or relative to the guess ('5%').
+        Prior knowledge: by name of a parameter or of a component, the standard deviation of its
+        guess, in its unit, or relative to the guess ('5%').
     gravity : sequence of 3 float, m/s^2, space axes
         The field of the weight.
     accept : float
-        If the model does not explain the measurements, how far what it lacks may move an estimate
-        before the fit is rejected: relative to the mean moment of inertia, or to the scale of the
-        parameter.
+        If the model does not explain the measurements, the fit is rejected if the missing effect
+        may move an estimate by more than this, relative to the mean moment of inertia or to the
+        scale of the parameter.
     torque_timeout : float, s
         As for `propagate`.
 
@@ -204,7 +204,7 @@ def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple
 
 
 def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
-    """Raise InputError if a name has a topic without what it is about."""
+    """Raise InputError if a name has a topic that lacks the quantity it needs."""
     for name in names:
         kind, topic = split_topic(name)
         known = topics_of(kind, channels)
@@ -259,7 +259,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
 
 
 def _first_motion(solution: Solution, end_ns: int) -> Problem:
-    """Return the problem of the first recording with all estimates; a bias acts up to a time."""
+    """Return the problem of the first recording with all estimates; a bias ends at a time."""
     given, physics = solution.problem.setup.problems[0], solution.physics
     start = _start(solution, 0)[0]
     momentum = given.start.rotor_momentum + physics.value('rotor_momentum') \
@@ -307,7 +307,7 @@ class _Numbers:
     names : list of str
     values, guesses, scales : array, shape (n,)
     turn : array, shape (n, n)
-        How they change with what was fitted.
+        Their derivatives by the fitted values.
 
     """
 
@@ -318,7 +318,7 @@ class _Numbers:
     turn: Floats
 
     def of(self, names: Sequence[str]) -> list[float]:
-        """Return the values of some components, NaN for those that there are not."""
+        """Return the values of some components, NaN for those that do not exist."""
         known = dict(zip(self.names, self.values.tolist()))
         return [known.get(name, math.nan) for name in names]
 

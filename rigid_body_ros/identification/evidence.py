@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-A fit close to its solution: what would change if other parameters were estimated, too.
+A fit close to its solution: the changes if other parameters were also estimated.
 
 The derivatives by all parameters, those that were estimated and those that were not, make a linear
 problem of a few rows. A *score test* asks how much of the errors a parameter that was not
@@ -36,14 +36,14 @@ from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import Noise, noise_of
 
-#: Relative size from which on what is left of a column is no rounding error.
+#: Relative size above which the rest of a column is more than a rounding error.
 _ROUNDING = 1e-5
 #: Largest number of samples of a channel in a window, which bounds the memory.
 _LONGEST = 12_000
 #: rad; a prediction that is less certain than this is none, and one that is less certain than
 #: this is not linear.
 _LOST, _LINEAR = 0.1, 0.02
-#: About how many samples of a channel tell its noise.
+#: Approximate number of samples from which the noise of a channel is estimated.
 _ENOUGH = 20_000
 
 
@@ -85,12 +85,12 @@ class Linearized:
 
 def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]:
     """
-    Return by how much other columns lower the sum of squares, and how many are independent.
+    Return the drop of the sum of squares by other columns, and the number of independent ones.
 
     Parameters
     ----------
     others, base : array, shape (m, k) and (m, n)
-        Columns that were not fitted, and those that were.
+        Columns that were not fitted, and columns that were.
     errors : array, shape (m,)
         In standard deviations.
 
@@ -139,7 +139,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     solution : Solution
         The fit.
     parameters : Parameters
-        With those that were estimated, and others.
+        All parameters: those that were estimated, and others.
     pieces : int
         Fewest windows of all recordings together.
 
@@ -147,7 +147,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     old = solution.problem
     most = max(len(channel) for channels in old.setup.channels for channel in channels)
     parts = -(-max(pieces, -(-most // _LONGEST)) // len(old.windows))
-    # Windows begin where those of the solution do: from one to the next its motion jumps.
+    # Windows begin where the windows of the solution begin, because its motion jumps there.
     windows = old.setup.windows(solution.length_ns, solution.physics, parts)
     setup = replace(old.setup, parameters=parameters)
     problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
@@ -175,7 +175,7 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
     """
     Return the noise of each channel of each recording, in its standard deviation.
 
-    It is that of the errors that are left if all parameters of the problem are estimated.
+    It is the noise of the errors that remain if all parameters of the problem are estimated.
     """
     chosen = [*_few(problem)]
     rows = [_rows(problem, k) for k in chosen]
@@ -245,7 +245,7 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     empty: Any = [None] * len(old.setup.channels)
     roots, spreads = [*empty], [*empty]
     roots[number] = [one.inliers.astype(float) for one in residuals]
-    # Of single errors, not of the mean of many.
+    # For single errors, not for the mean of many.
     sizes = [spread / noise.lasting
              for spread, noise in zip(solution.weights.spreads[number], noises)]
     spreads[number] = sizes
@@ -283,7 +283,7 @@ def _known(solution: Solution, last: int) -> Floats:
 
 
 def _deviations(known: Floats, slopes: Floats) -> Floats:
-    """Return the standard deviations of predictions, infinite if the data does not tell."""
+    """Return the standard deviations of predictions, infinite if they are not determined."""
     _, singular, right = np.linalg.svd(known)
     kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
     deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)

@@ -50,7 +50,7 @@ class Experiment:
     log : TorqueLog, sequence of TorqueLog or None
         The torques, as for `propagate`.
     measured : sequence of Measured
-        What the sensors measured.
+        The measurements of the sensors.
     wheels : TorqueLog or sequence of Wheel, optional
         Torque on the rotors, or wheels with names, as for `propagate`; the same wheels in all
         recordings.
@@ -136,7 +136,7 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
     Parameters
     ----------
     channels : sequence of Measured
-        What the sensors measured, in the time and the axes of the body.
+        The measurements of the sensors, in the time and the axes of the body.
     time_ns : int
         The time of the state.
     rate : float, rad/s

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What the errors of a fit say about its model.
+Findings about a model from the errors of its fit.
 
 Each test has a probability of a false alarm of 1e-4. A right model meets about forty of them, so
 less than one right model in a hundred is not called explained.
@@ -52,7 +52,7 @@ from rigid_body_ros.sensing.noise import (
     Noise,
 )
 
-#: Ratio of spreads from which on the fit is repeated with them.
+#: Ratio of spreads above which the fit is repeated with them.
 _UNEQUAL = 1.05
 #: Pieces of a recording, after each of which the inertia may have changed.
 _PIECES = 16
@@ -64,7 +64,7 @@ _FAR = 3.72
 _LEAST = 1e-3
 #: rad; and rad/s, and relative to the rates: no sensor has a larger noise.
 _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
-#: rad; rad/s, and relative to the rates: errors below this are those of rounding.
+#: rad; rad/s, and relative to the rates: smaller errors are rounding errors.
 _TINY = 1e-9
 #: Share of outliers, if they come together, that no sensor has, and if they do not.
 _CLUSTERED, _SCATTERED = 0.03, 0.3
@@ -74,7 +74,7 @@ INERTIA_CHANGE = 'inertia_change'
 
 
 class Reason(NamedTuple):
-    """What speaks against a model, and whether that alone makes it useless."""
+    """A reason against a model, and whether it alone makes the model useless."""
 
     text: str
     rejects: bool = False
@@ -92,7 +92,7 @@ class Score(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Findings:
     """
-    What the errors of a fit say.
+    The findings from the errors of a fit.
 
     Attributes
     ----------
@@ -102,9 +102,9 @@ class Findings:
     scores : list of Score
         Of suspects that explain something, the best first.
     drift : dict of str to float
-        By component, by how much the halves of the recordings differ.
+        By component, the difference between the halves of the recordings.
     noises : list of list of Noise
-        Of each channel of each recording; none if the errors are those of rounding.
+        For each channel of each recording; none if the errors are rounding errors.
     predictable_s : float or None
         How long after its start the motion can be predicted; None if to its end, and without a
         validation.
@@ -156,15 +156,15 @@ def _is_rounding(solution: Solution) -> bool:
 
 
 def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
-    """Return the fit with weights that know how large errors are, and how long they last."""
+    """Return the fit with weights that account for the size and the duration of errors."""
     setup = solution.problem.setup
     spreads: list[list[Floats]] = []
     for channels, every in zip(setup.channels, found):
         spreads.append([])
         for channel, noise in zip(channels, every):
             given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            # The fit finds the size of all axes anew. An axis without errors, as of a sensor that
-            # is stuck, must not count for all.
+            # The fit finds the size of all axes again. An axis without errors, such as from a
+            # stuck sensor, must not dominate the others.
             relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
             sizes = np.ones(3) if given else np.maximum(relative, _LEAST)
             spreads[-1].append(sizes * noise.lasting)
@@ -318,7 +318,7 @@ def probability(p: float) -> str:
 
 def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
                 ahead: Sequence[Residuals]) -> Iterator[tuple[float, Reason | None]]:
-    """Generate how long a recording can be predicted, s, and whether it is predicted badly."""
+    """Generate the predictable time of a recording, s, and whether it is predicted badly."""
     from scipy.special import ndtr
     for number, channels in enumerate(every):
         own = [one for one in ahead if one.recording == number]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the data determines, and what it does not, in words."""
+"""A report of what the data determines and what it does not."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Direction:
 @dataclass(frozen=True, eq=False)
 class Certainty:
     """
-    What is known about parameters, divided by their scales.
+    The certainty of parameters, divided by their scales.
 
     Attributes
     ----------

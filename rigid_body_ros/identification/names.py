@@ -43,7 +43,7 @@ def _axes(name: str) -> tuple[str, ...]:
 
 #: The moment of the weight, and the name of its field.
 WEIGHT = 'weight'
-#: By name; the moment of a field and `start` are not among them.
+#: By name, without the moment of a field and `start`.
 KINDS = {
     'inertia': Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
     'inertia_diagonal': Kind(tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]), 'kg m^2'),
@@ -68,7 +68,7 @@ NAMES = (*KINDS, START)
 #: Names that are not among the parameters of a scene.
 NOT_IN_SCENES = tuple(name for name in KINDS if name not in (
     'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum', WEIGHT))
-#: Pairs of names that say the same.
+#: Pairs of names with the same meaning.
 _EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
 #: Units by the beginning of a component name.
 _UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in KINDS.values()},
@@ -79,7 +79,7 @@ _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 
 
 def components_of(name: str) -> tuple[str, ...]:
-    """Return the component names of a parameter, or of NAME.moment, that of a field."""
+    """Return the component names of a parameter, or of NAME.moment, the moment of a field."""
     kind, topic = split_topic(name)
     if kind not in KINDS:
         return _axes(name)
@@ -100,7 +100,7 @@ def split_topic(name: str) -> tuple[str, str]:
 
 
 def field_of(name: str) -> str:
-    """Return the name of the field whose moment a parameter is; empty if it is no moment."""
+    """Return the name of the field whose moment a parameter is; empty if it is not a moment."""
     found = _OF_FIELD.fullmatch(name)
     return found[1] if found else ''
 

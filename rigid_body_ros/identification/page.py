@@ -82,7 +82,7 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
 
 
 def _banner(verdict: Verdict) -> Iterator[str]:
-    """Generate what stands on top of the page: the verdict, unless all is explained."""
+    """Generate the banner of the page: the verdict, unless the model explains everything."""
     if not verdict.is_consistent:
         yield next(verdict.rows())[1]
 
@@ -118,7 +118,7 @@ def _stamps_ns(fit: Identification) -> NDArray[np.int64]:
 
 
 def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
-    """Generate what was measured and computed, and the errors."""
+    """Generate the measured and the computed values, and the errors."""
     stamps_ns, inliers, measured, computed, errors = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))

@@ -42,11 +42,11 @@ from rigid_body_ros.scene.fields import MOMENT
 GRAVITY = 0.0, 0.0, -9.80665
 #: The second moments of a guess are at least this fraction of their trace.
 _THINNEST = 1e-5
-#: Those from which a fit starts are at least this fraction.
+#: Moments from which a fit starts are at least this fraction.
 _FLATTEST = 0.02
 #: Damping from which a fit starts if the scene has none, relative to the scale.
 _LITTLE = 1e-3
-#: s; the lag from which a fit starts: at none, its derivative is that of a delay.
+#: s; the lag from which a fit starts: at zero, its derivative equals that of a delay.
 SHORT_LAG = 0.02
 #: Tensors without negative eigenvalues whose sums are all damping tensors nearby: n n^T.
 _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
@@ -61,7 +61,7 @@ for _value in _NEUTRAL.values():
 
 
 class Prior(NamedTuple):
-    """What is known of a component beforehand: its value, with a standard deviation."""
+    """Prior knowledge of a component: its value, with a standard deviation."""
 
     value: float
     sigma: float
@@ -70,7 +70,7 @@ class Prior(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Physics:
     """
-    What the motions and the sensors of all recordings have in common.
+    The values that the motions and the sensors of all recordings share.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Physics:
 
     def value(self, name: str, topic: str = '') -> Floats:
         """
-        Return a parameter, that of a sensor if it has its own.
+        Return a parameter; the value of a sensor if it has its own.
 
         The torque that acts is the logged one times `torque_gain` and `torque_gains`, later by
         `torque_delay` and with the first-order lag `torque_lag`, plus `torque_bias`. A sensor
@@ -129,7 +129,7 @@ def _body(inertia: bytes, damping: bytes) -> RigidBody:
 
 class Magnitudes(NamedTuple):
     """
-    What the scales of parameters follow from.
+    The magnitudes from which the scales of parameters follow.
 
     Attributes
     ----------
@@ -209,7 +209,7 @@ class Parameters:
             self._scales[name] = np.full(3, max(weak, float(np.linalg.norm(given))))
 
     def with_priors(self, priors: Mapping[str, Prior]) -> Parameters:
-        """Return the same parameters, of which something is known beforehand."""
+        """Return the same parameters with priors."""
         return Parameters(self.groups, self.guess, self.magnitudes, priors)
 
     @property
@@ -235,7 +235,7 @@ class Parameters:
         return steps
 
     def surprise(self, physics: Physics) -> Floats:
-        """Return the differences from what is known beforehand, in standard deviations."""
+        """Return the differences from the priors, in standard deviations."""
         values = dict(zip(self.names, self.values(physics)))
         return np.array([(values[name] - prior.value) / prior.sigma
                          for name, prior in self.priors.items()])
@@ -324,7 +324,7 @@ class Parameters:
 def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
                    guess: Physics) -> dict[str, Prior]:
     """
-    Return what is known of each component beforehand.
+    Return the prior of each component.
 
     Parameters
     ----------
@@ -339,7 +339,8 @@ def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
     Raises
     ------
     InputError
-        Something else is known, a number is not positive, or the guess of a relative one is 0.
+        A name is not an estimated component, a number is not positive, or the guess of a relative
+        one is 0.
 
     """
     values = dict(zip(parameters.names, parameters.values(guess)))

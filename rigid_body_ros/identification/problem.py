@@ -18,8 +18,9 @@ Multiple shooting: the least-squares problem of the parameters and the states of
 The residuals of a window depend on the parameters that all windows share and on the state at its
 beginning. A QR decomposition of the derivatives by both splits them: the first rows determine the
 change of the state from that of the parameters, and the others contain the parameters alone, as in
-the variable projection of Golub and Pereyra (1973). The solver sees only these few rows. So
-neither its memory nor its work grows with the number of samples, and little with that of windows.
+the variable projection of Golub and Pereyra (1973). The solver sees only these few rows. So its
+memory and its work do not grow with the number of samples, and grow little with the number of
+windows.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ _SHORTER = 0.25
 @dataclass(frozen=True, eq=False)
 class Weights:
     """
-    What a sample of each channel counts.
+    The weight of a sample of each channel.
 
     Attributes
     ----------
@@ -60,8 +61,8 @@ class Weights:
     roots : list of list of array, shape (n,)
         Square root of the weight of each sample.
     spreads : list of list of array, shape (3,)
-        By how much errors that last for many samples exceed independent ones of deviation sigma,
-        for each axis.
+        For each axis, the factor by which errors that last for many samples exceed independent
+        ones of deviation sigma.
 
     """
 
@@ -257,7 +258,7 @@ class LeastSquares:
         return triangle(columns)
 
     def _free(self, k: int) -> int:
-        """Return by how many unknowns of a window the derivatives need no motion."""
+        """Return the number of unknowns of a window whose derivatives need no motion."""
         is_in_body = self.windows[k].is_in_body and WEIGHT not in self.parameters.groups
         return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 
@@ -357,7 +358,7 @@ class LeastSquares:
                                     for unit in np.eye(shared)] for times in (1, 2)]
         predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
             k, np.concatenate([np.zeros((1, 6)), *moves])))
-        # One-sided, so that values on the boundary of possible bodies are no exception.
+        # One-sided, so that values on the boundary of possible bodies are not an exception.
         rows = self._rows(k, slopes(window, [one[0] for one in predicted], [
             (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
             / (2.0 * step[:, None, None]) for one in predicted]))

@@ -121,7 +121,7 @@ def fitted_urdf(scene: Scene, fit: Identification) -> str:
 
 
 def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
-    """Return what is wrong with a fit, and some of its estimates."""
+    """Return the problems of a fit, and some of its estimates."""
     estimates = [(name, fit.estimates[name]) for name in names]
     return ['Fitted by attitude_identify.',
             *(f'{fit.verdict.level}: {reason}' for reason in fit.verdict.reasons),

@@ -31,7 +31,7 @@ from rigid_body_ros.identification.windows import Window, windows_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 
-#: Most samples that an autocorrelation reaches.
+#: Largest lag of an autocorrelation, in samples.
 _LONGEST = 2000
 #: A sample of the validation is left out if its error is this many times the median.
 _OUTLIER = 8.0
@@ -93,7 +93,7 @@ class Residuals:
 
     @property
     def computed(self) -> Floats:
-        """Return the prediction of what was measured."""
+        """Return the prediction of the measurements."""
         return so3.multiply(self.measured, so3.exp(self.errors)) if self.is_attitude \
             else self.measured + self.errors
 
@@ -116,8 +116,8 @@ class Misfit:
     attitude_rms, rate_rms : float or None
         rad and rad/s; None if not measured.
     chi2_per_dof : float or None
-        Sum of squares of the errors, divided by their variances and their number less that of the
-        unknowns. It is 1 if the noise was estimated from the same errors.
+        Sum of squares of the errors over their variances, divided by the number of errors minus
+        the number of unknowns. It is 1 if the noise was estimated from the same errors.
 
     """
 
@@ -129,7 +129,7 @@ class Misfit:
 
     @classmethod
     def of(cls, residuals: Sequence[Residuals], unknowns: int) -> Misfit:
-        """Return the misfit of errors that so many unknowns were fitted to."""
+        """Return the misfit of errors after a fit of a number of unknowns."""
         def rms(is_attitude: bool) -> float | None:
             values = np.concatenate([np.empty(0), *(one.kept.ravel() for one in residuals
                                                     if one.is_attitude == is_attitude)])

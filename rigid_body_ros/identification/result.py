@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What an identification returns."""
+"""The result of an identification."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from rigid_body_ros.sensing.measured import Measured
 
 #: Half the width of a 95 % interval, in standard deviations.
 _NORMAL_95 = 1.959963984540054
-#: Correlations from which on a pair of estimates is listed, and the largest number of pairs.
+#: Correlation above which a pair of estimates is listed, and the largest number of pairs.
 _CORRELATED, _PAIRS = 0.95, 6
-#: Autocorrelation from which on errors are not white.
+#: Autocorrelation above which errors are not white.
 _COLOURED = 0.2
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a sensor makes of time and motion: its clock, its axes, its bias and its scale."""
+"""The model of a sensor: its clock, its axes, its bias and its scale."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Flo
     """
     Return the rotations from sensor axes to body axes, for each channel.
 
-    If there are attitudes, the parameter `mount` is not that of the angular velocities of other
+    If there are attitudes, the parameter `mount` does not apply to the angular velocities of other
     topics: those are in body axes, unless they have a `mount@TOPIC`.
 
     Returns

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What is fitted to what, and the windows that it can be divided into."""
+"""The inputs of a fit, and the windows that they can be divided into."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SHORTEST, _LONGEST = 20, 60_000
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What is fitted to what: see `identify`."""
+    """The inputs of a fit: see `identify`."""
 
     problems: Sequence[Problem]
     channels: list[list[Measured]]
@@ -54,7 +54,7 @@ class Setup:
 
     @property
     def axial_tensor(self) -> Floats:
-        """Return by how much the inertia of the body exceeds the one that is fitted, (3, 3)."""
+        """Return the inertia of the body minus the inertia that is fitted, (3, 3)."""
         return self.axial[0].tensor if self.axial[0] else np.zeros((3, 3))
 
     def body(self, physics: Physics) -> RigidBody:

@@ -16,8 +16,9 @@
 The fit: windows that grow, noise levels, and outliers.
 
 Short windows first, whose states begin at the measurements: there a guess far off does no harm,
-because an error has no time to grow. Then longer ones, each fit from the one before, up to the
-whole recording, or until the motion magnifies errors so much that a longer window does not fit.
+because an error has no time to grow. Then longer windows, each fit from the previous one, up to
+the whole recording, or until the motion magnifies errors so much that a longer window does not
+fit.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from rigid_body_ros.sensing.measured import Measured
 
 #: How much shorter windows are if the guess is too far off for the first ones.
 _CLOSER = 8
-#: Correlation of neighbouring errors from which on the first fit is in doubt.
+#: Correlation of neighbouring errors above which the first fit is in doubt.
 _LASTING = 0.5
 #: Number of windows of the first fit, which only has to find out roughly what acts.
 _FEW = 8
@@ -54,7 +55,7 @@ _FAST = 6
 _WORSE, _WORST = 1.1, 2.0
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
-#: rad or rad/s; errors of a few times this are no outliers, however small the others.
+#: rad or rad/s; errors of a few times this are not outliers, however small the others.
 _NO_OUTLIER = 1e-8
 #: Scale of the Cauchy loss, in standard deviations.
 _CAUCHY = 2.4
@@ -133,7 +134,7 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
 
 
 def _lasts(solution: Solution) -> bool:
-    """Return whether errors of neighbouring samples are alike, in any channel."""
+    """Return whether errors of neighbouring samples are correlated, in any channel."""
     for error, middle in _with_middles(solution):
         clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # an outlier hides the others
         if np.nansum(clipped[1:] * clipped[:-1]) > _LASTING * np.nansum(clipped ** 2):

@@ -50,7 +50,7 @@ class Suspect:
     name : str
         The parameter, or `inertia_change`.
     chi2_drop : float
-        By how much the sum of squares of the training falls if it is estimated, too.
+        Drop of the sum of squares of the training if it is also estimated.
     p : float
         Probability of such a drop without an effect.
     value : list of float
@@ -58,7 +58,7 @@ class Suspect:
     validation_chi2_per_dof : float or None
         With the suspect; None without a validation.
     command : str
-        What to type.
+        The options to type.
 
     """
 
@@ -118,7 +118,7 @@ def extended(setup: Setup, physics: Physics, names: Sequence[str]) -> Parameters
 
 
 def with_suspect(solution: Solution, name: str) -> Solution:
-    """Return the fit that estimates a suspect, too."""
+    """Return the fit that also estimates a suspect."""
     setup = solution.problem.setup
     groups = setup.parameters.groups
     physics = solution.physics
@@ -130,7 +130,7 @@ def with_suspect(solution: Solution, name: str) -> Solution:
             name: np.full(3, physics.number('torque_gain'))})
         setup = replace(setup, parameters=Parameters(
             [group for group in groups if group != 'torque_gain'], physics,
-            setup.parameters.magnitudes))  # what is known of the gain is no part of the trial
+            setup.parameters.magnitudes))  # the prior of the gain is not part of the trial
     wider = replace(setup, parameters=extended(setup, physics, [name]))
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
@@ -153,7 +153,7 @@ def value_of(solution: Solution, name: str) -> list[float]:
 
 
 def command_with(setup: Setup, name: str) -> str:
-    """Return the option that estimates a suspect, too."""
+    """Return the option that also estimates a suspect."""
     kind, topic = split_topic(name)
     names = [*setup.parameters.groups, *([START] if setup.fits_start else [])]
     replaced = {'inertia': 'inertia_diagonal', 'torque_gains': 'torque_gain'}.get(name)

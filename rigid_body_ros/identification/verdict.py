@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a model explains what was measured: explained, approximate or rejected."""
+"""Whether a model explains the measurements: explained, approximate or rejected."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ _MEANINGS = {
     REJECTED: 'the model does not explain the measurements; do not use the estimates'}
 #: Suspects that are tried by a fit, and those that are listed.
 _TRIED, _LISTED = 5, 3
-#: Part of the drop of the best suspect from which on another one explains as much, and from
-#: which on what it moves counts.
+#: Parts of the drop of the best suspect above which another one explains as much, and above which
+#: the shift by it counts.
 _ALIKE, _COUNTS = 0.98, 0.1
 
 
@@ -64,9 +64,9 @@ class Verdict:
     level : str
         'explained', 'approximate' or 'rejected'.
     reasons : list of str
-        What speaks against the model.
+        The reasons against the model.
     suspects : list of Suspect
-        What would explain more, the best first.
+        Parameters that would explain more, the best first.
 
     """
 
@@ -76,11 +76,11 @@ class Verdict:
 
     @property
     def is_consistent(self) -> bool:
-        """Return whether nothing speaks against the model."""
+        """Return whether there is no reason against the model."""
         return self.level == EXPLAINED
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the verdict with the names of the JSON."""
+        """Return the verdict under the names that the JSON file uses."""
         return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
                 'suspects': [one.as_dict() for one in self.suspects]}
 
@@ -100,12 +100,12 @@ class Verdict:
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]
           ) -> list[tuple[Suspect, Solution]]:
     """
-    Return fits that estimate one of the likeliest suspects, too; none if all is explained.
+    Return fits that also estimate one of the likeliest suspects; none if all is explained.
 
     Parameters
     ----------
     findings : Findings
-        What speaks against the model.
+        The reasons against the model.
     every : sequence of sequence of Measured
         The channels of each recording, with the samples of the validation; empty without one.
 
@@ -143,11 +143,11 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
     Parameters
     ----------
     findings : Findings
-        What speaks against the model.
+        The reasons against the model.
     attempts : sequence of Suspect
         Those that a fit was made with.
     moved : sequence of dict of str to float
-        By how much the estimates change with each of them.
+        The change of the estimates with each of them.
     scales : dict of str to float
         Of the estimates.
     accept : float
@@ -177,7 +177,7 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
 
 def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     """
-    Return the suspects, the best first: by the validation that they leave, else by their drop.
+    Return the suspects, the best first: by chi-square of the validation, otherwise by their drop.
 
     A change of the inertia, which no fit was made with, has its place by the drop.
     """

@@ -34,7 +34,7 @@ from rigid_body_ros.sensing.measured import Measured
 #: ns; a window with a fitted clock begins this much before its first sample.
 LEAD_NS = 200_000_000
 _MEMORY_NS = round(1e9 * MEMORY)
-#: What the torques of a window depend on.
+#: Parameters that the torques of a window depend on.
 _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
 Stamps = Sequence[NDArray[np.int64]]
 
@@ -42,7 +42,7 @@ Stamps = Sequence[NDArray[np.int64]]
 @dataclass(frozen=True, eq=False)
 class AxialInertia:
     """
-    That of wheels with names: what is fitted is a body without it, whose rotors they are.
+    Axial inertia of wheels with names: the fitted body lacks it, and has the wheels as rotors.
 
     The speeds of wheels are known at the start, relative to the body. So their axial momenta there
     follow from the rate of the body.
@@ -83,8 +83,8 @@ class Window:
     origin_ns : int
         The start of the recording, from which the drift of clocks counts.
     axial : array, shape (3, 3), kg m^2, optional
-        That of wheels with names whose speeds are known at its beginning: the momentum of the
-        rotors is relative to the body there.
+        Axial inertia of wheels with names whose speeds are known at its beginning: the momentum
+        of the rotors is relative to the body there.
     is_in_body : bool
         Whether all torques are in body axes, so that the motion turns with its initial attitude.
 
@@ -100,7 +100,7 @@ class Window:
     is_in_body: bool = field(init=False)
     #: The latest gain, delay and lag, and the problem with them.
     _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
-    #: The latest stamps of all channels, where those of each are among their union, the union.
+    #: The latest stamps of all channels, the indices of each in their union, and the union.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
         init=False, default=None)
 
@@ -167,7 +167,7 @@ class Window:
         return problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
 
     def _instants(self, physics: Physics) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
-        """Return the times of all samples, each once, and where those of each channel are."""
+        """Return the times of all samples, each once, and the indices of each channel in them."""
         stamps = [clocked(channel, physics, self.origin_ns) for channel in self.channels]
         if self._times is None or not all(map(np.array_equal, stamps, self._times[0])):
             union = np.unique(np.concatenate(stamps))
@@ -225,7 +225,7 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
     parts : int
         Number of windows that each window of that length is divided into.
     axial : AxialInertia, optional
-        That of wheels with names.
+        The axial inertia of wheels with names.
 
     Returns
     -------

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The last committed state in a file, from which a node that is started again goes on."""
+"""The last committed state in a file, from which a restarted node continues."""
 
 from __future__ import annotations
 

@@ -167,14 +167,14 @@ class Epoch:
         self._committed_ns = time_ns
 
     def refused(self, time_ns: int) -> int:
-        """Return how many more commands up to a committed state act as zero; see `Wheel`."""
+        """Return the number of new commands up to a committed state that act as zero."""
         if not self._wheels.is_limited:
             return 0
         begin_ns, self._counted_ns = self._counted_ns, time_ns
         return self._propagator.refused_commands(begin_ns, time_ns)
 
     def clipped(self, torque: Torque) -> int:
-        """Return how many efforts of a command are clipped, 0 of another torque."""
+        """Return the number of efforts of a command that are clipped, 0 for another torque."""
         return self._wheels.count_clipped(torque.values) if torque.source == COMMANDS else 0
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What may happen to torques and to the motion: the names under which it is counted."""
+"""Events of torques and of the motion: the names under which they are counted."""
 
 from __future__ import annotations
 

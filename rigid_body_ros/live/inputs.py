@@ -47,8 +47,8 @@ class Torque(NamedTuple):
     """
     A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'.
 
-    Of the source BODY, it is a body instead: `RigidBody.entries`, kg m^2. Of COMMANDS, it has the
-    efforts of the wheels with names, N m, NaN for those that keep theirs.
+    For the source BODY, it is a body instead: `RigidBody.entries`, kg m^2. For COMMANDS, it has
+    the efforts of the wheels with names, N m, NaN for wheels that keep their efforts.
     """
 
     stamp_ns: int
@@ -74,8 +74,8 @@ class Inputs:
         """
         Return the torque of a WrenchStamped in CDR of a source, about the centre of mass.
 
-        A force without a lever arm is ignored and reported. Of the source BODY, the message is an
-        InertiaStamped; of COMMANDS, a JointState.
+        A force without a lever arm is ignored and reported. For the source BODY, the message is an
+        InertiaStamped; for COMMANDS, a JointState.
 
         Raises
         ------

@@ -51,11 +51,11 @@ _NO_TORQUE.flags.writeable = False
 
 
 class Snapshot(NamedTuple):
-    """What is published of a time: the state, and the earlier one that the IMU measures then."""
+    """States to publish for a time: the current one, and the earlier one that the IMU measures."""
 
     state: State
     sensed: State
-    #: What acts, N m, body axes; only of scenes with actuators, and of an epoch.
+    #: The torque that acts, N m, body axes; only in an epoch of a scene with actuators.
     torque: Floats = _NO_TORQUE
 
 
@@ -111,7 +111,8 @@ class Run:
         """
         Return the initial state of the scene, stamped with a time, with the speeds of its wheels.
 
-        The marker of every epoch needs them: parameters that are dumped have those of the last.
+        The marker of every epoch needs these speeds: dumped parameters have the speeds of the last
+        one.
         """
         start, wheels = replace(self._scene.start, time_ns=time_ns), self._scene.named_wheels
         others, speeds = start.rotor_momentum, np.array([wheel.initial_speed for wheel in wheels])
@@ -119,11 +120,11 @@ class Run:
             return replace(start, wheel_speeds=speeds)
         total = sum((wheel.inertia * wheel.initial_speed * np.asarray(wheel.axis)
                      for wheel in wheels), others)
-        # With speeds, a momentum of zero is that of no other rotors.
+        # If speeds are given, a momentum of zero means that there are no other rotors.
         return replace(start, wheel_speeds=speeds, rotor_momentum=total) if total.any() else start
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
-        """Begin an epoch and its log; `torques` are those of an earlier one that still act."""
+        """Begin an epoch and its log; `torques` are from an earlier one and still act."""
         self.epoch = Epoch(self._scene, start, torques)
         self._arrived_ns = dict.fromkeys((torque.source for torque in torques), start.time_ns)
         self._sink.begin_log(start)
@@ -198,7 +199,7 @@ class Run:
             return None
 
     def snapshot(self, time_ns: int, until: float) -> Snapshot | None:
-        """Return what to publish of a time, or None, with the arguments and errors of `state`."""
+        """Return the states to publish for a time, or None; arguments are those of `state`."""
         state = sensed = self.state(time_ns, until)
         if state is not None and self._delay_ns:
             start_ns = self._present().start.time_ns
@@ -270,7 +271,7 @@ class Run:
         return self.epoch
 
     def _commit(self, epoch: Epoch, until_ns: int, until: float) -> None:
-        """Compute the states up to a time, which no torque can change any more."""
+        """Compute the states up to a time, which no torque can change from now on."""
         for stamp_ns in epoch.uncommitted(until_ns):
             state = self.state(stamp_ns, until)
             epoch.mark_committed(stamp_ns)

@@ -54,7 +54,7 @@ class TorqueQueue:
     """
     Torques in the order of arrival.
 
-    Those that wait for the clock are early: later torques overtake them.
+    Torques that wait for the clock are early: later torques overtake them.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What an actuator makes of its commands: delay, limit and first-order lag."""
+"""The model of an actuator: delay, limit and first-order lag of its commands."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _LONGEST_NS = 2 ** 62
 @dataclass(frozen=True, eq=False)
 class Actuator:
     """
-    What an actuator makes of its commands.
+    An actuator: it turns commands into the torques that act.
 
     A command u stamped t acts from t + delay on, limited axis by axis, in the axes in which it was
     given. The torque y follows it with a first-order lag, T y' + y = u. It is zero at the start of
-    the motion. In body axes and in space axes it lags separately: a command in one lets what was
-    commanded in the other decay. After 40 time constants the torque is the command.
+    the motion. In body axes and in space axes it lags separately: after a command in one, the
+    torque in the other decays. After 40 time constants the torque is the command.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Actuator:
 
     @cached_property
     def expiry_ns(self) -> int:
-        """Return after what time the lag of a command is over, ns; 0 without a lag."""
+        """Return the time after which the lag of a command is over, ns; 0 without a lag."""
         return min(round(EXPIRY * self.time_constant * 1e9), _LONGEST_NS)
 
     @property

@@ -26,25 +26,25 @@ from rigid_body_ros.common.times import instants, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 
-#: What goes on when a body changes, see `BodyLog`.
+#: Quantities that can be kept when a body changes, see `BodyLog`.
 KEEPS = RATE, MOMENTUM = 'rate', 'momentum'
 
 
 class BodyLog:
     """
-    The body from each stamp on.
+    The bodies of a motion, each from its stamp on.
 
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. Of equal stamps, the later one in the array is used.
+        In any order. If stamps are equal, the later one in the array is used.
     bodies : sequence of n RigidBody
         The body from each stamp to the next.
     keep : str
-        'rate': the angular velocity goes on, as when a payload is dropped, which takes its
-        momentum along. 'momentum': the momentum J w goes on and the angular velocity jumps, as
-        when an arm is deployed within a moment. The momentum of the rotors goes on in both, and so
-        does the axial momentum I (Omega + a . w) of each wheel with a name.
+        'rate': the angular velocity stays the same, as when a payload is dropped, which takes its
+        momentum along. 'momentum': the momentum J w stays the same and the angular velocity jumps,
+        as when an arm is deployed in an instant. The momentum of the rotors stays the same in
+        both cases, and so does the axial momentum I (Omega + a . w) of each wheel with a name.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class BodyLog:
 
 
 def checked_keep(keep: str) -> str:
-    """Return what goes on when a body changes, or raise ValueError."""
+    """Return the quantity that is kept when a body changes, or raise ValueError."""
     if keep not in KEEPS:
         raise ValueError(f"keep: expected 'rate' or 'momentum', found {keep!r}")
     return keep

@@ -32,7 +32,7 @@ class EffortLog:
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. Of commands for one wheel with equal stamps, the later one in the array is
+        In any order. If commands for one wheel have equal stamps, the later one in the array is
         used.
     efforts : array, shape (n, k), N m
         On k wheels, in their order. NaN: the wheel keeps its command.
@@ -67,7 +67,7 @@ class EffortLog:
         found, rows = np.unique(stamps_ns[commands.any(axis=1)], return_inverse=True)
         values, commands = values[commands.any(axis=1)], commands[commands.any(axis=1)]
         merged = np.full((len(found), values.shape[1]), np.nan)
-        for wheel in range(values.shape[1]):  # of repeated indices, numpy uses the last
+        for wheel in range(values.shape[1]):  # numpy uses the last of repeated indices
             merged[rows[commands[:, wheel]], wheel] = values[commands[:, wheel], wheel]
         self.times_ns: NDArray[np.int64] = found
         self.efforts: Floats = merged

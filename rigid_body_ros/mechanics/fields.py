@@ -48,7 +48,7 @@ class UniformField:
 
     The torque is m x R^T f. For the weight about a pivot, the moment is the mass times the centre
     of mass as seen from the pivot, the field is gravity, and the inertia of the body is that about
-    the pivot. A magnetic dipole (A m^2) in a magnetic field (T), and buoyancy, are alike.
+    the pivot. A magnetic dipole (A m^2) in a magnetic field (T), and buoyancy, have the same form.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class UniformField:
     field : array, shape (3,), m/s^2, T, ...
         In space axes. The product with the moment is in N m.
     name : str
-        What a scene calls it; empty if it has no name.
+        Its name in a scene; empty if it has none.
 
     Raises
     ------
@@ -87,13 +87,13 @@ class UniformField:
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
         """
-        Return a bound on how much faster the field lets bodies turn, rad/s.
+        Return a bound on the increase of the rate by the field, rad/s.
 
         Parameters
         ----------
         least, largest : array, kg m^2
-            Their smallest and largest moments of inertia. The energy bounds the root of twice the
-            kinetic energy over the smallest one.
+            Smallest and largest moments of inertia of the bodies. The energy bounds the root of
+            twice the kinetic energy over the smallest moment.
 
         """
         strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)
@@ -186,7 +186,7 @@ Field = UniformField | GravityGradient
 
 def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
     """
-    Return fields whose orbit has a time: that of the start of the motion, unless it has one.
+    Return fields whose orbit has a time: if it has none, the start of the motion.
 
     Raises
     ------

@@ -215,7 +215,7 @@ class Frames(dict[str, Frame]):
         """
         Return the frame that the name of the body axes refers to; None if there are no frames.
 
-        That is the link of this name if its axes are the body axes, else the link that is the
+        It is the link of this name if its axes are the body axes, otherwise the link that is the
         body: names of body frames need not be names of links.
         """
         named = self.get(body_frame)

@@ -78,7 +78,7 @@ class State:
     _origin: object = field(init=False, repr=False)
     #: Torques of the motors of these wheels that act from this time on, N m, shape (k,).
     wheel_efforts: Floats = field(init=False, repr=False)
-    #: What the wheels do (an `Axial`), or None.
+    #: The state of the wheels (an `Axial`), or None.
     _axial: object = field(init=False, repr=False, default=None)
 
     @classmethod
@@ -127,7 +127,7 @@ class State:
                 f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
 
 
-# As defaults: to store them in every state would take a tenth of the time to make one.
+# Defaults, because storing them in every state would take a tenth of the time to make one.
 for _name in ('wheel_speeds', 'wheel_efforts'):
     type.__setattr__(State, _name, _NO_WHEELS)
 

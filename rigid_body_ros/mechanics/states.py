@@ -51,7 +51,7 @@ class States:
     Parameters
     ----------
     time_ns : int, or array of int, shape (n,), ns
-        Of all states, or of each.
+        One for all states, or one for each.
     attitude : array, shape (n, 4) or (4,), or scipy.spatial.transform.Rotation
         As for `State`: of each, or of all.
     angular_velocity : array, shape (n, 3) or (3,), rad/s, body axes

@@ -39,7 +39,7 @@ class TorqueLog:
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. Of samples with equal stamps, only the last one in the arrays is used.
+        In any order. If samples have equal stamps, only the last one in the arrays is used.
     torques : array, shape (n, 3), N m
         About the centre of mass.
     frame : str, sequence of n str, or array of bool, shape (n,)

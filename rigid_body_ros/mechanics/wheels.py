@@ -63,7 +63,7 @@ class Wheel:
         Viscous: a torque of this times the speed slows the wheel, and its opposite acts on the
         body.
     max_torque : float, N m
-        Of the motor; 0: no limit. A larger command is clipped.
+        Limit of the motor; 0: no limit. A larger command is clipped.
     max_speed : float, rad/s
         Relative to the body; 0: no limit. Checked when a command takes effect: one that would
         speed up a wheel at this speed or above acts as zero.
@@ -100,7 +100,7 @@ class Wheel:
 
 
 class Axial(NamedTuple):
-    """What the wheels do from a command on, up to the next one or its timeout."""
+    """Efforts and momenta of the wheels from a command up to the next one or its timeout."""
 
     #: ns; when it begins, and the stamp of the last command, -NEVER_NS before the first.
     since_ns: int
@@ -228,7 +228,7 @@ class Wheels:
         return efforts - self._friction * speeds
 
     def count_clipped(self, efforts: Floats) -> int:
-        """Return how many commands are beyond the limits of the motors; NaN does not count."""
+        """Return the number of commands beyond the limits of the motors; NaN does not count."""
         return int((np.abs(efforts) > self._max_torque).sum())
 
     def torque(self, efforts: Floats) -> Floats:
@@ -272,7 +272,7 @@ class Wheels:
 
     def begun(self, start: State) -> tuple[State, Axial]:
         """
-        Return a start as the carrier has it, and what its wheels do.
+        Return the start of the carrier, and the state of its wheels.
 
         The momentum of the rotors of this start is that of the others, and the sum of H a. With
         friction it is only that of the others, and the start has the momenta H.
@@ -318,7 +318,7 @@ class Wheels:
         return np.where(np.abs(others) <= _ROUNDED * size, 0.0, others)
 
     def shown(self, state: State, axial: Axial, momenta: Floats) -> State:
-        """Return a state of the carrier with the speeds of the wheels, of momenta (2, n), too."""
+        """Return a state of the carrier with the speeds of wheels with these momenta (2, n)."""
         rates = state.angular_velocity
         speeds = self.speeds(momenta[0], rates)
         momentum = self.relative(state._rotors[0], momenta[0], rates)
@@ -335,7 +335,7 @@ class Wheels:
         Raises
         ------
         ValueError
-            A name is not that of a wheel, or an effort is not finite.
+            A name is not the name of a wheel, or an effort is not finite.
 
         """
         found = np.full(len(self), np.nan)

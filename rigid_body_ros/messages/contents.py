@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What messages contain: states, torques, inertias, frames."""
+"""The contents of messages: states, torques, inertias, frames."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
     """
     Return the marker that begins an epoch in the log of a node: a message of zeros.
 
-    Its stamp is that of the start state, whose numbers its frame_id contains with all digits. No
-    frame of tf2 has a name like that, because of the leading slash.
+    Its stamp is the time of the start state; its frame_id has the numbers of that state with all
+    digits. No frame of tf2 has a name like that, because of the leading slash.
     """
     groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
               'rotors': start.rotor_momentum}
@@ -165,7 +165,7 @@ def odometry(state: State, space_frame: str, body_frame: str, attitude_variance:
     Return an Odometry at the origin with the attitude and the body rates of a state.
 
     A variance other than 0, rad^2 or rad^2/s^2, is on the diagonal of its covariance. Position and
-    linear velocity, which are no estimates, then have one of 1e6 m^2 or m^2/s^2.
+    linear velocity, which are not estimates, then have a variance of 1e6 m^2 or m^2/s^2.
     """
     values = np.zeros(ODOMETRY.doubles)
     values[ORIENTATION] = state.attitude

@@ -121,7 +121,7 @@ class JointCommands(MessageType):
         Raises
         ------
         ValueError
-            The bytes are not a JointState, a name is not one of the joints or is there twice, or
+            The bytes are not a JointState, a name is not one of the joints or occurs twice, or
             there is no finite effort for each name.
 
         """

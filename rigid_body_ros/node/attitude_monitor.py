@@ -39,7 +39,7 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.alarms import ERROR, Judgement, WARN
 
 NAME = 'attitude_monitor'
-#: s; period of the search for windows that are over, and that of diagnostics.
+#: s; period of the search for windows that are over, and period of diagnostics.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
 _SEVERAL = 'messages of several publishers of one topic are taken as those of one sensor'
 

@@ -40,7 +40,7 @@ _ADVICE = ('; if the messages come from a bag, play it with --clock and set use_
 
 
 def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future') -> None:
-    """Raise RejectedError for a stamp more than a named lead, s, ahead, or of another clock."""
+    """Raise RejectedError for a stamp of another clock, or ahead by more than a lead, s."""
     ahead_ns = stamp_ns - now_ns
     advice = _ADVICE if abs(ahead_ns) > OTHER_CLOCK_NS else ''
     if ahead_ns > duration_ns(lead, name):
@@ -85,7 +85,7 @@ class ArrivalStamps:
 
 
 class ClockReading(NamedTuple):
-    """The time of a clock, ns, and by how much it has jumped since the last reading, ns."""
+    """The time of a clock, ns, and its jump since the last reading, ns."""
 
     now_ns: int
     jump_ns: int
@@ -120,7 +120,7 @@ class JumpDetector:
         #: The last reading, between which times it was taken, and when the clock advanced, steady
         #: clock.
         self._now_ns = self._read_at_ns = self._read_by_ns = self._advanced_at_ns = 0
-        #: The longest recent pause; it is forgotten in as much time.
+        #: The longest recent pause; it is forgotten after the same time.
         self._pause_ns = 0
 
     def read(self) -> ClockReading:
@@ -132,7 +132,7 @@ class JumpDetector:
         if not self._now_ns:
             self._now_ns, self._read_at_ns, self._advanced_at_ns = now_ns, before_ns, before_ns
             self._read_by_ns = before_ns
-        # At most: the process may be interrupted while it reads the clocks.
+        # An upper bound, because the process may be interrupted while it reads the clocks.
         after_ns = time.monotonic_ns()
         elapsed_ns = after_ns - self._read_at_ns
         silence_ns = min(after_ns - self._advanced_at_ns, _LONGEST_PAUSE_NS)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What plain and managed nodes share: everything but the life of the node."""
+"""The common part of plain and managed nodes: everything but the lifecycle."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BE
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long publishing the pending states may take.
 _END_TIME = 0.8
-#: s; period of the search for silent sources, and that of diagnostics, which is a multiple of it.
+#: s; period of the search for silent sources, and period of diagnostics, a multiple of it.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
 #: s; period of the worker. A slice of work takes longer, so slices follow each other immediately.
 #: The worker is idle between slices only while all torques wait for the clock.
@@ -78,7 +78,7 @@ class AttitudeComponent:
 
     def __init__(self, node: Node, is_managed: bool = False) -> None:
         self._node, others = node, _entities(node)
-        #: What is created in `activate`, and before it.
+        #: Entities that are created in `activate`, and before it.
         self._active: set[Any] = set()
         self._own: set[Any] = set()
         self._parameters = NodeParameters(node, lambda rate: self._mode.set_rate(rate), is_managed)

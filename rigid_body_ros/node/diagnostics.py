@@ -78,7 +78,7 @@ class _Counts(Counter[str]):
         self._published: Counter[str] = Counter()
 
     def increments(self) -> Counter[str]:
-        """Return by how much the counts have increased since the last call."""
+        """Return the increase of the counts since the last call."""
         new = Counter(self) - self._published
         self._published = Counter(self)
         return new

@@ -56,7 +56,7 @@ _CLOCK = '/clock'
 
 
 class Lockstep(Mode):
-    """Publish the state `step` after a stamp as soon as all torques of this stamp are there."""
+    """Publish the state `step` after a stamp as soon as all torques of this stamp have arrived."""
 
     several_publishers = 'only the first torque for each state is used'
 
@@ -117,8 +117,8 @@ class Lockstep(Mode):
         """
         Begin an epoch with a state, and return a description.
 
-        If the stamp of the state is zero, the epoch begins at that of the next torque. The rotors
-        keep their momentum.
+        If the stamp of the state is zero, the epoch begins at the stamp of the next torque. The
+        rotors keep their momentum.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class Lockstep(Mode):
         return max(0, self._latest.state.time_ns - self._step_ns)
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the present problems by source; those of the loop are of the first."""
+        """Return the present problems by source; the first source also has those of the loop."""
         if self._clock is not None and self._node.count_publishers(_CLOCK) > 1:
             self._node.destroy_publisher(self._clock)
             self._clock = None
@@ -263,7 +263,7 @@ class Lockstep(Mode):
         self._duplicates[torque.source].discard(torque)
 
     def _publish_start(self) -> None:
-        # That of the epoch, with what acts on the body and on the wheels.
+        # The state of the epoch, with the torques on the body and on the wheels.
         start = Snapshot(self._start, self._start)
         if self.run.epoch is not None:
             start = self.run.snapshot(self._start.time_ns, math.inf) or start

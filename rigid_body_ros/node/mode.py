@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What both modes share: the run, the queue of torques, and the work on it in short slices."""
+"""The part that both modes share: the run, and the queue of torques, worked on in short slices."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Mode:
     outputs : Publishers
     diagnostics : Diagnostics
     checkpoint : Checkpoint, optional
-        If it has a state, the run goes on from it.
+        If it has a state, the run continues from it.
 
     """
 
@@ -83,7 +83,7 @@ class Mode:
         return waiting
 
     def catch_up(self) -> None:
-        """Publish what is overdue, because many messages arrive and delay all timers."""
+        """Publish overdue outputs, because many messages arrive and delay all timers."""
 
     def process(self) -> bool:
         """Apply waiting torques for one slice of time; return whether no work is left."""
@@ -102,8 +102,8 @@ class Mode:
         """
         End the epoch, if there is one, and reject all torques that still wait.
 
-        Those that are early for the cause `kept` stay for the next epoch. The states of the epoch
-        are committed by `until`, s, monotonic clock, or within 0.2 s.
+        Torques that are early for the cause `kept` stay for the next epoch. The states of the
+        epoch are committed by `until`, s, monotonic clock, or within 0.2 s.
         """
         if self._current and self._is_applied:  # its response takes too long
             self.run.log(self._current[0])

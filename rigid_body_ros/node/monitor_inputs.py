@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a live check: torques and measurements, from their messages into a `Monitor`."""
+"""The inputs of a live check: messages with torques and measurements are put into a `Monitor`."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ _PATIENCE = 5.0
 _CLOCK_PERIOD = 0.005
 #: s; how far a stamp may be ahead of simulated time.
 _OVERTAKING = 60.0
-#: Why windows are not judged, besides the reasons of `Monitor`.
+#: Reasons why windows are not judged, in addition to those of `Monitor`.
 _LOST, _JUMP = 'torques lost', 'the clock jumped'
 #: ns; the smallest step of a wall clock that is a jump.
 _STEP_NS = 10 ** 6
@@ -233,7 +233,7 @@ class MonitorInputs:
 
     @property
     def _reach_ns(self) -> int:
-        """Return how far from the present a message from before a small jump may be, ns."""
+        """Return the largest age of a message from before a small jump, ns."""
         return min(abs(self._jump_ns), 2 * self._history_ns) + self._history_ns
 
     def take(self) -> None:
@@ -293,7 +293,7 @@ class MonitorInputs:
         sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])
         if sent.any():
             self._measured.setdefault(source, int(sent[sent > 0][0]))
-        # As in a recording, every message of a topic has what the first has.
+        # As in a recording, every message of a topic has the same quantities as the first.
         usable = sent == self._measured.get(source, -1)
         for _ in range(int(np.sum(~usable))):
             self.diagnostics.reject(RejectedError(

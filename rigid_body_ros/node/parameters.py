@@ -63,7 +63,7 @@ class NodeParameters:
     on_rate : callable
         Receives a new `publish_rate`.
     is_managed : bool
-        Whether `release` is called when the scene is not used any more.
+        Whether `release` is called when the scene is no longer used.
 
     Raises
     ------

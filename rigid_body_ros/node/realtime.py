@@ -131,7 +131,7 @@ class Realtime(Mode):
 
     def catch_up(self) -> None:
         """Publish the present state if the timer is late, because many messages arrive."""
-        # Simulated time, which the timer then follows, may stand still.
+        # Simulated time, which the timer then follows, may stop.
         if self._timer and not self._is_simulated and self._is_overdue:
             self._publish_now()
 
@@ -177,7 +177,7 @@ class Realtime(Mode):
         return self._update()
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the present problems by source; those of the clock are of the first."""
+        """Return the present problems by source; the first source also has those of the clock."""
         now_ns, timeout = self._update(), self._scene.torque_timeout
         problems = {source: [] for source in self._torques}
         problems[next(iter(problems))] = self._monitor.problems()

@@ -128,7 +128,7 @@ class RecordedNode:
 
     @property
     def has_rival(self) -> bool:
-        """Return whether another node publishes the states, too."""
+        """Return whether another node also publishes the states."""
         states = self._listener.resolve_topic_name('odometry')
         return self._listener.count_publishers(states) > (self._node is not None)
 

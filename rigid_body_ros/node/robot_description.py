@@ -29,7 +29,7 @@ from std_msgs.msg import String
 
 #: The topic, and the parameter that it replaces.
 ROBOT_DESCRIPTION = 'robot_description'
-#: That of robot_state_publisher; a later subscription receives the last message, too.
+#: As in robot_state_publisher; a later subscription also receives the last message.
 _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MOMENTS = ('inertia.ixx', 'inertia.iyy', 'inertia.izz')

@@ -31,9 +31,9 @@ from sensor_msgs.msg import JointState
 
 #: The topic of the torque of the motors on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'
-#: That of the inertia of a body that changes.
+#: The source of the inertia of a body that changes.
 _INERTIA = 'inertia'
-#: That of the commands of wheels with names.
+#: The source of the commands of wheels with names.
 _WHEEL_COMMAND = 'wheel_command'
 
 
@@ -47,7 +47,7 @@ class TorqueTopic(NamedTuple):
     log: str
     #: Its name in diagnostics.
     status: str
-    #: The message, and what it has.
+    #: The type of its messages, and their content.
     kind: type = WrenchStamped
     what: str = 'torque'
     #: How its messages are encoded.

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What becomes of the samples that arrive one by one: delay, limit and lag of each source."""
+"""Samples that arrive one by one, as they act: delay, limit and lag of each source."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ActingSamples:
     Parameters
     ----------
     actuator : Actuator, or sequence of Actuator or None, optional
-        Of every source, or of each.
+        One for all sources, or one for each.
     timeout_ns : int
         As for `TorqueLog.segments`.
     start_ns : int
@@ -65,7 +65,7 @@ class ActingSamples:
         return given[source]
 
     def delay_ns(self, source: int) -> int:
-        """Return how long after its stamp a sample acts, ns."""
+        """Return the delay from the stamp of a sample until it acts, ns."""
         found = self.of(source) if self.exist else None
         return found.delay_ns if found else 0
 

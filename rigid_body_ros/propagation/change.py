@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a `Propagator` has in force from a time on."""
+"""The inputs of a `Propagator` that are in force from a time on."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Commands(NamedTuple):
 
 
 def no_commands(count: int) -> Commands:
-    """Return what is in force before the first command of so many wheels."""
+    """Return the commands in force before the first one, given the number of wheels."""
     return Commands((-NEVER_NS,) * count, (0.0,) * count)
 
 
@@ -73,14 +73,14 @@ class Active(NamedTuple):
 
 @dataclass
 class Change:
-    """What is in force from a time on: the sample of each source, the body, and the commands."""
+    """Inputs in force from a time on: the sample of each source, the body, and the commands."""
 
     time_ns: int
     samples: dict[int, Sample]
     body: NewBody
     commands: Commands
     active: Active | None = None
-    #: What begins when torques time out, or when a lag is over, in order.
+    #: The changes when torques time out, or when a lag is over, in order.
     after_timeouts: list[Active] = field(default_factory=list)
 
     @property
@@ -105,6 +105,6 @@ class Change:
             self.commands.stamp_ns, *(sample.stamp_ns for sample in samples)))
 
     def discard(self) -> None:
-        """Forget what has been computed."""
+        """Discard computed results."""
         self.active = None
         self.after_timeouts.clear()

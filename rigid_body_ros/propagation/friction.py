@@ -49,6 +49,6 @@ def friction_key(friction: Friction, row: int = 0) -> Floats:
 
 def friction_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
                    lags: Lags | None, friction: Friction) -> FrictionTerms:
-    """Return the terms of rows with friction, with fields and lags or without."""
+    """Return the terms of rows with friction, and of their fields and lags, if there are any."""
     lags = lags or Lags(np.zeros((len(friction.efforts), 0, 2, 3)), np.empty(0))
     return FrictionTerms(*lag_terms(momentum, motors, space, fields, lags)[:5], friction)

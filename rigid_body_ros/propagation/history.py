@@ -48,7 +48,7 @@ from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_of
 
 class History:
     """
-    What acts on a body from each change on, and the motion there, computed when it is needed.
+    The inputs of a body from each change on, and the motion there, computed when it is needed.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class History:
         self._options, self._acting = options, acting
         self._wheels, self._fields = wheels, fields
         self._history_ns = history_ns
-        #: What the wheels do at the start.
+        #: The state of the wheels at the start.
         self._axial: Axial | None = None
         self._start = start
         self._has_friction = wheels is not None and wheels.has_friction
@@ -134,12 +134,12 @@ class History:
         self._renew(index)
 
     def active(self, index: int, time_ns: int, until: float) -> Active:
-        """Return what is active at a time in a change, or raise TimeoutError."""
+        """Return the active segment at a time in a change, or raise TimeoutError."""
         self.compute(index, until)
         return self._active_at(self.changes[index], time_ns, until)
 
     def _renew(self, index: int) -> None:
-        """Compute again from a change on."""
+        """Recompute the motion from a change on."""
         self._discard_segments(index)
         if self.changes[0].active is None:
             self._begin()
@@ -191,7 +191,7 @@ class History:
             del self.changes[:oldest], self._times_ns[:oldest]
 
     def _discard_segments(self, index: int) -> None:
-        # Segments are computed from the front: if one is missing, all later ones are, too.
+        # Segments are computed in order: if one is missing, so are all later ones.
         self.changes[index].discard()
         for change in self.changes[index + 1:]:
             if change.active is None:
@@ -210,7 +210,7 @@ class History:
                 raise timed_out(change.time_ns)
 
     def _active_at(self, change: Change, time_ns: int, until: float) -> Active:
-        """Return what is active at a time between a change and the next."""
+        """Return the active segment at a time between a change and the next."""
         active = change.active
         assert active is not None
         for k, due_ns in enumerate(change.due_ns(self._acting)):
@@ -237,7 +237,7 @@ class History:
         return self._active_from(start, total, body, lagging, axial)
 
     def _next_axial(self, axial: Axial, commands: Commands, state: State) -> Axial:
-        """Return what the wheels do from a state on."""
+        """Return the state of the wheels that begins with a state."""
         assert self._wheels
         time_ns = state.time_ns
         if commands.stamp_ns == time_ns:
@@ -248,7 +248,7 @@ class History:
         return axial
 
     def new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
-        """Return a body from a stamp on."""
+        """Return the body that begins at a stamp."""
         carrier = self._wheels.carrier(body) if self._wheels else body
         return NewBody(stamp_ns, body, keep, carrier)
 

@@ -39,8 +39,8 @@ from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.problem import Problem
 
-#: How many commands of wheels are tried at first to see whether they act, and of how many a
-#: timeline has at most if they may not.
+#: Number of commands of wheels that are first tried to see whether they act, and the most commands
+#: of a timeline in which some may not act.
 _WINDOW, _SPAN = 16, 512
 
 
@@ -63,7 +63,7 @@ class Integration:
 
     """
 
-    # As defaults, because most motions do not need them and to set them takes time.
+    # Defaults, because most motions do not need them and setting them takes time.
     #: How many commands of wheels with names are known to act or not.
     _resolved = refused_commands = 0
     #: When the first row begins if not at the start, and the momentum of the rotors there.
@@ -76,7 +76,7 @@ class Integration:
         self._body = self._carrier = problem.body_at(start.time_ns)
         #: A time at which a new timeline begins, so that each is short.
         self._mark_ns = NEVER_NS
-        #: What the wheels with names do.
+        #: The state of the wheels with names.
         self._wheels: WheelTimeline | None = None
         self._others = NO_OTHERS
         if problem.fields or problem.actuators:
@@ -92,7 +92,7 @@ class Integration:
         self._progress, self._is_begun = self._begin(), False
 
     def _wheels_from(self, axial: Axial, state: State) -> WheelTimeline:
-        """Return what the wheels do; commands that are in force begin, unless they have."""
+        """Return the state of the wheels; commands in force begin to act, unless they have."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
         begun = in_force(problem.named_wheels, axial, problem.efforts, state,
@@ -102,7 +102,7 @@ class Integration:
         return self._wheels_on(begun)
 
     def _wheels_on(self, axial: Axial) -> WheelTimeline:
-        """Return what wheels go on to do from the end of the motion so far on."""
+        """Return the state of the wheels from the end of the motion so far on."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
         wheels, efforts = problem.named_wheels, problem.efforts
@@ -200,7 +200,7 @@ class Integration:
             In any order.
         until_ns : int, optional
             The motion is computed up to this time, and no time of `at` is later; `extend` follows.
-            It is that of a sample. None if there are no more torques, or if the next call
+            It is the time of a sample. None if there are no more torques, or if the next call
             continues within this piece.
 
         Returns

@@ -35,7 +35,7 @@ _AT_REST = np.zeros((2, 6))
 
 class Lagging(NamedTuple):
     """
-    A source from a change of its command on.
+    One source, from a change of its command on.
 
     The command, N m, shape (2, 3), is that in body axes and that in space axes, one of which is
     zero. The torque at the change, and its low-order part, has shape (2, 6).

@@ -115,14 +115,15 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
     starts : States
         n of them.
     log : TorqueLog, or sequence of n TorqueLog or of n sequences of TorqueLog, optional
-        The log of all runs, or of each; several logs of a run add up. None for torque-free motion.
-        Logs that runs have in common are added up once.
+        One log for all runs, or one for each; several logs of a run add up. None for torque-free
+        motion. Logs that runs have in common are added up once.
     at : array of int, shape (m,), ns
         As for `propagate`, the same for all runs.
     wheels : TorqueLog, or sequence of n TorqueLog, optional
-        As for `propagate`: of all runs, or of each.
+        As for `propagate`: one for all runs, or one for each.
     fields : sequence of UniformField or GravityGradient, or n such sequences, optional
-        As for `Problem`: of all runs, or of each. Runs with fields do not share a step.
+        As for `Problem`: the same for all runs, or one sequence for each. Runs with fields do not
+        share a step.
     torque_gains : array, shape (n,), optional
         Each log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
@@ -163,7 +164,7 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
 
 
 def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
-    """Return fields for the kernels, a row for each run or, if they are alike, one; or None."""
+    """Return fields for the kernels, a row for each run or, if they are equal, one; or None."""
     if not fields:
         return None
     begins_ns = starts.time_ns.tolist()
@@ -192,7 +193,7 @@ def _alike(logs: Sequence[Any], motors: Sequence[Any]) -> list[NDArray[np.intp]]
 
 
 def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
-    """Return what is given for each run, or raise ValueError."""
+    """Return the value given for each run, or raise ValueError."""
     if given is None or isinstance(given, TorqueLog):
         return [given] * count
     if len(given) != count:
@@ -373,5 +374,5 @@ class _Runs:
                             rates.reshape(count, size, 3), tuple(self._messages))
 
 
-#: What has the torques of runs, whatever their bodies and starts.
+#: The sources of the torques of runs, whatever their bodies and starts.
 _AT_REST = Problem(RigidBody(np.eye(3)), State())

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which solver was used for each span, and why."""
+"""The solver that was used for each span, and the reason."""
 
 from __future__ import annotations
 

@@ -124,7 +124,8 @@ class Options:
         """
         Return what determines the motion under fields and a held torque, apart from the start.
 
-        The others are the torque in space axes beside one in body axes, and that on the rotors.
+        The others are a torque in space axes in addition to one in body axes, and the torque on
+        the rotors.
         """
         return (body._constants.tobytes(), None if fields is None else fields.tobytes(),
                 self.solver, float(self.tolerance), self.max_step_ns,

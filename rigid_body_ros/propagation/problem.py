@@ -59,7 +59,7 @@ class Problem:
         interpolation and timeout. Before the first sample a torque is zero.
     wheels : TorqueLog or sequence of Wheel, optional
         Torque of the motors on the rotors, body axes; the body feels the opposite torque. Or
-        wheels with names, of which `efforts` has the commands.
+        wheels with names, whose commands are in `efforts`.
     efforts : EffortLog, optional
         The torques of the motors of wheels with names.
     fields : sequence of UniformField or GravityGradient
@@ -68,7 +68,7 @@ class Problem:
         The bodies that take the place of the first one, each from its stamp on. A stamp before
         the start, or at it, says which body starts.
     actuator : Actuator, or sequence of Actuator or None, optional
-        What becomes of the torques of every log, or of each: delay, limit and lag. Such a log is
+        Delay, limit and lag of the torques: one for all logs, or one for each. Such a log is
         held, and its samples are commands; a timeout ends a command by its stamp, so it takes
         effect with the delay.
     solver : str
@@ -97,7 +97,7 @@ class Problem:
     efforts : EffortLog, optional
         None if it has no commands.
     fields : tuple of UniformField or GravityGradient
-        An orbit without a time has that of the start.
+        An orbit without a time has the time of the start.
     changes : BodyLog, optional
         None if there are none.
     actuators : tuple of Actuator or None
@@ -110,14 +110,14 @@ class Problem:
     ------
     ValueError
         An option is out of its range, the torque of wheels is in space axes, there are two gravity
-        gradients, the wheels with names cannot be those of the body or of the start, efforts are
-        not those of the wheels, a gravity gradient acts on wheels with names, which is not
-        supported yet, the commands of an actuator are interpolated, or the solver does not handle
-        torques, rotors, damping, friction or fields.
+        gradients, the wheels with names do not fit the body or the start, efforts do not fit the
+        wheels, a gravity gradient acts on wheels with names, which is not supported yet, the
+        commands of an actuator are interpolated, or the solver does not handle torques, rotors,
+        damping, friction or fields.
 
     """
 
-    #: The time at which torques that lag are zero, if it is not that of the start.
+    #: The time at which torques that lag are zero, if it is not the start.
     _rest_ns: int | None = None
 
     def __init__(self, body: RigidBody, start: State, log: Logs = None, *,
@@ -135,7 +135,7 @@ class Problem:
             self._fields = packed(self.fields)
         self.changes, self.efforts = changes or None, efforts or None
         self.named_wheels: Wheels | None = None
-        #: As given: of all logs, or of each.
+        #: As given: one for all logs, or one for each.
         self._actuator = actuator
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
@@ -208,7 +208,7 @@ class Problem:
 
     @property
     def sources(self) -> tuple[TorqueLog, ...]:
-        """Return the torques on the body, and then that on the rotors, if there is one."""
+        """Return the torques on the body, and then the torque on the rotors, if there is one."""
         return (*self.logs, self.wheels) if self.wheels else self.logs
 
     @property
@@ -303,7 +303,7 @@ class Problem:
         Raises
         ------
         ValueError
-            A wheel has friction: what the rotors do is then part of the motion.
+            A wheel has friction: the motion of the rotors is then part of the result.
 
         """
         if not self.named_wheels:
@@ -336,7 +336,7 @@ class Problem:
         Returns
         -------
         array, shape (m, 3), N m, body axes
-            That of the fields included, without that on the rotors.
+            Including the torque of the fields, without the torque on the rotors.
 
         """
         total = np.zeros((len(times_ns), 3))

@@ -49,8 +49,8 @@ class Propagator:
     change of the body. A state between stamps is a prediction: no later state depends on it. A
     torque that arrives late, by less than `history`, is inserted, and the later torques are
     applied again; of torques with equal stamps the last to arrive is used. So the states at the
-    stamps are those of `propagate` with the whole log, bit for bit, in whatever order the torques
-    of each source arrive.
+    stamps equal those of `propagate` with the whole log, bit for bit, in whatever order the
+    torques of each source arrive.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Propagator:
         return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
 
     def delay_ns(self, source: int) -> int:
-        """Return how long after its stamp a torque of a source acts, ns."""
+        """Return the delay from the stamp of a torque of a source until it acts, ns."""
         return self._acting.delay_ns(source)
 
     def body_at(self, time_ns: int) -> NewBody:
@@ -113,7 +113,7 @@ class Propagator:
         return self._history.changes[max(self._history.index_of(time_ns), 0)].body
 
     def bodies_since(self, time_ns: int) -> list[NewBody]:
-        """Return the body in force at a time, and all later ones, but for the first one."""
+        """Return the body in force at a time, and all later ones, except the first one."""
         index = max(self._history.index_of(time_ns), 0)
         found = dict.fromkeys(change.body for change in self._history.changes[index:])
         return [body for body in found if body.stamp_ns != -NEVER_NS]
@@ -140,7 +140,7 @@ class Propagator:
             if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
 
     def commands_at(self, time_ns: int) -> Commands:
-        """Return the commands of wheels in force at a time; -NEVER_NS is no stamp."""
+        """Return the commands of wheels in force at a time; -NEVER_NS stands for no stamp."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].commands
 
     def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:
@@ -239,7 +239,7 @@ class Propagator:
         body : RigidBody
             With its damping.
         keep : str
-            'rate' or 'momentum': what goes on, see `BodyLog`.
+            'rate' or 'momentum': the quantity that is kept, see `BodyLog`.
 
         Returns
         -------
@@ -272,8 +272,8 @@ class Propagator:
         time_ns : int
             As for `apply`.
         efforts : mapping of str to float, N m
-            By name; other wheels keep theirs. Of equal stamps, the last to arrive is used for each
-            wheel.
+            By name; other wheels keep their efforts. If stamps are equal, the last to arrive is
+            used for each wheel.
 
         Returns
         -------
@@ -283,7 +283,7 @@ class Propagator:
         Raises
         ------
         ValueError
-            As for `apply`, a name is not that of a wheel, or there is none.
+            As for `apply`; or a name is not the name of a wheel, or there are no wheels.
         TypeError
             The time is not an integer.
 
@@ -300,7 +300,7 @@ class Propagator:
 
     def refused_commands(self, after_ns: int, until_ns: int) -> int:
         """
-        Return how many commands of wheels with stamps in (after_ns, until_ns] act as zero.
+        Return the number of commands with stamps in (after_ns, until_ns] that act as zero.
 
         Their wheels are too fast, see `Wheel`. Those before `earliest_ns` are forgotten.
         """

@@ -63,7 +63,7 @@ class Sample(NamedTuple):
 
 
 class NewBody(NamedTuple):
-    """A body from a stamp on, and what goes on there, see `BodyLog`."""
+    """A body from a stamp on, and the quantity that is kept there, see `BodyLog`."""
 
     stamp_ns: int
     body: RigidBody
@@ -79,13 +79,13 @@ class Sum(NamedTuple):
     in_space: bool
     space: Floats = _NONE
     motors: Floats = _NONE
-    #: What remains of torques that lag, beyond their commands; None if none does.
+    #: The difference between torques that lag and their commands; None if none does.
     lags: Lags | None = None
 
     @property
     def others(self) -> tuple[Floats, ...]:
-        """Return the torque in space axes beside one in body axes, and that on the rotors."""
-        # Most motions have neither, and to ask arrays of zeros takes a tenth of a short segment.
+        """Return the torque in space axes if one in body axes acts too, and that on the rotors."""
+        # Most motions have neither, and checking arrays of zeros takes a tenth of a short segment.
         if self.space is self.motors or not (self.space.any() or self.motors.any()):
             return ()
         return self.space, self.motors
@@ -148,7 +148,7 @@ class Segment:
         self._rotors = origin.rotors
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        #: Time and state computed last, and those of the last grid point before.
+        #: Time and state computed last, and time and state of the last grid point before them.
         self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
         terms: Terms | FieldTerms | LagTerms | FrictionTerms | None = None
         if friction is not None:
@@ -168,7 +168,7 @@ class Segment:
         begin_ns, begin = self._grid_ns[0], self._states[0]
         if time_ns == begin_ns:
             return self._state(time_ns, begin, begin_ns, begin)
-        if time_ns != self._latest[0]:  # the state of an output is that of the next segment, too
+        if time_ns != self._latest[0]:  # the state of an output also belongs to the next segment
             self._compute(time_ns, until)
         return self._state(*self._latest)
 

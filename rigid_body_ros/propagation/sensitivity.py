@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far a change in the last digit of the inputs moves a motion, whatever the solver."""
+"""The effect of the last digit of the inputs on a motion, whatever the solver."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ _ROUNDS = 2
 
 def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     """
-    Return how far a motion moves if its inputs change in the last digit.
+    Return the change of a motion if its inputs change in the last digit.
 
     The function computes up to six changed motions: two with changes of inertia and damping, two
     of the torques, and two of all these and the start. A change moves every entry by one unit in
     the last place, up or down at random; the random numbers are the same in every call. Zeros stay
     zero, and the tensors stay symmetric. The rounding error of the solver adds to the result; it
     is `auto` at its tightest tolerance, whatever the solver of the problem. The function skips a
-    change if its tensor is not that of a rigid body, or if the body then spins faster than
+    change if the tensor is then impossible for a rigid body, or if the body then spins faster than
     1e9 rad/s.
 
     Parameters

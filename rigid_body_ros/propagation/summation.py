@@ -31,7 +31,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels, Samples, Sums
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: To add it changes no bit of a torque.
+#: Adding it changes no bit of a torque.
 _NOTHING = np.full((1, 3), -0.0)
 _NO_MARKS = np.empty(0, np.int64)
 
@@ -105,8 +105,8 @@ def _allocated(count: int, degree: int) -> Sums:
     """
     Return arrays of sums, not yet filled.
 
-    They are one block that numpy allocates. For a large block numpy asks for large pages; to get
-    small ones from the system takes longer than to fill them. Memory that is never touched takes
+    They are one block that numpy allocates. For a large block numpy asks for large pages; getting
+    small ones from the system takes longer than filling them. Memory that is never touched takes
     no time.
     """
     sizes = 2 * degree + 1, degree + 1, degree + 1, 2

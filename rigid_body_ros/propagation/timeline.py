@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What acts on a body, as rows: the torques of all sources, their timeouts, and the rotors."""
+"""The inputs of a body, as rows: the torques of all sources, their timeouts, and the rotors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CHUNK = 65536
 
 
 class OtherTorques(NamedTuple):
-    """What acts besides the logs and the rotors; None for each that does not."""
+    """Torques in addition to the logs and the rotors; None for each term that does not."""
 
     #: The torques that depend on the attitude: FIELDS, shape (1,).
     fields: NDArray[Any] | None = None
@@ -52,7 +52,7 @@ NO_OTHERS = OtherTorques()
 
 class Timeline:
     """
-    What acts on a body from a time on.
+    The inputs of a body from a time on.
 
     The torque of one log is in its own rows; several logs are summed. A torque that times out has
     a row of zeros from then on.
@@ -81,7 +81,7 @@ class Timeline:
 
     """
 
-    # As defaults, because most motions have none of these and to set them takes time.
+    # Defaults, because most motions have none of these and setting them takes time.
     has_rotors = has_terms = _has_motors = _always_acts = False
     _fields: NDArray[Any] | None = None
     _lagging: LaggingSources | None = None
@@ -175,9 +175,9 @@ class Timeline:
         """
         Return the torques that are held in a row, N m, shape (3,); None if they change in it.
 
-        The first one is that on the body, in the axes that the second result states: whether in
-        space axes. The others are that in space axes beside one in body axes, on the rotors, and
-        what lags.
+        The first one acts on the body; the second result states whether it is in space axes. The
+        others are a torque in space axes in addition to one in body axes, the torque on the
+        rotors, and the torques that lag.
         """
         none = np.zeros(3)
         if self._summed is not None:
@@ -229,7 +229,7 @@ class Timeline:
         Returns
         -------
         iterable of (int, int, Rows)
-            The row after the last of a chunk is there, too.
+            A chunk is followed by one more row.
 
         """
         if self._summed:

@@ -48,7 +48,7 @@ class Trajectory:
     times_ns: NDArray[np.int64]
     #: See `motion_layout`; it may have rows after those of the times.
     _motion: Floats
-    #: Of each part of the motion, in order; with each change of the body a part begins.
+    #: For each part of the motion, in order; a part begins with each change of the body.
     _parts: tuple[SolverUsage, ...]
     #: The axial momenta of wheels with friction, N m s, as rows; None without.
     _momenta: Floats | None = None
@@ -121,7 +121,7 @@ class Trajectory:
 
     @cached_property
     def models(self) -> tuple[Model, ...]:
-        """Which solver was used for each span, and why."""
+        """The solver that was used for each span, and the reason."""
         found = list[Model]()
         for before, part in zip((None, *self._parts), self._parts):
             models = part.models()
@@ -135,7 +135,7 @@ class Trajectory:
         """
         Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3).
 
-        That of wheels with names is included.
+        The momentum of wheels with names is included.
         """
         def of_part(part: SolverUsage, rows: Any) -> Floats:
             momentum = part.timeline.momentum(self.times_ns[rows])[:, 0]
@@ -168,7 +168,7 @@ class Trajectory:
 
     @cached_property
     def angular_momentum_space(self) -> Floats:
-        """Angular momentum in space axes, N m s, shape (m, 3), that of the rotors included."""
+        """Angular momentum in space axes, N m s, shape (m, 3), including the rotors."""
         momentum = self._by_part(
             lambda part, rows: part.body.angular_momentum(self.angular_velocity[rows]))
         if any(part.wheels or part.timeline.has_rotors for part in self._parts):
@@ -177,12 +177,12 @@ class Trajectory:
 
     @cached_property
     def kinetic_energy(self) -> Floats:
-        """Kinetic energy w . J w / 2, J, shape (m,); that of the rotors is not included."""
+        """Kinetic energy w . J w / 2, J, shape (m,); without the rotors."""
         return self._by_part(
             lambda part, rows: part.body.kinetic_energy(self.angular_velocity[rows]))
 
     def _by_part(self, value: Callable[[SolverUsage, Any], Floats]) -> Floats:
-        """Return a quantity of which a function returns the rows of a part."""
+        """Return a quantity, given a function that returns its rows for a part."""
         if len(self._parts) == 1:
             return value(self._parts[0], slice(None))
         begins_ns = [part.start_ns for part in self._parts[1:]]
@@ -195,7 +195,7 @@ class Trajectory:
 
 
 def joined(times_ns: NDArray[np.int64], parts: Sequence[Trajectory]) -> Trajectory:
-    """Return the motion at times, of which each part has those in its span, in their order."""
+    """Return the motion at times; each part has the times in its span, in their order."""
     motion = motion_layout.allocate(times_ns.size)
     begins_ns = [part._parts[0].start_ns for part in parts[1:]]
     of_row = np.searchsorted(begins_ns, times_ns, 'right')

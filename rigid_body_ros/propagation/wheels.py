@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the motors of wheels with names do, and the momenta that follow."""
+"""The efforts of wheels with names that act, and the momenta that follow."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NO_TIMES = np.empty(0, np.int64)
 
 class WheelTimeline:
     """
-    What wheels do from a time on, up to which their commands are known to act or not.
+    The wheels from a time on, up to which it is known which commands act.
 
     A command acts unless its wheel is too fast, which depends on the motion before it. Until that
     is known, `assume` states what acts.
@@ -47,7 +47,7 @@ class WheelTimeline:
     axial : Axial
         What they do at that time.
     log : EffortLog, optional
-        Their commands, those in force at that time included.
+        Their commands, including those in force at that time.
     timeout_ns : int
         As for `TorqueLog.segments`.
     start_ns : int
@@ -72,7 +72,7 @@ class WheelTimeline:
         self.assume(0, self._refused)
 
     def assume(self, row: int, refused: NDArray[np.bool_]) -> None:
-        """State which commands act as zero, shape (n - row, wheels), from a row on."""
+        """Set which commands act as zero from a row on, shape (n - row, wheels)."""
         self._refused[row:] = refused & self._given[row:]
         commands = np.where(self._refused, 0.0, self._commanded)
         self._acting = filled(np.where(self._given, commands, np.nan), self._axial.acting)
@@ -83,18 +83,18 @@ class WheelTimeline:
         return self.wheels.refused(self._commanded[rows], speeds) & self._given[rows]
 
     def first_wrong(self, rows: slice, refused: NDArray[np.bool_]) -> int | None:
-        """Return the first row for which something else is assumed; None if there is none."""
+        """Return the first row for which the assumption is wrong; None if there is none."""
         wrong = np.flatnonzero((refused != self._refused[rows]).any(axis=1))
         return rows.start + int(wrong[0]) if len(wrong) else None
 
     def count_refused(self, begin_ns: int, end_ns: int) -> int:
-        """Return how many commands with stamps in (begin_ns, end_ns] act as zero."""
+        """Return the number of commands with stamps in (begin_ns, end_ns] that act as zero."""
         rows = slice(*self.times_ns.searchsorted([begin_ns, end_ns], 'right'))
         return int(self._refused[rows].sum())
 
     @property
     def marks_ns(self) -> NDArray[np.int64]:
-        """Return when something else begins to act, ns, ascending."""
+        """Return the times at which efforts change, ns, ascending."""
         return self.log.segments(self._timeout_ns)[0] if self.log else _NO_TIMES
 
     @property
@@ -105,7 +105,7 @@ class WheelTimeline:
 
     @property
     def _held(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return the stamps of the commands, that in force first, and what acts."""
+        """Return the stamps of the commands, the one in force first, and the efforts that act."""
         if self._axial.stamp_ns == -NEVER_NS:
             return self.times_ns, self._acting
         return (np.append(self._axial.stamp_ns, self.times_ns),
@@ -137,7 +137,7 @@ class WheelTimeline:
         return found
 
     def axial(self, time_ns: int) -> Axial:
-        """Return what the wheels do at a time that is not before the beginning."""
+        """Return the state of the wheels at a time that is not before the beginning."""
         row = int(self.times_ns.searchsorted(time_ns, 'right')) - 1
         stamp_ns, commanded, acting, refused = self._axial.stamp_ns, self._axial.commanded, \
             self._axial.acting, self._axial.refused
@@ -182,7 +182,7 @@ def check_named(wheels: Wheels | None, efforts: EffortLog | None,
 
 def commanded(wheels: Wheels, before: Axial, row: Floats, state: State) -> Axial:
     """
-    Return what wheels do from commands on.
+    Return the state of the wheels that begins with commands.
 
     Parameters
     ----------

@@ -18,9 +18,9 @@ Recordings: read torques and other messages, write motion.
 Reading: `source` finds a topic in a recording of any format, whose files `opening` opens.
 `mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` read the files of a recording through the
 interface in `file`; `csv_columns` interprets the first line of a CSV file, `unpack` decompresses,
-`bulk` decodes messages, and `transforms` those of one pair of frames. `torques` turns messages
-into a torque log, and divides the log of a node into its epochs; `problem` makes problems of them,
-with a scene.
+`bulk` decodes messages, and `transforms` decodes the transforms of one pair of frames. `torques`
+turns messages into a torque log, and divides the log of a node into its epochs; `problem` makes
+problems of them, with a scene.
 
 Writing: `writer` writes MCAP files, with the records of the format in `container`; `folder` adds
 the metadata.yaml of a rosbag2 bag.

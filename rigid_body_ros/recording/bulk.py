@@ -33,7 +33,7 @@ from rigid_body_ros.messages import JointCommands, MessageType, Stamped
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
-#: Most bytes with which middleware pads the end of a message.
+#: Largest number of bytes with which middleware pads the end of a message.
 _PADDING = 3
 
 

@@ -87,7 +87,7 @@ class Container:
 
     def add_channel(self, topic: str, schema: Schema | None, metadata: dict[str, str],
                     encoding: str = 'cdr') -> int:
-        """Add a topic and return its channel id; a schema that is new gets a new id, too."""
+        """Add a topic and return its channel id; a new schema also gets a new id."""
         schema_id = 0
         if schema:
             content = schema.name, schema.encoding, schema.data

@@ -66,7 +66,7 @@ def _bag_files(folder: Path, names: object) -> list[Path]:
         named = PurePath(name)
         if named.name in paths:
             raise InputError(f'{where}: expected each file once, found {quoted(name)} twice')
-        # Early versions of rosbag2 wrote the name of the folder before that of the file.
+        # Early versions of rosbag2 wrote the name of the folder before the name of the file.
         path = paths[named.name] = folder / named.name
         if named.is_absolute() or '..' in named.parts \
                 or os.path.dirname(os.path.realpath(path)) != home:

@@ -51,14 +51,14 @@ class Logged(NamedTuple):
     messages: int
     #: Number of messages whose stamp is not later than the stamp of the previous message.
     unordered: int
-    #: Whether the start is that of an epoch, and not that of the scene.
+    #: Whether the start is the start of an epoch, not of the scene.
     is_epoch: bool
     damage: str
     topics: tuple[str, ...]
 
     @property
     def times_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of all samples and bodies, ascending; that of the start if none."""
+        """Return the stamps of all samples and bodies, ascending, or only the start."""
         stamps_ns = self.problem.stamps_ns
         return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
 
@@ -71,7 +71,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
     """
     Return the problem that a recording and a scene state, as `attitude_replay` computes it.
 
-    Of several epochs of a node, it is the last one that begins at the start_time of the scene.
+    If a node has several epochs, it is the last one that begins at the start_time of the scene.
 
     Parameters
     ----------
@@ -153,9 +153,9 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
     """
     Return the epoch for a command that needs one motion.
 
-    Of several epochs, it is the last one that begins at the start_time of the scene. Only a
-    command that says so computes with a body that changes (`may_change`), or with wheels that have
-    names (`may_command`).
+    If there are several epochs, it is the last one that begins at the start_time of the scene.
+    Only a command that says so computes with a body that changes (`may_change`), or with wheels
+    that have names (`may_command`).
 
     Raises
     ------
@@ -184,7 +184,7 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
 
 def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
             momentum: Messages | None, interpolation: str) -> Logged:
-    """Return the problem of a motion; those of rotors, inertia and commands are the last parts."""
+    """Return the problem of a motion; the last parts are those of rotors, inertia and commands."""
     body, measured = [*parts], None
     every = [*parts, *([] if momentum is None else [momentum])]
     efforts = _efforts(path, body.pop()) if topics.wheel_command else None
@@ -233,7 +233,7 @@ def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
     topics : sequence of sequence of Messages
         By topic, its epochs.
     has_stamps : bool
-        Whether the stamps are those of the headers, which are the same on all topics.
+        Whether the stamps come from the headers, which are the same on all topics.
 
     Raises
     ------

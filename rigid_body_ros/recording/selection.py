@@ -30,7 +30,7 @@ from rigid_body_ros.scene import Scene
 
 #: The topics of the torque on the rotors, of the commands of wheels, and of the inertia.
 _WHEEL_TORQUE, _WHEEL_COMMAND, _INERTIA = 'wheel_torque', 'wheel_command', 'inertia'
-#: By option, the parameter of a scene that has such a topic, and what it then is.
+#: By option, the parameter of a scene that enables the topic, and the value that it must have.
 _NEEDED = {'--wheel-torque': ('wheels', 'true'), '--wheel-momentum': ('wheels', 'true'),
            '--wheel-command': ('wheel_names', 'names'), '--inertia': ('inertia_topic', 'true')}
 #: The topic on which a node logs the torques of the first topic, or of the one with a number.
@@ -53,7 +53,7 @@ class Topics:
     wheel_command : str, optional
         Topic of the commands of wheels with names.
     preferred : str
-        If set, the torques are those of the only topic of a recording, or of this one.
+        If set, the torques are read from the only topic of a recording, or from this one.
 
     Raises
     ------
@@ -159,8 +159,9 @@ class Topics:
         """
         Return the actuator of each topic of torques, or None if the scene has none.
 
-        A topic has that of the topic of the scene with its name, or whose torques a node has
-        logged on it; the only topic has that of the only topic of the scene.
+        A topic has the actuator of the topic of the scene with its name, or of the topic whose
+        torques a node has logged on it; a single topic has the actuator of the single topic of the
+        scene.
         """
         found, names = scene.actuators, [absolute(name) for name in scene.torque_topics]
         if found is None:
@@ -171,7 +172,7 @@ class Topics:
 
     @property
     def wrenches(self) -> list[str | None]:
-        """Return the topics of torques, that on the rotors last; None for the only topic."""
+        """Return the topics of torques, the rotors last; None for the only topic."""
         return [*([None] if self.preferred else self.torques),
                 *filter(None, [self.wheel_torque])]
 

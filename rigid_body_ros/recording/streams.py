@@ -155,7 +155,7 @@ class Streams:
         self.start, streams = begun[0][0], [stream for _, stream in begun]
         if len(starts) > 1 or not (self.start or any(len(stream.piece.times_ns)
                                                      for stream in streams)):
-            raise NotInOrderError  # the whole recording is read to tell what is wrong
+            raise NotInOrderError  # the whole recording is read to find out what is wrong
         return streams
 
     def _begun(self, source: Source) -> tuple[State | None, Stream]:

@@ -45,7 +45,7 @@ _NODE_LOG = re.compile(r'(.*/)?accepted_(torque(_[0-9]+)?|wheel_torque|wheel_com
 
 def epochs(path: str | Path, recorded: Messages) -> list[Messages]:
     """
-    Return the torques of each epoch of a node, with its start state; others are returned whole.
+    Return the torques of each epoch of a node, with its start state; other torques as one epoch.
 
     A node begins every epoch in its log with a marker; see `messages.epoch_marker`.
 
@@ -114,7 +114,7 @@ def first_epoch(path: str | Path, blocks: Iterator[Messages]
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
                interpolation: str = 'hold', links: Frames = NO_FRAMES) -> TorqueLog:
     """
-    Return the torque log of WrenchStamped messages, which are those of one epoch (see `epochs`).
+    Return the torque log of the WrenchStamped messages of one epoch (see `epochs`).
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _check_finite(where: str, recorded: Messages, torques: Floats,
 
 
 def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
-    """Raise InputError if one of several messages, which are there, has no stamp."""
+    """Raise InputError if one of several messages has no stamp."""
     unstamped = np.flatnonzero(stamps_ns == 0)
     # A log of simulated time may begin with the stamp 0.
     begins = stamps_ns[0] == 0 < stamps_ns.max() < _SIMULATED_NS
@@ -265,7 +265,7 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space
     """
     Generate the torque log in pieces from blocks of messages, so that it need not fit in memory.
 
-    Samples are sorted by stamp within two neighbouring blocks. Of samples with equal stamps, only
+    Samples are sorted by stamp within two neighbouring blocks. If samples have equal stamps, only
     the last in the recording is kept.
 
     Raises
@@ -293,7 +293,7 @@ def _ascending(where: str, blocks: Iterable[Messages],
     """
     Generate the samples of all blocks, sorted by stamp.
 
-    Of two neighbouring blocks, only the samples before the first stamp of the second are ready.
+    In two neighbouring blocks, only the samples before the first stamp of the second are ready.
     """
     waiting, last_ns = _EMPTY, -2 ** 63
     for block in blocks:
@@ -321,7 +321,7 @@ def _concatenated(one: Piece, other: Piece) -> Piece:
 
 
 def _sorted(piece: Piece) -> Piece:
-    # Of samples with equal stamps, keep the last in the recording.
+    # If samples have equal stamps, keep the last in the recording.
     if np.all(np.diff(piece.times_ns) > 0):
         return piece
     order = np.argsort(piece.times_ns, kind='stable')

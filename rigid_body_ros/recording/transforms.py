@@ -23,7 +23,7 @@ from rigid_body_ros.recording.bulk import BadMessageError, Decoded, Raw
 
 #: Fewest bytes of a transform before its doubles: a stamp and two empty names.
 _LEAST = 8 + 2 * 5
-#: Most pairs of frames that are listed.
+#: Largest number of pairs of frames that are listed.
 _PAIRS = 7
 
 

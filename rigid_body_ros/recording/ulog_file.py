@@ -100,7 +100,7 @@ class UlogFile(File):
 
 @lru_cache(1)  # a command reads several topics, and pyulog the whole file each time
 def _parsed(path: Path, identity: tuple[int, ...]) -> tuple[Mapping[str, _Topic], str]:
-    """Return the topics of a file, and what was lost; the identity is that of its contents."""
+    """Return the topics of a file, and what was lost; the identity identifies its contents."""
     from pyulog import ULog
     from pyulog.exceptions import ULogException
     try:

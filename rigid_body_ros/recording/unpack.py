@@ -103,7 +103,7 @@ def copy_file(path: Path, folder: Path) -> Path:
     """
     Copy a file into a temporary folder, and return the path of the copy.
 
-    What another process appends meanwhile is not copied.
+    Data that another process appends in the meantime is not copied.
 
     Raises
     ------

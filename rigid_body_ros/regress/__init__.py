@@ -16,7 +16,7 @@
 Run a controller again in lockstep, and compare its closed loop with a recorded one.
 
 `domain` reserves a ROS domain, `controller` runs a command in it, and `node_process` a node that
-the caller passes. `session` lets both run and records the loop. `loop` reads what was recorded,
+the caller passes. `session` lets both run and records the loop. `loop` reads the recording,
 `differences` compares two loops, `regression` decides which to compare, and `page` shows them.
 """
 

@@ -85,7 +85,7 @@ class ControllerProcess:
         return [printable(line[:_WIDTH]) for line in text.splitlines()[-_LINES:]]
 
     def end(self) -> None:
-        """End the command and every process that it has started, as Ctrl-C or else by force."""
+        """End the command and all processes that it started, as Ctrl-C does, or by force."""
         until = time.monotonic() + _GRACE
         self._send(signal.SIGINT)
         while self._alive() and time.monotonic() < until:
@@ -100,7 +100,7 @@ class ControllerProcess:
     def _send(self, number: int) -> None:
         for process in {self._process.pid, *_members(self._process.pid)}:
             try:
-                # Not the first process once it has ended: its number may be another's.
+                # Not the first process once it has ended: another process may have its number.
                 if process != self._process.pid or self._process.poll() is None:
                     os.kill(process, number)
             except ProcessLookupError:

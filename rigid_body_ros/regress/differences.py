@@ -37,7 +37,7 @@ class Differences:
     Attributes
     ----------
     torques, states : int
-        Number of stamps that both have: what was compared.
+        Number of stamps that both have, and that were compared.
     same_torques, same_states : int
         Number of those whose bits are all equal.
     first_ns : int, optional
@@ -76,7 +76,7 @@ class Differences:
         return self.first_ns is None
 
     def within(self, tolerance: float | None) -> bool:
-        """Return whether all bits, or else all stamps and, up to a tolerance, rad, attitudes."""
+        """Return whether all bits agree, or all stamps, and attitudes within a tolerance, rad."""
         if self.equal or tolerance is None:
             return self.equal
         return not self.missing and self.attitude is not None and self.attitude <= tolerance

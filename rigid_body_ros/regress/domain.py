@@ -27,7 +27,7 @@ from rigid_body_ros.common.errors import InputError
 #: Domains whose ports are below those of outgoing connections on Linux. Most people choose low
 #: numbers, so the search begins with the high ones.
 _DOMAINS = range(100, 0, -1)
-#: The ports of a domain; participants take them from the lowest on.
+#: The ports of a domain; participants take the lowest that are free.
 _FIRST, _PORTS = 7400, 250
 #: Humble, and later releases: no packet leaves the machine.
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \

@@ -80,7 +80,7 @@ class Loop:
         By the name of their log, such as 'accepted_torque'.
     states : Signal
     made_by : dict
-        The metadata of the recording: what determines its last bits.
+        The metadata of the recording that determine its last bits.
     node : str
         The name of the node, which begins the names of its topics.
     wheels : tuple of str
@@ -140,13 +140,13 @@ def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
     if not begun.size:
         raise InputError(f'{path}: {log}: expected the start state at {start.time_ns} ns, '
                          'found none: a part of the recording is missing')
-    # Of several states at the start time, the last one begins the last epoch.
+    # If several states have the start time, the last one begins the last epoch.
     rows = states.rows(slice(int(begun[-1]), None))
     return Loop(start, torques, _samples(rows, messages.ODOMETRY), made_by, node, wheels)
 
 
 def committed(path: str | Path) -> str:
-    """Return the topic of the states; raise InputError if a recording is not that of one node."""
+    """Return the topic of the states; raise InputError if a recording is not of just one node."""
     logs = [topic for topic in recording.topics(path, [messages.ODOMETRY])
             if topic.rpartition('/')[2] == COMMITTED]
     if len(logs) != 1:
@@ -166,7 +166,7 @@ def _samples(found: Messages, kind: messages.MessageType) -> Signal:
                    found.values[:, messages.ANGULAR_VELOCITY]])
     order = np.argsort(found.stamps_ns, kind='stable')
     stamps_ns = found.stamps_ns[order]
-    # Of torques with equal stamps, the later one acts.
+    # If torques have equal stamps, the later one acts.
     order = order[np.append(np.diff(stamps_ns) != 0, True)[:len(order)]]
     frames = np.array(found.names, np.str_)[found.frames[order]] if len(order) else \
         np.empty(0, np.str_)

@@ -31,7 +31,7 @@ from typing import NamedTuple, Protocol
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 
-#: s; how long the node runs between two looks at the other side.
+#: s; time that the node runs between two checks of the other side.
 _PERIOD = 0.02
 #: s; how long the node may take to end.
 _PATIENCE = 20.0
@@ -52,7 +52,7 @@ class Node(Protocol):
 
     @property
     def has_rival(self) -> bool:
-        """Return whether another node publishes the states, too."""
+        """Return whether another node also publishes the states."""
 
     def spin(self, seconds: float) -> None:
         """Run the node for this time, s."""
@@ -65,7 +65,7 @@ class Node(Protocol):
 
 
 class Status(NamedTuple):
-    """What a `Node` reports."""
+    """The report of a `Node`."""
 
     elapsed_ns: dict[str, int]
     unpublished: list[str]
@@ -140,7 +140,7 @@ class NodeProcess:
             The node cannot write it, or does not end.
 
         """
-        with suppress(OSError):  # it has ended, and what it has sent says why
+        with suppress(OSError):  # it has ended, and its last message has the reason
             self._connection.send((path, last_ns))
         while isinstance(found := self._received(_PATIENCE), Status):
             self.status = found  # sent before
@@ -149,7 +149,7 @@ class NodeProcess:
                              'hangs')
 
     def _received(self, seconds: float) -> Status | str | None:
-        """Return the next message, or None if there is none for a time, s."""
+        """Return the next message, or None if none arrives within a time, s."""
         try:
             found = self._connection.recv() if self._connection.poll(seconds) else None
         except (EOFError, OSError):

@@ -94,7 +94,7 @@ class Regression:
 def compare(session: Session, path: str | Path, folder: Path,
             tolerance: float | None = None) -> Regression:
     """
-    Run a controller over the time of a reference, and compare the loops; if they differ, twice.
+    Run a controller for the duration of a reference, again if they differ, and compare the loops.
 
     Parameters
     ----------

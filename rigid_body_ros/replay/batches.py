@@ -59,7 +59,7 @@ class Request:
 
     @property
     def sensor_delay_ns(self) -> int:
-        """Return how much earlier than its stamps the IMU measures the motion, ns."""
+        """Return the delay of the IMU: the time from a measurement to its stamp, ns."""
         return self.scene.imu.delay_ns if IMU in self.also else 0
 
 
@@ -74,7 +74,8 @@ class Batch(NamedTuple):
     """
     A part of the motion, its piece of the torques, and the wall time to compute it, s.
 
-    `sensed` is what the IMU measures at the times of the trajectory: the motion, or that earlier.
+    `sensed` is the motion that the IMU measures at the times of the trajectory, earlier by its
+    delay.
     """
 
     problem: Problem
@@ -102,13 +103,13 @@ class Batches:
     problem : Problem
         With the start, and, if the torques are one piece, changes of the body and efforts.
     is_epoch : bool
-        Whether the start is that of an epoch of a node, which may have no torques.
+        Whether the start is from an epoch of a node, which may have no torques.
 
     Attributes
     ----------
     start : State
     first_ns : int
-        Stamp of the first torque; that of the start if there is none.
+        Stamp of the first torque, or of the start if there is none.
     gaps : tuple of Gaps
         Those of each log as far as it was read.
 
@@ -117,7 +118,7 @@ class Batches:
     def __init__(self, request: Request, topics: str, streams: Sequence[Stream], problem: Problem,
                  is_epoch: bool) -> None:
         self._problem, start = problem, problem.start
-        #: What the topics state, but for torques.
+        #: The contents of the topics other than torques.
         self._others = [log.times_ns for log in (problem.changes, problem.efforts) if log]
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
@@ -134,7 +135,7 @@ class Batches:
         self._alternatives = names
         #: Their final attitudes; None if the body spins too fast.
         self._final_attitudes: dict[str, Floats | None] = {}
-        #: The frames of the torques of each stream so far: whether in space axes.
+        #: The frames of the torques of each stream so far: whether they are in space axes.
         self._frames: list[set[bool]] = [set() for _ in streams]
         #: Advances the alternatives. A daemon thread does not delay the end of the program.
         self._thread: Thread | None = None
@@ -163,7 +164,7 @@ class Batches:
 
     def differences(self, end: Floats) -> dict[str, float | None]:
         """
-        Return how far from the attitude `end` the motion ends with each other interpolation, rad.
+        Return the angle between `end` and the final attitude of each other interpolation, rad.
 
         The value is None if the body spins too fast.
         """
@@ -220,7 +221,7 @@ class Batches:
             self._final_attitudes.clear()
 
     def _logs(self, interpolation: str, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
-        """Return the torques of each stream from the end of the motion so far on."""
+        """Return the torques of each stream from the current end of the motion on."""
         logs = []
         for stream in self.streams:
             try:
@@ -279,7 +280,7 @@ class _OutputTimes:
     """
     The times of the outputs, from one piece of the log to the next.
 
-    Those of an epoch of a node begin at its start, like the states that a node commits. Its
+    The times of an epoch of a node begin at its start, like the states that a node commits. Its
     torques may all be older than the start, or there may be none.
     """
 

@@ -15,7 +15,7 @@
 """
 Check a motion against the conservation laws: momentum, energy, or work and energy.
 
-Also estimate how far a change of the last digits of the data moves a motion, with any solver.
+Also estimate the effect of the last digits of the data on a motion, for any solver.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
 
 def drift(problem: Problem, trajectory: Trajectory) -> Check:
     """
-    Return how much a motion with at least one output violates the conservation laws.
+    Return the violation of the conservation laws by a motion with at least one output.
 
     Without a torque from outside, the angular momentum in space axes is constant; under torques in
     space axes it follows their integral. Under fields alone the integrals of `_integrals` are
@@ -156,7 +156,7 @@ def _balance(problem: Problem, trajectory: Trajectory, seconds: float) -> Check:
 
 def _integrals(problem: Problem, trajectory: Trajectory) -> str:
     """
-    Return the relative changes, as text, of what is constant under fields alone.
+    Return the relative changes, as text, of the constants of the motion under fields alone.
 
     The energy, the potential included, under uniform fields; with it the momentum about their
     direction if all are parallel (Lagrange). In orbit Jacobi's integral: the energy less the
@@ -196,7 +196,7 @@ def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
     start, body = problem.start, problem.body
     momentum = start_momentum = so3.rotate(
         start.attitude, body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
-    for log in problem.logs:  # the momentum of a rotor is the integral of a torque, too
+    for log in problem.logs:  # the momentum of a rotor is also the integral of a torque
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
         rotors = problem.solved_by().replaced(start=State(start.time_ns), log=(), wheels=driven)
         momentum = momentum + rotors.rotor_momentum(trajectory.times_ns)
@@ -280,7 +280,7 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
 
 
 def _linear_rate(trajectory: Trajectory) -> float:
-    """Return a bound, 1/s, on how fast rotors and damping change the angular velocity."""
+    """Return a bound, 1/s, on the rate at which rotors and damping change the angular velocity."""
     body = trajectory.body
     return (_norm(trajectory.rotor_momentum) + float(np.linalg.norm(body.damping))) \
         / float(body.principal_moments[0])

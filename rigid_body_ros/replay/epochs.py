@@ -31,7 +31,7 @@ def groups(starts: Sequence[State], stamps_ns: NDArray[np.int64], values: Floats
     """
     Return the rows of each epoch in a recorded motion; the first is its start state.
 
-    An epoch without rows is that of a process which was killed before it recorded a state.
+    An epoch has no rows if its process was killed before it recorded a state.
 
     Parameters
     ----------

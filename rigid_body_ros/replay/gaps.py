@@ -32,7 +32,7 @@ from rigid_body_ros.scene import Scene
 _LONG, _TIMES = 1.0, 100
 #: Spacings are counted in this many classes per factor of two.
 _CLASSES = 16
-#: Most steps over a gap, which take hours, and the approximate time of a step, s.
+#: Largest number of steps over a gap, which take hours, and the approximate time of a step, s.
 _MOST_STEPS, _STEP = 1e10, 4e-6
 #: Avoids a division by zero.
 _TINY = 1e-250
@@ -114,7 +114,7 @@ class Gaps:
 
 
 def announce(where: str, seconds: float) -> None:
-    """Report how long a computation takes, if that is long."""
+    """Report the time that a computation takes, if it is long."""
     if seconds > _PATIENCE:
         report(f'{where}: computing the motion takes about {timedelta(seconds=round(seconds))} '
                '(h:min:s)')
@@ -123,7 +123,7 @@ def announce(where: str, seconds: float) -> None:
 def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
                    scene: Scene) -> float:
     """
-    Return about how long the motion under a piece of a log takes to compute, s.
+    Return the approximate computing time of the motion under a piece of a log, s.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _sizes(log: TorqueLog) -> Floats:
 
 
 def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats:
-    """Return about how many steps the motion under each torque takes: one per radian."""
+    """Return the approximate number of steps of the motion under each torque: one per radian."""
     options, body = scene.options, scene.body
     is_closed = options.record.closed_form_beyond < np.inf and not (
         scene.has_rotors or body.is_damped or scene.fields)

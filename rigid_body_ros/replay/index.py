@@ -87,7 +87,7 @@ def _picture(outcome: Outcome) -> Markup:
 
 
 def _text(outcome: Outcome) -> str:
-    """Return what the table in the terminal has, with file names in place of paths."""
+    """Return the text of the table in the terminal, with file names in place of paths."""
     text = outcome.summary or f'failed: {outcome.error}'
     for path in (outcome.output, outcome.path):
         text = text.replace(path, os.path.basename(os.path.abspath(path)))

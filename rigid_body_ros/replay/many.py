@@ -196,7 +196,7 @@ def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
 @dataclass(frozen=True)
 class _Replay:
     """
-    What a worker does with a recording.
+    The work of one process on a recording.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ def columns(trajectory: Trajectory, frame: str) -> list[Column]:
 
 
 def box(body: RigidBody) -> Floats:
-    """Return the edges, m, of the box that stands for a body (see `uniform_box`), shape (3,)."""
+    """Return the edges, m, of the box that represents a body (see `uniform_box`), shape (3,)."""
     return np.maximum(uniform_box(body), _SMALLEST)
 
 

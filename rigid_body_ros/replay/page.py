@@ -32,7 +32,7 @@ from rigid_body_ros.scene import Scene
 
 class PageCollector:
     """
-    What a page shows of a motion, thinned while the motion is computed.
+    The data of a motion that a page shows, thinned while the motion is computed.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a replay returns."""
+"""The result of a replay."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ class Replay:
     solvers : dict
         By solver and reason, the length of the motion computed with it, ns.
     interpolation_differences : dict
-        By other interpolation, the angle, rad, between its final attitude and that of the motion;
-        None if the body spins too fast to compute.
+        For each other interpolation, the angle, rad, between its final attitude and that of the
+        motion; None if the body spins too fast to compute.
     check : Check, optional
         How much the motion, or the part of it that is checked, violates the conservation laws.
     last_digits : LastDigits, optional
@@ -70,7 +70,7 @@ class Replay:
     seconds : dict
         Wall time spent to read, propagate and write, s.
     problem, trajectory : Problem, Trajectory, optional
-        With all torques, and the whole motion, if `keep` was set.
+        The problem with all torques, and the whole motion, if `keep` was set.
     collected : optional
         What `collect` returned.
     earlier : tuple of Replay

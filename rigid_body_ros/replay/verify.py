@@ -59,7 +59,7 @@ class Verified:
     epochs : int
         Number of epochs in the log of a node; 0 if the torques are not the log of a node.
     compared_epochs : int
-        Number of those that have a state.
+        Number of epochs that have a state.
     pending : int
         Number of stamps of torques without a committed state.
 
@@ -75,7 +75,7 @@ class Verified:
     pending: int = 0
 
     def text(self) -> str:
-        """Return how far the two motions agree, one line per fact."""
+        """Return the agreement of the two motions, one line per fact."""
         count = len(self.same)
         rows = [('compared', f'{count} states of {self.topic}{_epochs(self)}'),
                 ('same bits', f'{np.count_nonzero(self.same)} of {count}'),
@@ -132,7 +132,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     topics = topics or Topics()
     epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
                                    progress('reading', size=len))
-    # Beside the log of a node; a recording of all topics has its outputs, too.
+    # In addition to the log of a node; a recording of all topics also has its outputs.
     log = next(iter(topics.torques), topics.wheel_command)
     committed = f'{log.rpartition("/")[0]}/committed' if log else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
@@ -174,7 +174,8 @@ def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats
     start, is_state = epochs[0].problem.start, values.shape[1] > 4
     if epochs[0].is_epoch:
         return groups([one.problem.start for one in epochs], stamps_ns, values)
-    # A node records the start of each epoch; without markers the last one is that of the scene.
+    # A node records the start of each epoch; without markers the last one is the start of the
+    # scene.
     begun = np.flatnonzero(stamps_ns == start.time_ns)
     first = int(begun[-1]) if is_state and begun.size else 0
     _check_begins(start, epochs[0].times_ns, stamps_ns[first:])
@@ -195,7 +196,7 @@ def _until(end_ns: int, stamps_ns: NDArray[np.int64],
 
 def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
               values: Floats) -> tuple[NDArray[np.bool_], Floats]:
-    """Return whether all bits of each state are those of the motion, and the angle, rad."""
+    """Return whether all bits of each state agree with the motion, and the angle, rad."""
     try:
         motion = epoch.problem.propagate(at=stamps_ns)
     except ValueError as error:
@@ -257,7 +258,7 @@ def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
 
 
 def _epochs(result: Verified) -> str:
-    """Return in which epochs of a node the states are, and what has no state yet."""
+    """Return the epochs of a node that the states belong to, and torques without a state."""
     if not result.epochs:
         return ''
     part = '' if result.compared_epochs == result.epochs else f'{result.compared_epochs} of '

@@ -15,7 +15,7 @@
 """
 Charts of a page: panels with curves, as data for charts.js.
 
-Our own script draws them, because that of a charting library has megabytes and takes seconds to
+A script of this package draws them, because a charting library has megabytes and takes seconds to
 load.
 """
 

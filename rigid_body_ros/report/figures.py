@@ -123,7 +123,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     title : str
         Drawn literally: a $ does not start a formula.
     lines : dict
-        By description, attitude errors in rad to draw as vertical lines.
+        Attitude errors, rad, to draw as vertical lines, by their description.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
 
 
 class Series(NamedTuple):
-    """Vectors over time: what they are, their unit, times in ns, shape (n,), values (n, 3)."""
+    """Vectors over time: name, unit, times in ns, shape (n,), and values, shape (n, 3)."""
 
     label: str
     unit: str
@@ -175,7 +175,7 @@ def errors(path: str | Path, panels: Sequence[Series], others: Sequence[Series],
     panels : sequence of Series
         Errors in body axes, at least one.
     others : sequence of Series
-        Other torques in body axes, drawn on linear axes below those of the logs.
+        Other torques in body axes, drawn on linear axes below the torques of the logs.
     logs : sequence of TorqueLog
         Drawn as by `motion`.
     horizons : dict

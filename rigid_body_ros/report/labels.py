@@ -48,7 +48,7 @@ def save(figure: Figure, path: str | Path, dpi: int) -> None:
     """
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        if text.get_text():  # that of most ticks is set later, and may be a power of ten
+        if text.get_text():  # the text of most ticks is set later, and may be a power of ten
             text.set_parse_math(False)
     with warnings.catch_warnings():
         warnings.filterwarnings('ignore', 'Glyph|Matplotlib currently does not support')

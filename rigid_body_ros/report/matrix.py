@@ -25,7 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 
 #: Width of a cell, and of a character of a name, px.
 _CELL, _CHARACTER = 30, 6.6
-#: Most rows; of more parameters the first are shown.
+#: Largest number of rows; if there are more parameters, the first are shown.
 _MOST = 40
 #: Smallest correlation with a number in its cell.
 _NUMBERED = 0.1

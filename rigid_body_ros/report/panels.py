@@ -38,7 +38,7 @@ _SAMPLES = 5000
 
 class Drawn(NamedTuple):
     """
-    What was measured and computed, or the errors, at some times.
+    Measured and computed values, or the errors, at some times.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, compu
 
 
 def _without_jumps(attitude: Floats, chosen: NDArray[np.bool_] | None = None) -> Floats:
-    """Return quaternions, those chosen with the sign that is next to the one before."""
+    """Return quaternions, the chosen ones with the sign that is closest to the previous one."""
     found = attitude.copy()
     rows = slice(None) if chosen is None else np.flatnonzero(chosen)
     part = attitude[rows]

@@ -40,7 +40,7 @@ def euler_names(sequence: str) -> tuple[str, ...]:
 
 
 def torque_names(count: int) -> list[str]:
-    """Return the names of so many torques, which are numbered unless there is one."""
+    """Return the names of a number of torques; a single torque has no number."""
     return ['torque'] if count == 1 else [f'torque {number}' for number in range(1, count + 1)]
 
 

@@ -21,9 +21,9 @@ import math
 
 from rigid_body_ros.common.errors import printable
 
-#: Units of angles: how many of them are one, and their names.
+#: Units of angles: number of units per radian, and names.
 _ANGLES = {'rad': (math.degrees(1.0), 'deg'), 'rad/s': (math.degrees(1.0), 'deg/s')}
-#: Most significant digits of a value, and the exponents between which it has no exponent.
+#: Largest number of digits of a value, and the exponents between which it is written without one.
 _DIGITS, _PLAIN = 15, range(-4, 7)
 
 
@@ -58,7 +58,7 @@ def lines(texts: Iterable[str]) -> str:
 
 def interpolation_row(interpolation: str, differences: Mapping[str, float | None]) -> str:
     """
-    Return a line with the interpolation, and how far the others would move the final attitude.
+    Return a line with the interpolation, and the changes of the final attitude with the others.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class Cluster(Workers):
     """
     The workers of a Dask scheduler, see `connected`.
 
-    What a worker that dies had to compute is computed by others. Functions, items and results are
+    If a worker dies, others compute its share. Functions, items and results are
     pickled; a function is sent once to each worker.
 
     Parameters
@@ -68,7 +68,7 @@ class Cluster(Workers):
         self._versions = _versions()
 
     def ahead(self) -> int:
-        """Return how many items to submit; workers may join at any time."""
+        """Return the number of items to submit; workers may join at any time."""
         threads = sum(self.client.nthreads().values())
         if self._has_workers and not threads:
             self._note(f'{self._name}: no workers; waiting for one')
@@ -171,7 +171,7 @@ def _client(scheduler: str, address: str) -> Client:
 
 
 async def _kind(address: str) -> str:
-    """Return what is at an address; a client that cannot connect would block at exit."""
+    """Return the kind of server at an address; an unconnected client would block at exit."""
     from distributed import rpc, Security
     remote = rpc(address, connection_args=Security().get_connection_args('client'))
     try:
@@ -183,7 +183,7 @@ async def _kind(address: str) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the loggers and warnings of Dask; what matters is raised as well."""
+    """Silence the loggers and warnings of Dask; errors that matter are also raised."""
     import dask
     from distributed.versions import VersionMismatchWarning
     before = logging.root.manager.disable
@@ -198,7 +198,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _versions() -> dict[str, str]:
-    """Return what has to be the same in all processes, so that their bits are the same."""
+    """Return the versions that all processes must share to compute the same bits."""
     return {**fingerprint(), 'scipy': version('scipy'),
             f'sources of {NAME}': package_hash()[:12]}
 

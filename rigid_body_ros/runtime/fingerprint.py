@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What determines the last bits of a motion for a given scene and torques."""
+"""The versions that determine the last bits of a motion for a given scene and torques."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def fingerprint() -> dict[str, str]:
     """
     Return the versions of packages by name, and the hash of the kernels.
 
-    Equal ones give equal bits, whatever the processor and the compiler.
+    Equal versions give equal bits, whatever the processor and the compiler.
     """
     return {**{package: _version(package) for package in (NAME, 'numpy')},
             'kernels': kernels_hash()[:12]}
@@ -59,7 +59,7 @@ def build_info() -> dict[str, str]:
     """
     Return the version of the package, the hash of its kernels, and the level that they run at.
 
-    The level is that of the processor that they are compiled for, such as x86-64-v3, or `python`.
+    The level is the processor level that they are compiled for, such as x86-64-v3, or `python`.
     """
     return {'version': _version(NAME), 'kernels': kernels_hash()[:12], 'level': LEVEL}
 

@@ -47,7 +47,7 @@ _abandoned = Event()
 @contextmanager
 def deferred(until_exit: bool) -> Iterator[None]:
     """
-    Record SIGINT and SIGTERM; `check`, or else the end of the context, raises KeyboardInterrupt.
+    Record SIGINT and SIGTERM; `check` or the end of the context raises KeyboardInterrupt.
 
     Parameters
     ----------

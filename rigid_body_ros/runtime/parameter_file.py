@@ -18,7 +18,7 @@ ROS 2 parameter files: YAML as rcl_yaml_param_parser reads it, which differs fro
 Numbers and Booleans are recognized as by rcl: 1e-9 is a number, although PyYAML reads it as text.
 As in rcl, the entries of a group of parameters that occurs twice are merged, and names of nodes
 may have wildcards and namespaces. A parameter that is given twice is an error: rcl takes the last
-value, or that in the group if the other name has a dot.
+value, or the one in the group if the other name has a dot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
 import yaml
 
-#: What C's strtoll (base 0) and strtod accept, which rcl calls.
+#: Numbers that C's strtoll (base 0) and strtod accept, which rcl calls.
 _INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _FLOAT = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
                     r'|\.?(inf|Inf|INF|nan|NaN|NAN))')

@@ -31,7 +31,7 @@ from rigid_body_ros.runtime.parameter_file import number
 
 T = TypeVar('T')
 
-#: Limits of parameters without narrower ones.
+#: Limits of parameters that have no narrower limits.
 BIG, TINY = 1e300, 1e-300
 #: Shorter names resemble other words, as mode resembles model and node.
 _SHORT = 6

@@ -64,7 +64,7 @@ class Workers:
     def results(self, function: Callable[[Any], Any], items: Iterable[Any],
                 died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
-        Generate the results of a function for all items, in the order in which they are there.
+        Generate the results of a function for all items, in the order in which they are completed.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class Workers:
                 yield result
 
     def ahead(self) -> int:
-        """Return how many items to submit: each worker computes one, and one waits."""
+        """Return the number of items to submit: each worker computes one, and one waits."""
         return 2 * self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
@@ -137,7 +137,7 @@ class Processes(Workers):
         super().__exit__(None)
 
     def ahead(self) -> int:
-        """Return how many items to submit: one that waits would have a process of its own."""
+        """Return the number of items to submit: one that waits would have a process of its own."""
         return self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
@@ -199,7 +199,7 @@ def _end_with_parent() -> None:
 
 
 def _received(connection: Connection) -> Iterator[Any]:
-    """Generate what is sent until the connection is closed or the parent process has exited."""
+    """Generate the messages sent until the connection is closed or the parent has exited."""
     with suppress(EOFError, OSError):
         while True:
             yield connection.recv()

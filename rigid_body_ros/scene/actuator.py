@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of actuators: what becomes of the commands on some of the torque topics."""
+"""The parameters of actuators, which act on the commands of some of the torque topics."""
 
 from __future__ import annotations
 

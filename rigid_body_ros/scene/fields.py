@@ -95,7 +95,7 @@ def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS
 
 
 def check_named(key: str, names: Collection[str]) -> None:
-    """Raise InputError if an unknown parameter is that of a field which is not named."""
+    """Raise InputError if an unknown parameter belongs to a field that is not listed."""
     found = _OF_FIELD.fullmatch(key)
     if found:
         raise InputError(f'{key}: expected {quoted(found[1])} among the names in {FIELDS}, found '

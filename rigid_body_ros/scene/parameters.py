@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of a scene, but those of each of its uniform fields and wheels."""
+"""The parameters of a scene, except those of each of its uniform fields and wheels."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ROTORS = 'initial momentum of the rotors relative to the body, body axes'
 _VELOCITY = 'initial angular velocity, body axes'
 MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
-#: What goes on when the inertia changes, see `BodyLog`.
+#: The quantity that is kept when the inertia changes, see `BodyLog`.
 INERTIA_CHANGES = KEEP_RATE, KEEP_MOMENTUM = 'keep_rate', 'keep_momentum'
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
@@ -119,12 +119,12 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('frame_prefix', '', '', 'text before the frame_ids of the body and of the links of '
               'robot_description, as of robot_state_publisher'),
 )}
-#: Parameters that ROS declares on every node, and that of a managed node; a dump contains them.
+#: Parameters that ROS declares on every node, and one of managed nodes; a dump contains them.
 OF_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
 class Names(NamedTuple):
-    """The names in a scene of what has parameters of its own: uniform fields and wheels."""
+    """The names in a scene of items with parameters of their own: uniform fields and wheels."""
 
     fields: Sequence[str] = ()
     wheels: Sequence[str] = ()

@@ -83,7 +83,7 @@ class Scene:
     links : Frames
         The frames of robot_description in which forces are accepted, with frame_prefix.
     ignored : tuple of str
-        Names of the given parameters that are those of other nodes.
+        Names of the given parameters that belong to other nodes.
     node : str
         Name of the node, with its namespace, that has these parameters in the file.
 
@@ -113,12 +113,12 @@ class Scene:
 
     @property
     def inertia_change(self) -> str:
-        """Return what goes on when the inertia changes, see `BodyLog`."""
+        """Return the quantity that is kept when the inertia changes, see `BodyLog`."""
         return str(self.values['inertia_change']).removeprefix('keep_')
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Return the parameters by full name, those of each uniform field and wheel included."""
+        """Return the parameters by full name, including those of each uniform field and wheel."""
         return parameters_with(Names(self.values['fields'], self.values[WHEEL_NAMES]))
 
     @property
@@ -195,7 +195,7 @@ class Scene:
 
     @property
     def notes(self) -> list[str]:
-        """Return lines for the log about values that are no mistake, but have no effect."""
+        """Return lines for the log about values that are valid, but have no effect."""
         return [f'parameters that are not those of a scene are ignored: {listed(self.ignored)}'] \
             if self.ignored else []
 
@@ -329,7 +329,7 @@ def load(path: str | Path) -> Scene:
 
 
 def _other_node(node: str) -> list[str]:
-    """Return a line if the parameters of a file are those of another node."""
+    """Return a line if the parameters of a file are for another node."""
     if node.split('/')[-1] in (NODE, '*', '**'):
         return []
     return [f'expected parameters of /** or {NODE}, found those of {listed([node])} only, which '

@@ -46,7 +46,7 @@ _OTHERS = (
     Parameter('max_speed', 0.0, 'rad/s', 'checked when a command takes effect: one that would '
               'speed up a wheel at this speed or above acts as zero; 0: no limit', (0.0, BIG)),
 )
-#: What no other group of parameters has.
+#: Settings that no other group of parameters has.
 _OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
 
 
@@ -59,7 +59,7 @@ def of_names(names: Iterable[str]) -> dict[str, Parameter]:
 
 
 def check_wheel(key: str, names: Collection[str]) -> None:
-    """Raise InputError if an unknown parameter is that of a wheel which is not named."""
+    """Raise InputError if an unknown parameter belongs to a wheel that is not listed."""
     found = _OF_WHEEL.fullmatch(key)
     if found:
         raise InputError(f'{key}: expected {quoted(found[1])} among the names in {WHEEL_NAMES}, '
@@ -67,7 +67,7 @@ def check_wheel(key: str, names: Collection[str]) -> None:
 
 
 def wheels_of(values: Mapping[str, Any]) -> tuple[Wheel, ...]:
-    """Return what the parameters of a scene state; raise InputError if a wheel has no axis."""
+    """Return the wheels of the parameters of a scene; raise InputError if a wheel has no axis."""
     return tuple(_wheel(values, name) for name in values[WHEEL_NAMES])
 
 

@@ -16,7 +16,7 @@
 Alarms of a live check: tests of the errors of windows, with a stated rate of false alarms.
 
 A window is tested by itself, and the residual torques of 4, 16 and 64 windows together, to find
-what is too small for one. Each of the tests has the same share of the rate.
+errors that are too small for one window. Each of the tests has the same share of the rate.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _MOST = 0.95
 
 class Judgement(NamedTuple):
     """
-    What a window says of the model.
+    The judgement of a model by one window.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Judgement(NamedTuple):
     windows : int
         How many windows that test is of.
     axis : str
-        Which component is off most, and by how many standard deviations.
+        The component with the largest deviation, and this deviation in standard deviations.
     since_ns : int
         End of the first window of the present level.
 
@@ -81,7 +81,7 @@ class Judgement(NamedTuple):
 @dataclass
 class NoiseLevel:
     """
-    How noisy a value of a sensor really is, and how long its noise lasts, from all windows so far.
+    The actual noise of a value of a sensor, and its duration, from all windows so far.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class NoiseLevel:
 
     @property
     def factor(self) -> float:
-        """Return by how much correlation multiplies the variance of a mean, as for AR(1)."""
+        """Return the factor of the variance of a mean by correlation, as for AR(1)."""
         return (1.0 + self._correlation) / (1.0 - self._correlation)
 
     @property
@@ -143,7 +143,7 @@ class _Together:
     product: Floats = field(default_factory=lambda: np.zeros(3))
 
     def add(self, torque: Floats, covariance: Floats) -> float | None:
-        """Add that of a window; if it is the last, return chi-square, and begin again."""
+        """Add the error of a window; if it is the last, return chi-square, and begin again."""
         weight = np.linalg.inv(covariance)
         self.count += 1
         self.weight, self.product = self.weight + weight, self.product + weight @ torque
@@ -199,7 +199,7 @@ class Alarms:
 
 
 def _axis(change: Floats, covariance: Floats) -> str:
-    """Return which component of an error is off most."""
+    """Return the component of an error with the largest deviation."""
     deviations = np.abs(change) / np.sqrt(np.diag(covariance))
     names = [f'{what} about {axis}' for what in ('attitude', 'rate') for axis in 'xyz']
     row = int(np.argmax(deviations))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a sensor measured, as arrays."""
+"""The measurements of a sensor, as arrays."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _UNIT = 1e-6
 @dataclass(frozen=True)
 class Measured:
     """
-    What a sensor measured: one topic.
+    The measurements of a sensor: one topic.
 
     Attributes
     ----------

@@ -37,9 +37,9 @@ from rigid_body_ros.sensing.windows import window_error
 #: Why a window is not judged.
 FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'
 BEGINS, SILENT = 'torque not known yet', 'no torque for longer than stale_after'
-#: Columns of a torque, and whether it is in space axes; of an attitude and an angular velocity.
+#: Number of columns: of a torque with its axes, and of an attitude with an angular velocity.
 _TORQUE, _MEASUREMENT = 4, 7
-#: ns; of a recording, how much is taken at a time, and the first time.
+#: ns; length of the pieces in which a recording is read, and the earliest time.
 _PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
 
 
@@ -113,7 +113,7 @@ class Monitor:
         self._history_ns = duration_ns(settings.history, 'history')
         self._stale_ns = duration_ns(settings.stale_after, 'stale_after') or NEVER_NS
         self._actuators = dict(enumerate(actuators))
-        #: ns; for how long a command goes on to act.
+        #: ns; time for which a command acts.
         self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
         self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE))
         self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT))
@@ -121,7 +121,7 @@ class Monitor:
         self._alarms = Alarms(settings.window, settings.false_alarms)
         #: The next window begins here, and the momentum of the rotors then.
         self._begin_ns, self._momentum = 0, problem.start.rotor_momentum
-        #: Spans of time, ns, of which nothing is judged, and why.
+        #: Spans of time, ns, that are not judged, and the reasons.
         self._spans: list[tuple[int, int, str]] = []
         self.newest_ns, self.skipped, self.last_skipped = 0, Counter[str](), ''
         self.last: Judgement | None = None
@@ -197,7 +197,7 @@ class Monitor:
                     level.add(errors)
 
     def _forget(self, before_ns: int) -> None:
-        """Forget what is before a time, but for the torques that act later."""
+        """Discard data before a time, except torques that act later."""
         for torques in self._torques.values():
             torques.forget(before_ns - self._reach_ns)
         for measured in self._sensors.values():
@@ -205,7 +205,7 @@ class Monitor:
         self._spans = [span for span in self._spans if span[1] > before_ns]
 
     def _unknown(self, begin_ns: int, end_ns: int) -> str:
-        """Return why it is not known what acts between two times; '' if it is."""
+        """Return why the torque between two times is not known; '' if it is."""
         for first_ns, last_ns, reason in self._spans:
             if first_ns < end_ns and last_ns > begin_ns:
                 return reason
@@ -219,7 +219,7 @@ class Monitor:
 
     def _held(self, rows: _Rows, begin_ns: int, end_ns: int
               ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the stamps of the torques in force between two times, and how long they act."""
+        """Return the stamps of the torques in force between two times, and their durations."""
         times_ns, values = rows.between(begin_ns, end_ns, 1)
         held_ns = np.diff(np.append(times_ns, rows.first_ns(end_ns)))
         # A torque that times out is known again.
@@ -246,7 +246,7 @@ class Monitor:
 
     def _between(self, begin_ns: int, end_ns: int) -> Problem:
         """Return the problem of a window."""
-        # The momentum of the rotors is that of the end of the window before.
+        # The momentum of the rotors is the one at the end of the previous window.
         start_ns = self._begin_ns or begin_ns
         start = State(start_ns, self._problem.start.attitude, np.zeros(3), self._momentum)
         logs = {}
@@ -318,7 +318,7 @@ class _Rows:
         return self._sorted
 
     def forget(self, before_ns: int) -> None:
-        """Forget what is before a time, but for the newest of it."""
+        """Discard values before a time, except the newest of them."""
         stamps_ns, values = self._all()
         row = max(int(stamps_ns.searchsorted(before_ns)) - 1, 0)
         self._sorted = stamps_ns[row:].copy(), values[row:].copy()
@@ -331,7 +331,7 @@ class _Rows:
 
     def between(self, begin_ns: int, end_ns: int,
                 earlier: int = 0) -> tuple[NDArray[np.int64], Floats]:
-        """Return stamps and values between two times, and so many from before."""
+        """Return stamps and values between two times, and a number of earlier ones."""
         stamps_ns, values = self._all()
         first, stop = stamps_ns.searchsorted([begin_ns, end_ns]).tolist()
         rows = slice(max(first - earlier, 0), stop)

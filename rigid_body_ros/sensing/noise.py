@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The noise of a channel: its size on each axis, and for how many samples it lasts."""
+"""The noise of a channel: its size on each axis, and the number of samples that it lasts."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from rigid_body_ros.common.arrays import Floats
 ALARM = 1e-4
 #: Fewest samples of a batch, and fewest outliers that can come together.
 FEWEST = 10
-#: Most samples before, on which a sample depends.
+#: Largest number of previous samples on which a sample depends.
 _ORDER = 3
-#: The noise of no sensor lasts longer: that of an autoregression with a coefficient of 0.92.
+#: No sensor has noise that lasts longer; it is an autoregression with a coefficient of 0.92.
 LONGEST = 5.0
 
 
@@ -45,10 +45,11 @@ class Noise:
     coefficients : array, shape (p,)
         x[t] = c[0] x[t-1] + ... + c[p-1] x[t-p] + innovation.
     lasting : float
-        By how much the mean of many samples scatters more than that of independent ones: the root
+        Scatter of the mean of many samples, relative to independent samples: the root
         of the long-run variance over the variance, at least 1 and at most `LONGEST`.
     overlap : float
-        By how much more the mean of squares scatters: 1 + 2 sum of squared correlations.
+        Scatter of the mean of squares, relative to independent samples: 1 + 2 sum of squared
+        correlations.
 
     """
 
@@ -119,14 +120,14 @@ def come_together(bad: NDArray[np.bool_]) -> bool:
 
 def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     """
-    Return the noise of a channel: the autoregression of least Bayesian information criterion.
+    Return the noise of a channel, the autoregression with the best information criterion.
 
     Parameters
     ----------
     parts : sequence of array, shape (n, 3)
         Errors of consecutive samples, NaN for those that do not count.
     share : float
-        Number of errors over that of degrees of freedom, at least 1.
+        Number of errors divided by the number of degrees of freedom, at least 1.
 
     """
     sizes = np.sqrt(share * np.nanmean(np.concatenate(parts) ** 2, axis=0))

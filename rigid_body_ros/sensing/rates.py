@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Angular velocities that a sensor measured, or that follow from its attitudes."""
+"""Angular velocities measured by a sensor, or computed from its attitudes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
     """
     Return the angular velocities of a sensor; from its attitudes if it measures none.
 
-    Those from attitudes are mean ones between two samples, at their middle.
+    Rates from attitudes are means between two samples, at the middle of the interval.
 
     Returns
     -------

@@ -34,7 +34,7 @@ from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import FEWEST, Measured
 from rigid_body_ros.sensing.text_files import is_text_file, read_text_file
 
-#: Variances, rad^2 or rad^2/s^2, from which on a value counts as not measured.
+#: Variances, rad^2 or rad^2/s^2, above which a value counts as not measured.
 _MEANINGLESS = 1e3
 
 
@@ -60,9 +60,9 @@ _LAYOUTS: dict[MessageType, _Values] = {
 }
 #: The message types that can be measured.
 KINDS = tuple(_LAYOUTS)
-#: Those that are certainly measurements of an attitude or an angular velocity.
+#: Types that are certainly measurements of an attitude or an angular velocity.
 _CERTAIN = tuple(kind for kind in KINDS if kind is not messages.VECTOR3)
-#: Those whose frames can be chosen.
+#: Types whose frames can be chosen.
 _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 
 
@@ -99,7 +99,7 @@ def read_measured(path: str | Path, topic: str | None = None, *,
     Returns
     -------
     Measured
-        Sorted by stamp. Of messages with equal stamps, the last in the recording is kept.
+        Sorted by stamp. If messages have equal stamps, the last in the recording is kept.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def read_measured(path: str | Path, topic: str | None = None, *,
 
 def samples(kind: MessageType, values: Floats) -> tuple[Floats, Floats]:
     """
-    Return what messages measured: attitudes and angular velocities, NaN where there are none.
+    Return measured attitudes and angular velocities from messages, NaN where there are none.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def _check_axes(where: str, recorded: Messages, space_frame: str) -> None:
 
 def _other_frames(where: str, recorded: Messages, kind: MessageType,
                   expected: tuple[str, str]) -> str:
-    """Return how frames differ from those of space and body; '' if they do not, or are empty."""
+    """Return how frames differ from the space and body frames; '' if they do not, or are empty."""
     if kind.has_child_frame:
         pairs = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
         if len(pairs) > 1:
@@ -229,7 +229,7 @@ def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
 
 def _given(values: Floats, where: slice | None, covariance: slice | None, kind: MessageType,
            usable: Callable[[Floats], NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-    """Return which messages have a value; None if the type has none."""
+    """Return a mask of the messages that have a value; None if the type has none."""
     if where is None:
         return None
     found = values[:, where]
@@ -295,7 +295,7 @@ def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Me
     for name in names:
         if names.count(name) > 1:
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
-    # Among several topics, the frames are those of the transforms.
+    # With several topics, the frames choose the transforms.
     chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if frames else set()
     return [read_text_file(name) if name and is_text_file(name) else
             read_measured(path, name, frames=frames if name in chosen or not chosen else None,

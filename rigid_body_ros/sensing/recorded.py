@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the torques of a recording and what was measured under them."""
+"""Read the torques of a recording and the measurements under them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TOPICS_OF_SCENE = Topics()
 @dataclass(frozen=True)
 class Reading:
     """
-    What to read from a recording, and how.
+    Topics and options for reading a recording.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Reading:
     track: Track = no_progress
 
     def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
-        """Return what was measured, with the errors of `read_all`."""
+        """Return the measurements; errors are those of `read_all`."""
         return read_all(path, self.measured, frames=self.frames, body_frame=scene.body_frame,
                         space_frame=scene.space_frame, time_source=self.time_source,
                         track=self.track)
@@ -72,7 +72,7 @@ class Reading:
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """
-    What was measured during a motion.
+    The measurements during a motion.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Measurements:
 
     def until_end(self, offsets: Sequence[float] = ()) -> list[Measured]:
         """
-        Return the samples before the end, given what to add to the clock of each sensor, s.
+        Return the samples before the end, given an offset to add to the clock of each sensor, s.
 
         Raises
         ------
@@ -115,10 +115,10 @@ class Measurements:
 def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offset: float = 0.0,
                   may_command: bool = False) -> tuple[Problem, Measurements]:
     """
-    Read the torques of a recording, and what was measured under them.
+    Read the torques of a recording, and the measurements under them.
 
-    Without torques in the recording, the body is free. Of several epochs of a node, the start_time
-    of the scene chooses one.
+    Without torques in the recording, the body is free. If a node has several epochs, the
+    start_time of the scene chooses one.
 
     Parameters
     ----------

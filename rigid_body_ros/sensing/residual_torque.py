@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-The torque that would have had to act besides the logged one.
+The torque that must have acted in addition to the logged one.
 
 The change of the angular momentum that was measured, less the impulse of everything that the
 model knows, is the impulse of what it does not know. Its slope over a short window is the residual
-torque. Logged torques enter as exact impulses, so a step between two measurements is no error.
+torque. Logged torques enter as exact impulses, so a step between two measurements is not an error.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ WINDOW, FEWEST = 0.25, 11
 #: The nodes of Gauss's formula with two points, exact for a cubic.
 _NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
 _BLOCK = 2 ** 15
-#: Distance from the median around a sample, in usual ones, from which on it is an outlier.
+#: Distance from the median around a sample, in usual distances, above which it is an outlier.
 _OUTLIER = 10.0
 #: Tensors with one of the six entries.
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
@@ -60,7 +60,7 @@ class Slopes(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class ResidualTorque:
     """
-    What would have had to act besides the logged torque, smoothed over a window.
+    The torque that must have acted in addition to the logged one, smoothed over a window.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def with_attitude(rates: Measured, attitudes: Measured) -> Measured:
 
 def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None:
     """
-    Return the torque that explains what a sensor measured, beyond the torques of a problem.
+    Return the torque that explains the measurements, in addition to the torques of a problem.
 
     J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured w, each term averaged over
     the window. tau has the torques of the fields, at the measured attitude.
@@ -169,7 +169,8 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
     """
     Return the impulses of the logged torques since the first of some times.
 
-    Torques in space axes are turned by the measured attitude, else by that of the motion.
+    Torques in space axes are converted with the measured attitude, or if there is none, with the
+    attitude of the motion.
 
     Returns
     -------
@@ -216,7 +217,7 @@ def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
 
 
 def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -> Floats:
-    """Return the measured attitude at times, else that of the motion."""
+    """Return the measured attitude at times, or the computed one if none is measured."""
     if sensor.attitude is None:
         return problem.propagate(at=times_ns).attitude
     return interpolated(sensor.stamps_ns, sensor.attitude, times_ns)
@@ -236,9 +237,9 @@ def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
     """
     Return angular velocities without gross outliers.
 
-    An outlier differs from the median of the five samples around it by more than ten times what is
-    usual, and by more than samples usually change. The angular velocity of a body cannot jump and
-    come back.
+    An outlier differs from the median of the five samples around it by more than ten times the
+    usual difference, and by more than samples usually change. The angular velocity of a body
+    cannot jump and come back.
 
     Parameters
     ----------

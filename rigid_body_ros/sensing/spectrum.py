@@ -26,7 +26,7 @@ from rigid_body_ros.sensing.residual_torque import ResidualTorque
 SEGMENT = 60.0
 #: Probability that white noise exceeds its limit at one frequency.
 _EXCEEDS = 0.01
-#: Half the phase of a window, rad, up to which it lets half of an amplitude through.
+#: Half the phase of a window, rad, at which it halves an amplitude.
 _FLATTENED = 2.5
 #: Frequencies for each period in a segment, so that none is far from the peak of a sine.
 _FINER = 4
@@ -79,12 +79,12 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
     smoothed = np.sin(np.outer(turn, times)) @ times / turn / np.sum(times ** 2)
     amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
-    # White noise of the momentum, of which the noise of the torque is that of a slope.
+    # The momentum has white noise, and the torque is a slope fitted to it.
     noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
     return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
 
 
 def _exceeded(count: int) -> float:
-    """Return the limit of the mean of so many powers of noise, as an amplitude, in mean ones."""
+    """Return the limit of the mean of powers of noise, as an amplitude over the mean one."""
     from scipy.special import chdtri
     return float(np.sqrt(chdtri(2 * count, _EXCEEDS) / (2 * count)))

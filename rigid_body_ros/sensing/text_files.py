@@ -76,7 +76,7 @@ def read_text_file(path: str) -> Measured:
     Returns
     -------
     Measured
-        Sorted by stamp; its topic is the name of the file. Of equal stamps, the last is kept.
+        Sorted by stamp; its topic is the name of the file. If stamps are equal, the last is kept.
 
     Raises
     ------

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-What a model predicts over a window of a measured motion, and what is measured at its end.
+The prediction of a model over a window of a measured motion, and the measurement at its end.
 
 The measurements in the first fifth of the window give the state at its begin, which is propagated
-under the logged torques. Those in the last fifth correct it. That correction, at the end of the
-window, is the error. Its covariance is that of both estimates; the constant torque that explains
-it best is the residual torque.
+under the logged torques. The samples in the last fifth correct it. That correction, at the end of
+the window, is the error. Its covariance is that of both estimates; the constant torque that
+explains it best is the residual torque.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ from rigid_body_ros.sensing.rates import measured_rates
 
 #: The part of a window from whose samples a state is estimated, and the fewest samples.
 _PART, FEWEST = 5, 3
-#: A sample is an outlier from this many standard deviations on, if it is so many times as far off
-#: as most are.
+#: A sample is an outlier if it is off by this many standard deviations, and by this many times the
+#: error of most samples.
 _OUTLIER, _UNUSUAL = 6.0, 4.0
-#: Most corrections of an estimated start, and the chi-square of one that is not worth another.
+#: Largest number of corrections of an estimated start, and the chi-square below which another one
+#: is not worthwhile.
 _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
 #: Samples that the first guess of the rates is from.
 _GUESSED = 5
@@ -50,12 +51,12 @@ _CHANGE = 1e-6
 
 
 class SensorNoise(NamedTuple):
-    """The noise of a sensor: standard deviations of a component, and how much longer it lasts."""
+    """The noise of a sensor: standard deviations of a component, and the effect of correlation."""
 
     #: rad, of the attitude as a rotation vector; rad/s.
     attitude: float
     rate: float
-    #: By how much correlation multiplies the variance of a mean, for both.
+    #: Factor by which correlation multiplies the variance of a mean, for both.
     attitude_factor: float = 1.0
     rate_factor: float = 1.0
 
@@ -73,7 +74,7 @@ class WindowError:
         attitude is measured.
     rate : array, shape (3,), rad/s, body axes
     covariance : array, shape (6, 6)
-        Of both, attitude first.
+        Covariance of attitude and angular velocity, attitude first.
     torque : array, shape (3,), N m, body axes
         The constant torque over the window that explains the error best.
     torque_covariance : array, shape (3, 3), N^2 m^2
@@ -132,7 +133,7 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     Parameters
     ----------
     problem : Problem
-        Its torques; its start does not matter, but for the momentum of the rotors.
+        Its torques; of its start, only the momentum of the rotors matters.
     sensors : sequence of Measured
         In the time and the axes of the problem.
     noises : sequence of SensorNoise
@@ -143,7 +144,7 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     Returns
     -------
     WindowError or None
-        None if too few samples are at the begin or at the end.
+        None if there are too few samples at the beginning or at the end.
 
     """
     turn_ns = end_ns - (end_ns - begin_ns) // _PART
@@ -191,7 +192,7 @@ def _needs_attitude(problem: Problem) -> bool:
 
 def _guess(sensors: Sequence[Measured], begin_ns: int,
            has_attitude: bool) -> tuple[Floats, Floats]:
-    """Return about the attitude and the angular velocity at the begin of samples."""
+    """Return an approximate attitude and angular velocity at the beginning of samples."""
     name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
     rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
     if not has_attitude:
@@ -284,7 +285,7 @@ class _Samples(NamedTuple):
 
 
 def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
-    """Return which errors are no outliers."""
+    """Return a mask of the errors that are not outliers."""
     sizes = np.abs(errors).max(axis=1)
     return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
 
@@ -292,14 +293,14 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
 def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
                first: _Estimate, last: _Estimate) -> Floats:
     """Return the derivative of the second of two estimates by a constant torque, shape (p, 3)."""
-    # As large as what changes the rate by _CHANGE.
+    # The torque that changes the rate by _CHANGE.
     end_ns = int(times_ns[-1])
     seconds = 1e-9 * (end_ns - problem.start.time_ns)
     size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds
     others = [problem.biased(torque, end_ns).propagate(at=times_ns) for torque in size * np.eye(3)]
     moved = np.stack([motions.change_to(other.attitude, other.angular_velocity)
                       for other in others], axis=-1) / size
-    # The torque moves the first estimate, too, and with it what is predicted.
+    # The torque also moves the first estimate, and with it the prediction.
     moved -= motions.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
     return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 

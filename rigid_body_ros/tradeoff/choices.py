@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What was measured, and the choice: the cheapest setting that is accurate enough."""
+"""The measurements, and the choice: the cheapest setting that is accurate enough."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Spread(NamedTuple):
 
 class Advice(NamedTuple):
     """
-    What the recommended setting costs in an ensemble.
+    The cost of the recommended setting in an ensemble.
 
     The times are wall times, s, of one run among many on one core, up to its final state.
     """
@@ -141,7 +141,7 @@ class OnWhole:
     Attributes
     ----------
     reference : Reference or None
-        Of the whole log, None as long as no error was measured there.
+        The reference of the whole log, None as long as no error was measured there.
 
     """
 

@@ -33,7 +33,7 @@ from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
 from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
 
-#: s; about how long runs are timed, in how many rounds, and how many runs at most.
+#: s; approximate time for timing runs, number of rounds, and largest number of runs.
 _TIMED, _ROUNDS, _MOST_RUNS = 0.01, 5, 256
 
 
@@ -44,7 +44,8 @@ def read(folder: str | Path) -> Spread:
     Raises
     ------
     InputError
-        The folder is not that of a complete ensemble, or no run of it ended elsewhere.
+        The folder has no complete ensemble, or the median angle of its runs from the nominal is
+        zero.
 
     """
     path = Path(folder) / 'summary.json'
@@ -85,7 +86,8 @@ def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
     """
     Return the cheapest setting for many runs.
 
-    One setting of each solver is timed. The costs of its other settings are scaled alike.
+    One setting of each solver is timed. The costs of its other settings are scaled by the same
+    factor.
     """
     single = {one.setting: one for one in result.measurements if not one.failure}
     best: dict[str, Setting] = {}

@@ -95,7 +95,7 @@ class Case:
 
     @property
     def interpolation(self) -> str:
-        """Return the interpolation of the torques, that of a log by default without any."""
+        """Return the interpolation of the torques, or without any torque the default of a log."""
         return self.problem.logs[0].interpolation if self.problem.logs else 'hold'
 
     def run(self, **options: Any) -> Trajectory:

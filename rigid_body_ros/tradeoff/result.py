@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a measured trade-off returns."""
+"""The result of a measured trade-off."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.settings import Setting
 
 _WIDTH = 18
-#: What the floor is without rotors, damping and fields, and with them.
+#: The meaning of the floor without rotors, damping and fields, and with them.
 _FLOORS = (
     ('largest difference between runs that round differently: the series with other steps,',
      'in principal axes and, without torque, the closed form; it does not show an error '
@@ -136,7 +136,7 @@ class Tradeoff:
         return self.text()
 
     def rows(self) -> Iterator[tuple[str, str]]:
-        """Generate what was found for each target, and the limits of accuracy."""
+        """Generate the result for each target, and the limits of accuracy."""
         for target, choice in self.choices.items():
             aim, (name, text), *limits = _found(self, target)
             setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
@@ -252,7 +252,7 @@ def _smallest(result: Tradeoff, target: float, part: str) -> str:
 
 
 def _limits(result: Tradeoff, target: float) -> Iterator[tuple[str, str]]:
-    """Generate what limits the accuracy; a torque that is held has no error of interpolation."""
+    """Generate the limits of the accuracy; a torque that is held has no error of interpolation."""
     dominant, own = result.dominant(target), result.interpolation_error
     if dominant != 'interpolation' or not own:
         yield 'limited by', _LIMITS[dominant]

@@ -49,7 +49,7 @@ class Setting(NamedTuple):
                 'max_step: 0.0')
 
 
-#: That of a scene that has none.
+#: The tolerance of a scene that has none.
 DEFAULT = Setting(Options.solver, Options.tolerance)
 
 

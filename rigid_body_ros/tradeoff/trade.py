@@ -34,7 +34,7 @@ from rigid_body_ros.tradeoff.settings import Setting, settings_of
 #: rad; the target of `measure` and of --target by default.
 TARGET = 1e-6
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
-#: s; shorter runs depend on what ran before, so each is repeated once before it is timed.
+#: s; shorter runs depend on the previous run, so each is repeated once before it is timed.
 _BRIEF = 0.01
 
 
