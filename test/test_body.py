@@ -35,8 +35,10 @@ def test_tensor_of_point_masses_is_the_sum_of_its_definition():
 
 
 def test_products_of_inertia_are_entries_of_the_matrix():
-    tensor = RigidBody.from_moments(2.0, 3.0, 4.0, 0.1, 0.2, 0.3).inertia
-    assert tensor.tolist() == [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]
+    body = RigidBody.from_moments(2.0, 3.0, 4.0, 0.1, 0.2, 0.3)
+    assert body.inertia.tolist() == [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]
+    assert body.entries.tolist() == [2.0, 3.0, 4.0, 0.1, 0.2, 0.3]
+    np.testing.assert_array_equal(BODY.with_entries(body.entries).inertia, body.inertia)
 
 
 def test_moment_about_an_axis_is_mass_times_squared_distance_from_it():
