@@ -69,9 +69,6 @@ class Session:
             self.run.log(torque)
         return is_accepted
 
-    def stamps(self, kind):
-        return [one.time_ns for logged, one in self.logged if logged == kind]
-
     @property
     def states(self):
         """The committed states."""
@@ -192,6 +189,18 @@ def test_a_motion_that_is_too_fast_is_reported_and_torques_after_it_are_rejected
     assert [one.time_ns for one in live.states] == [ns(0.0), ns(1.0)]
     assert live.run.last_state(ns(3.0)) is None
     assert live.run.snapshot(ns(3.0), math.inf) is None
+
+
+def test_states_that_a_rejected_torque_committed_belong_to_their_epoch():
+    live = Session()
+    assert live.send(1.0, (1e18, 0.0, 0.0))
+    assert live.send(1.5)  # too fast
+    assert not live.send(5.0)
+    live.run.end()
+    assert [one.time_ns for one in live.states] == [ns(0.0), ns(1.0)]
+    live.run.begin(replace(START, time_ns=ns(6.0)))
+    assert live.send(7.0)
+    assert [one.time_ns for one in live.states[2:]] == [ns(6.0)]
 
 
 def test_an_epoch_that_has_no_time_to_end_says_what_is_missing():
