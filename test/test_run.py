@@ -260,13 +260,15 @@ def test_equal_stamps_replace_each_other_within_a_source_only():
 
 def test_commands_of_wheels_are_counted_one_by_one():
     live = Session(**WHEELED)
+    assert live.run.epoch.newest_of(0) is None
+    assert live.send(0.0)
     assert live.run.epoch.newest_of(COMMANDS) is None
     for seconds, efforts in ((0.0, (0.003, 0.001)), (0.5, (NAN, 0.002)), (0.7, (0.009, -0.001)),
                              (0.7, (0.003, NAN)), (0.7, (NAN, -0.002))):
         assert live.run.epoch.has_torque_at(ns(seconds), COMMANDS) == (
             live.counts[APPLIED, COMMANDS] > 2)
         assert live.send(seconds, efforts, COMMANDS)
-    assert live.counts == {(APPLIED, COMMANDS): 5, (REPLACED, COMMANDS): 2,
+    assert live.counts == {(APPLIED, 0): 1, (APPLIED, COMMANDS): 5, (REPLACED, COMMANDS): 2,
                            (CLIPPED, COMMANDS): 1}
     newest = live.run.epoch.newest_of(COMMANDS)
     assert (newest.stamp_ns, newest.values.tolist()) == (ns(0.7), [0.003, -0.002])
