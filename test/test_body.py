@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import RigidBody, State
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.body import rate_in_space
+from rigid_body_ros.mechanics.body import rate_in_space, uniform_box
 from scipy.spatial.transform import Rotation
 
 RANDOM = np.random.default_rng(11)
@@ -35,8 +35,10 @@ def test_tensor_of_point_masses_is_the_sum_of_its_definition():
 
 
 def test_products_of_inertia_are_entries_of_the_matrix():
-    tensor = RigidBody.from_moments(2.0, 3.0, 4.0, 0.1, 0.2, 0.3).inertia
-    assert tensor.tolist() == [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]
+    body = RigidBody.from_moments(2.0, 3.0, 4.0, 0.1, 0.2, 0.3)
+    assert body.inertia.tolist() == [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]
+    assert body.entries.tolist() == [2.0, 3.0, 4.0, 0.1, 0.2, 0.3]
+    np.testing.assert_array_equal(BODY.with_entries(body.entries).inertia, body.inertia)
 
 
 def test_moment_about_an_axis_is_mass_times_squared_distance_from_it():
@@ -91,6 +93,12 @@ def test_eulers_equations_are_the_components_of_dl_dt():
     np.testing.assert_allclose(body.angular_acceleration(W, torque), expected, rtol=1e-15)
 
 
+def test_without_a_torque_energy_and_momentum_keep_their_size():
+    change = BODY.angular_momentum(BODY.angular_acceleration(W))
+    assert abs(W @ change) < 1e-15
+    assert abs(BODY.angular_momentum(W) @ change) < 1e-14
+
+
 def test_torque_and_acceleration_undo_each_other():
     torque = np.array([0.4, -0.1, 0.25])
     np.testing.assert_allclose(BODY.torque(W, BODY.angular_acceleration(W, torque)), torque,
@@ -110,6 +118,20 @@ def test_impossible_tensors_are_refused_with_their_numbers(tensor, message):
         RigidBody(tensor)
 
 
+def test_the_tensors_of_a_body_cannot_be_changed():
+    # Its constants are computed once.
+    body = RigidBody(np.eye(3), damping=np.eye(3))
+    for tensor in (body.inertia, body.damping):
+        with pytest.raises(ValueError, match='read-only'):
+            tensor[0, 0] = 2.0
+
+
+def test_the_box_of_a_body_has_its_moments():
+    edges = np.array([1.0, 0.6, 0.25])  # the longest has the smallest moment
+    body = RigidBody(np.diag(np.sum(edges ** 2) - edges ** 2))
+    np.testing.assert_allclose(uniform_box(body), edges, rtol=1e-14)
+
+
 def test_a_thin_plate_is_a_body_and_rounded_digits_are_told():
     assert RigidBody.from_moments(0.1, 0.2, 0.1 + 0.2).triangle_excess == 0.0
     rounded = RigidBody.from_moments(0.0833, 0.3333, 0.4167)
@@ -118,6 +140,7 @@ def test_a_thin_plate_is_a_body_and_rounded_digits_are_told():
 
 @pytest.mark.parametrize(('masses', 'positions', 'message'), [
     ([1.0, -1.0], np.eye(3)[:2], 'greater than zero'), ([], np.zeros((0, 3)), 'greater than zero'),
+    ([1.0, 0.0, 1.0], np.eye(3), 'greater than zero'),
     ([1.0], np.eye(3), 'shape'), ([1.0, 1.0], [[0, 0, 0], [0, 0, 1]], 'positive definite'),
     ([1.0], [[1.0, 2.0, 3.0]], 'on one line'),
     ([1.0, np.inf, 1.0], np.eye(3), 'masses: expected at least one, each finite and greater'),

@@ -35,6 +35,7 @@ from rigid_body_ros import messages, Propagator, scene, State
 from rigid_body_ros.live import closed_loop
 from rigid_body_ros.live.closed_loop import DuplicateFilter, RepublishPolicy
 from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.live.torque_queue import UNKNOWN_SENDER
 
 pytestmark = pytest.mark.ros
 STEP_NS, END_NS = round(STEP * 1e9), 4 * SECOND
@@ -239,6 +240,59 @@ def test_a_controller_slower_than_any_timeout_gets_one_response_for_each_state()
             controller.append(stamp_ns + 1)
     assert accepted == [*range(len(accepted))]
     assert len(accepted) > 20
+
+
+def test_a_torque_gets_another_response_only_if_the_first_was_lost(monkeypatch):
+    now = 0.0
+    sent, corrected = (Torque(5, np.array([1.0, 0.0, 0.1 * k]), 'body') for k in range(2))
+    monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
+    duplicates = DuplicateFilter(history_ns=10)
+    duplicates.published(5)
+    assert not duplicates.is_duplicate(sent, b'one')
+    duplicates.accepted(sent, b'one')
+    assert duplicates.is_waiting(sent)
+    # Another controller, or one that cannot be told from another, sends its own torque.
+    assert duplicates.is_duplicate(sent, b'two')
+    assert duplicates.is_duplicate(sent, UNKNOWN_SENDER)
+    # The response may be on its way; a correction needs a new one.
+    assert duplicates.is_duplicate(sent, b'one')
+    assert not duplicates.is_duplicate(corrected, b'one')
+    duplicates.responded(sent)
+    assert not duplicates.is_waiting(sent)
+    now = 0.09
+    assert duplicates.is_duplicate(sent, b'one')
+    now = 0.11
+    assert not duplicates.is_duplicate(sent, b'one')
+    assert not duplicates.is_duplicate(corrected, b'one')
+    # After newer stamps the record is dropped, and without it there is nothing to repeat.
+    duplicates.accepted(Torque(15, sent.values, 'body'), b'one')
+    assert duplicates.is_same(sent)
+    duplicates.accepted(Torque(16, sent.values, 'body'), b'one')
+    assert not duplicates.is_duplicate(sent, b'one')
+
+
+def test_a_state_that_was_published_twice_may_get_two_torques():
+    duplicates, torque = DuplicateFilter(history_ns=10), Torque(5, np.array([1.0, 0, 0]), 'body')
+    for _ in range(2):
+        duplicates.published(5)
+    duplicates.accepted(torque, b'one')
+    duplicates.responded(torque)
+    other = torque._replace(values=2.0 * torque.values)
+    assert [duplicates.is_duplicate(other, b'one') for _ in range(2)] == [True, False]
+
+
+def test_without_a_controller_the_state_is_published_ten_times_a_second(monkeypatch):
+    now, published = 0.0, []
+    monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
+    policy = RepublishPolicy()
+    for tick in range(1, 200):  # 1 / 64 s
+        now = tick / 64
+        if policy.is_due(0, 1 if 64 <= tick < 128 else 0):
+            published.append(tick)
+            policy.published(is_repeated=True)
+    # Not for half a second after a connection, the first of which may be that of a controller.
+    assert published == [*range(32, 64, 7), *range(96, 200, 7)]
+    assert not policy.has_controller
 
 
 def test_a_controller_whose_subscription_connects_first_gets_the_state_once(monkeypatch):

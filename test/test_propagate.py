@@ -21,6 +21,7 @@ import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
 from rigid_body_ros.engine import kernels, layout
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import timeline
 import truth
 
@@ -347,6 +348,14 @@ def test_the_torque_in_force_at_the_start_counts():
     prompt = TorqueLog([EPOCH_NS], [[1.0, 0.0, 0.0]])
     ends = [propagate(BODY, START, log, at=[EPOCH_NS + SECOND]) for log in (early, prompt)]
     np.testing.assert_array_equal(ends[0].attitude, ends[1].attitude)
+
+
+@pytest.mark.parametrize('interpolation', INTERPOLATIONS)
+def test_torques_that_timed_out_before_the_start_do_not_act(interpolation):
+    stamps, at = EPOCH_NS - np.array([20, 10]) * SECOND, [EPOCH_NS + SECOND]
+    log = TorqueLog(stamps, np.eye(3)[:2], interpolation=interpolation)
+    found, free = (propagate(BODY, START, each, at=at, torque_timeout=1.0) for each in (log, None))
+    np.testing.assert_array_equal(found.attitude, free.attitude)
 
 
 def test_timeout_is_a_zero_sample_at_its_end():

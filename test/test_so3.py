@@ -69,6 +69,12 @@ def test_log_undoes_exp_at_every_size_of_angle(size):
                                atol=8 * EPS * size)
 
 
+def test_log_is_the_shortest_of_the_vectors_of_a_rotation():
+    np.testing.assert_array_equal(so3.log(-Q[0]), so3.log(Q[0]))
+    np.testing.assert_allclose(so3.log(Q[0]), Rotation.from_quat(Q[0]).as_rotvec(), atol=8 * EPS)
+    assert np.linalg.norm(so3.log(Q[0]), axis=1).max() <= np.pi
+
+
 def test_exp_goes_on_beyond_a_turn():
     np.testing.assert_allclose(so3.exp([2.0 * np.pi, 0.0, 0.0]), [0.0, 0.0, 0.0, -1.0],
                                atol=2 * EPS)

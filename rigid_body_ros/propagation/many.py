@@ -341,7 +341,6 @@ class _Runs:
             torques = np.empty((LANES, *rows.torques.shape[1:]))
             for run, own in self._queued:
                 torques[run % LANES] = own.torques
-            torques.flags.writeable = False  # one type for the kernels
             rows = rows._replace(torques=torques)
         self._queued.clear()
         self._run_alike(which, rows, None)

@@ -94,8 +94,6 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
     body, space, on_rotors = (
         added([log.torques[first if len(log) > 1 else 0:] for log in group])
         for group in (*in_axes, motors))
-    for array in (body, space, on_rotors):  # one type for the kernels
-        array.flags.writeable = False
     sums, in_space = _allocated(len(times_ns), 0), np.empty(len(times_ns), np.bool_)
     kernels.sum_rows(times_ns, body, space, on_rotors, momentum, sums, in_space)
     return times_ns, in_space, sums

@@ -119,8 +119,7 @@ class Timeline:
         self.has_rotors = momentum is not None or self._has_motors
         self._always_acts = momentum is not None or is_damped or self._fields is not None
         self.has_terms = self._always_acts or self._has_motors
-        if self.has_terms:
-            self._terms = Terms((_NO_MOMENTUM if momentum is None else momentum)[None], None, None)
+        self._terms = Terms((_NO_MOMENTUM if momentum is None else momentum)[None], None, None)
 
     @property
     def has_fields(self) -> bool:
@@ -160,7 +159,7 @@ class Timeline:
         elif self.has_terms or in_two:
             terms = Terms(momentum, sums.motors if has_motors else None,
                           sums.space if in_two else None)
-        return _frozen(Rows(times_ns, sums.torques, in_space, spans, terms))
+        return Rows(times_ns, sums.torques, in_space, spans, terms)
 
     def in_force(self, time_ns: int) -> int:
         """Return the row in force at a time, -1 before the first."""
@@ -213,7 +212,7 @@ class Timeline:
         if self._lagging and terms and terms.lags:
             lags = terms.lags._replace(excess=self._lagging.excess(self.times_ns))
             terms = terms._replace(lags=lags)
-        self._summed = _frozen(self._summed._replace(times_ns=self.times_ns, terms=terms))
+        self._summed = self._summed._replace(times_ns=self.times_ns, terms=terms)
 
     def chunks(self, begun: NDArray[np.int64], stop: int) -> Iterable[tuple[int, int, Rows]]:
         """
@@ -246,8 +245,8 @@ class Timeline:
             return Rows(log.times_ns, log.torques[:, None, :], log.in_space, _NO_SPANS,
                         self._terms)
         due = self._silent + 1
-        return _frozen(Rows(self.times_ns, np.insert(log.torques, due, 0.0, axis=0)[:, None, :],
-                            np.insert(log.in_space, due, False), _NO_SPANS, self._terms))
+        return Rows(self.times_ns, np.insert(log.torques, due, 0.0, axis=0)[:, None, :],
+                    np.insert(log.in_space, due, False), _NO_SPANS, self._terms)
 
     def _interpolated(self, rows: slice) -> Rows:
         log, times_ns = self._log, self.times_ns[rows]
@@ -259,8 +258,7 @@ class Timeline:
         index = np.maximum(samples - first, 0)
         polynomials = log.polynomials(first, stop)[index] * acts[:, None, None]
         spans = np.append(np.diff(log.times_ns[first:stop + 1]) / 1e9, 1.0)[index]
-        return _frozen(Rows(times_ns, polynomials, log.in_space[samples] & acts, spans,
-                            self._terms))
+        return Rows(times_ns, polynomials, log.in_space[samples] & acts, spans, self._terms)
 
     def acts(self) -> NDArray[np.bool_]:
         """Return for each row whether torques, rotors, damping or fields act on it."""
@@ -310,21 +308,10 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
 def held_row(time_ns: int, torque: Floats, in_space: bool,
              terms: layout.AnyTerms | None = None) -> Rows:
     """Return the row of a torque that is held from a time on, N m, shape (1, 3)."""
-    return _frozen(Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms))
+    return Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms)
 
 
 _NO_LOG = TorqueLog([], [])
 _NO_SPANS, _NO_MOMENTUM = np.empty(0), np.zeros((2, 3))
 for _constant in (_NO_SPANS, _NO_MOMENTUM):
     _constant.flags.writeable = False
-
-
-def _frozen(rows: Rows) -> Rows:
-    """Return the same rows, read-only like those of a log: one type for the kernels."""
-    array: Any
-    terms = rows.terms
-    for array in rows[:-1] if terms is None else (
-            *rows[:-1], *terms[:4], *(terms.lags or ()), *(terms.friction or ())[:2]):
-        if array is not None:
-            array.flags.writeable = False
-    return rows
