@@ -25,6 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.errors import Errors, QUANTITIES
 from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.comparison.result import Comparison
+from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
@@ -47,7 +48,7 @@ _MEDIAN = 0.6745
 
 
 def page(comparison: Comparison, name: str, scene: Scene, command: str,
-         degrees: bool = False) -> Page:
+         degrees: bool = False, verdict: Verdict | None = None) -> Page:
     """
     Return the page of a comparison.
 
@@ -63,6 +64,8 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
         The command line.
     degrees : bool
         Whether to show angles in degrees.
+    verdict : Verdict, optional
+        Whether the model explains the measurements, if that was asked.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
@@ -71,9 +74,22 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
     body = _body(motion, aligned, stamps_ns) if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
     panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
-    return Page(f'{name}: {topics}', [('recording', name), *comparison.rows(degrees), *shown],
+    (_, said), *reasons = verdict.rows() if verdict else [('', '')]
+    headline = '; '.join([said] * bool(said) + [_size(comparison, degrees)])
+    return Page(f'{name}: {topics}', headline,
+                [*reasons, ('recording', name), *comparison.rows(degrees), *shown],
                 [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
                 scene=scene, command=command)
+
+
+def _size(comparison: Comparison, degrees: bool) -> str:
+    """Return the errors of the attitude, or, if none is measured, of the angular velocity."""
+    label, unit, attribute = next(each for each in QUANTITIES if comparison.of(each[2]))
+    factor, unit = scaled(unit, degrees)
+    errors = comparison.pooled(attribute)
+    assert errors is not None
+    rms = factor * np.sqrt(np.mean(np.sum(errors ** 2, axis=1)))
+    return f'{label} {rms:.3g} {unit} (rms) over {comparison.span_s:.3g} s'
 
 
 def _panels(comparison: Comparison, aligned: Sequence[Measured],
