@@ -15,8 +15,7 @@
 """
 Charts of a page: panels with curves, as data for charts.js.
 
-Our own script draws them, because that of a charting library has megabytes and takes seconds to
-load.
+Our own script draws them; docs/report.md says why it is not that of a library.
 """
 
 from __future__ import annotations
