@@ -59,7 +59,7 @@ def _run(options: argparse.Namespace) -> int:
         outputs.write_asked(
             data=lambda: {**comparison.as_dict(), 'verdict': verdict and verdict.as_dict()},
             draw=lambda path: plot.draw(path, comparison, name),
-            page=lambda line: page(comparison, name, scene, line, options.degrees, verdict))
+            page=lambda line: page(comparison, name, scene, line, options.degrees, facts))
     shown = [lines([f'{title:17}{text}']) for title, text in facts]
     outputs.show('\n'.join([*shown, comparison.text(options.degrees)]), 17)
     if not verdict or verdict.is_consistent:

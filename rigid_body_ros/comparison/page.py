@@ -25,7 +25,6 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.errors import Errors, QUANTITIES
 from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.comparison.result import Comparison
-from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
@@ -48,7 +47,7 @@ _MEDIAN = 0.6745
 
 
 def page(comparison: Comparison, name: str, scene: Scene, command: str,
-         degrees: bool = False, verdict: Verdict | None = None) -> Page:
+         degrees: bool = False, verdict: Sequence[tuple[str, str]] = ()) -> Page:
     """
     Return the page of a comparison.
 
@@ -64,8 +63,8 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
         The command line.
     degrees : bool
         Whether to show angles in degrees.
-    verdict : Verdict, optional
-        Whether the model explains the measurements, if that was asked.
+    verdict : sequence of (str, str)
+        Whether the model explains the measurements, and why not, if that was asked.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
@@ -74,10 +73,9 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
     body = _body(motion, aligned, stamps_ns) if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
     panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
-    (_, said), *reasons = verdict.rows() if verdict else [('', '')]
-    headline = '; '.join([said] * bool(said) + [_size(comparison, degrees)])
+    headline = '; '.join([*(said for _, said in verdict[:1]), _size(comparison, degrees)])
     return Page(f'{name}: {topics}', headline,
-                [*reasons, ('recording', name), *comparison.rows(degrees), *shown],
+                [*verdict[1:], ('recording', name), *comparison.rows(degrees), *shown],
                 [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
                 scene=scene, command=command)
 
