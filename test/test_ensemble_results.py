@@ -176,8 +176,8 @@ def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, ki
     assert panel.kind == kind
     assert panel.lines == {name: found['angle_from_nominal_rad'][key] for key, name in (
         ('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))}
-    assert curves.x[1:].tolist() == found['histogram']['edges_rad']
-    assert curves.high[1:-1, 0].tolist() == found['histogram']['runs']
+    assert curves.x.tolist() == found['histogram']['edges_rad']
+    assert curves.high[:-1, 0].tolist() == found['histogram']['runs']
     write(tmp_path / 'page.html', made)
     with browser.started() as chromium, \
             browser.opened(chromium, tmp_path / 'page.html') as shown:
@@ -186,8 +186,10 @@ def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, ki
             == [75.0, 50.0]
         assert '7: <b>' in shown.text_content('dl')
         points = np.array(re.findall(r'[\d.]+', shown.get_attribute('.curve', 'd')), float)
+        assert shown.locator('.plot text.mark').all_text_contents() == [*panel.lines]
+        assert shown.text_content('h1').startswith('Half of 900 runs end within 0.')
         marks = [float(line.get_attribute('x1')) for line in shown.locator('.plot line.c6').all()]
-    x = points[::2]
+    x = np.sort(points[::2])
     scale = np.log if kind == 'logx' else np.array
     low, high = scale(curves.x[0]), scale(curves.x[-1])
     expected = [x[0] + (scale(angle) - low) / (high - low) * (x[-1] - x[0])

@@ -83,13 +83,13 @@ def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys)
     assert identify(tumble, '--validate', 0.3, '--report', report, recordings=('<b>&.mcap',)) == 0
     text, shown = report.read_text(encoding='utf-8'), capsys.readouterr().out.splitlines()
     assert '<b>' not in text
-    assert '<h1>&lt;b&gt;&amp;.mcap: estimated parameters</h1>' in text
+    assert '<p class="source">&lt;b&gt;&amp;.mcap: estimated parameters</p>' in text
     assert str(tumble) not in text
-    assert f'<dd>{escape(shown[0][17:])}</dd>' in text
+    assert f'<h1>{escape(shown[0][17:].capitalize())}</h1>' in text
     for line in shown[2:14]:
         name, *_, unit = line.split('  ')
         assert f'<tr><td>{name.strip()}</td><td>' in text
-        assert f'<td>{unit}</td></tr>' in text
+        assert f'<td>{unit.replace("^2", "²")}</td></tr>' in text
     for line in shown[14:-1]:
         assert f'<dd>{escape(line[17:])}</dd>' in text
     panels = {panel['label']: panel for panel in data_of(text)['panels']}
@@ -442,7 +442,7 @@ def test_a_check_says_by_its_exit_status_whether_the_model_is_right(tmp_path, ca
     assert captured.out.startswith(f'verdict          {verdict["level"]}: ')
     assert (captured.err == '') == (status == 0)
     page = (tmp_path / 'page.html').read_text(encoding='utf-8')
-    assert f'<dd>{verdict["level"]}: ' in page
+    assert f'<h1>{verdict["level"].capitalize()}: ' in page
     assert main.attitude_compare([*arguments, '--check', '--motion', arguments[0], '--plot',
                                   str(tmp_path / 'errors.png'), '--overwrite']) == 2
     assert not (tmp_path / 'errors.png').exists()

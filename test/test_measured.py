@@ -17,6 +17,7 @@
 from dataclasses import replace
 from html import escape
 import json
+import re
 import shutil
 
 from bags import Sent
@@ -299,7 +300,8 @@ def test_the_page_has_the_errors_the_summary_and_names_as_text(run, tmp_path, ba
     assert f'wrote            {report}' in shown
     text = report.read_text(encoding='utf-8')
     assert '<b>' not in text
-    assert '<h1>&lt;b&gt;&amp;.mcap: /imu</h1>' in text
+    assert '<p class="source">&lt;b&gt;&amp;.mcap: /imu</p>' in text
+    assert re.search(r'<h1>Attitude error \S+ rad \(rms\) over 20 s</h1>', text)
     assert str(tmp_path) not in text
     for line in shown.splitlines()[:-1]:
         assert f'<dd>{escape(line[17:])}</dd>' in text

@@ -341,7 +341,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
     assert {run['solver'] for run in written['runs']} == {'auto', 'taylor', 'rk4', 'strang',
                                                           'explicit_euler'}
     assert matplotlib.image.imread(picture).shape[:2] == (1000, 1440)
-    assert '<h1>tumbler.mcap: /torque</h1>' in web.read_text(encoding='utf-8')
+    assert '<p class="source">tumbler.mcap: /torque</p>' in web.read_text(encoding='utf-8')
 
 
 @pytest.mark.slow
@@ -436,7 +436,7 @@ def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     result = measure(FREE, targets=targets)
     text = html(page(result, '</script><b>: /torque', scene.load(TUMBLER[1]), 'the command'))
     assert '<b>' not in text
-    assert '<h1>&lt;/script&gt;&lt;b&gt;: /torque</h1>' in text
+    assert '<p class="source">&lt;/script&gt;&lt;b&gt;: /torque</p>' in text
     lines = '\n'.join(result.choices[1e-6].measurement.setting.parameters)
     assert f'<pre># for attitude errors up to 1e-06 rad\n{lines}</pre>' in text
     assert text.count('<pre>') == 1
@@ -452,6 +452,13 @@ def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
         assert len(texts) == len(errors)
         for spelled, cost in zip(texts, costs):
             assert f'{cost:.2e} s per simulated second' in spelled
+    front, best = panel['curves'][-1], [one for one in result.measurements if one.pareto_optimal]
+    assert (front['style'], front['names']) == ('front', ['Pareto-optimal'])
+    np.testing.assert_allclose(array(front['x']), np.maximum(
+        sorted(one.error.attitude for one in best), result.reference.floor))
+    setting = result.choices[1e-6].measurement.setting
+    assert f'<h1>Cheapest setting for errors up to 1e-06 rad: {setting.solver}, ' in text
+    assert '; for errors up to 1e-20 rad: none is certain</h1>' in text
 
 
 def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):

@@ -24,7 +24,6 @@ from rigid_body_ros.commands.arguments import load_scene, reading_of, warn_of_fr
 from rigid_body_ros.commands.command import Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.report.page import with_facts
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.terminal import progress, report
 
@@ -60,8 +59,7 @@ def _run(options: argparse.Namespace) -> int:
         outputs.write_asked(
             data=lambda: {**comparison.as_dict(), 'verdict': verdict and verdict.as_dict()},
             draw=lambda path: plot.draw(path, comparison, name),
-            page=lambda line: with_facts(page(comparison, name, scene, line, options.degrees),
-                                         facts))
+            page=lambda line: page(comparison, name, scene, line, options.degrees, facts))
     shown = [lines([f'{title:17}{text}']) for title, text in facts]
     outputs.show('\n'.join([*shown, comparison.text(options.degrees)]), 17)
     if not verdict or verdict.is_consistent:

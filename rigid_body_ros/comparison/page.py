@@ -47,7 +47,7 @@ _MEDIAN = 0.6745
 
 
 def page(comparison: Comparison, name: str, scene: Scene, command: str,
-         degrees: bool = False) -> Page:
+         degrees: bool = False, verdict: Sequence[tuple[str, str]] = ()) -> Page:
     """
     Return the page of a comparison.
 
@@ -63,6 +63,8 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
         The command line.
     degrees : bool
         Whether to show angles in degrees.
+    verdict : sequence of (str, str)
+        Whether the model explains the measurements, and why not, if that was asked.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
@@ -71,9 +73,21 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
     body = _body(motion, aligned, stamps_ns) if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
     panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
-    return Page(f'{name}: {topics}', [('recording', name), *comparison.rows(degrees), *shown],
+    headline = '; '.join([*(said for _, said in verdict[:1]), _size(comparison, degrees)])
+    return Page(f'{name}: {topics}', headline,
+                [*verdict[1:], ('recording', name), *comparison.rows(degrees), *shown],
                 [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
                 scene=scene, command=command)
+
+
+def _size(comparison: Comparison, degrees: bool) -> str:
+    """Return the errors of the attitude, or, if none is measured, of the angular velocity."""
+    label, unit, attribute = next(each for each in QUANTITIES if comparison.of(each[2]))
+    factor, unit = scaled(unit, degrees)
+    errors = comparison.pooled(attribute)
+    assert errors is not None
+    rms = factor * np.sqrt(np.mean(np.sum(errors ** 2, axis=1)))
+    return f'{label} {rms:.3g} {unit} (rms) over {comparison.span_s:.3g} s'
 
 
 def _panels(comparison: Comparison, aligned: Sequence[Measured],

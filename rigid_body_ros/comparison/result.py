@@ -32,7 +32,7 @@ from rigid_body_ros.comparison.motion import divided, inside, Motion
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.report.text import lines, rounded, scaled
+from rigid_body_ros.report.text import lines, numbers, rounded, scaled
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
@@ -177,7 +177,8 @@ class Comparison:
         torque = self.residual_torque
         if torque:
             yield from _errors('residual torque', 1.0, 'N m', torque.torques)
-            yield '', f'noise {written(torque.noise)} N m, in windows of {torque.window_s:.3g} s'
+            noise = numbers(torque.noise, 3, ', ')
+            yield '', f'noise ({noise}) N m, in windows of {torque.window_s:.3g} s'
         for cause in self.causes:
             name = 'likely cause' if cause.explains else 'reduces'
             yield name, f'{cause.text} ({cause.evidence})'
@@ -262,8 +263,8 @@ def _errors(name: str, factor: float, unit: str, vectors: Floats | None,
     if vectors is None or not len(vectors):
         return
     values = statistics(factor * vectors, final)
-    axes = written(np.array(values.pop('axes_rms')))
+    axes = numbers(values.pop('axes_rms'), 3, ', ')
     names = {'rms': 'rms', 'median': 'median', 'p95': '95 %', 'max': 'max', 'final': 'at the end'}
     parts = ', '.join(f'{names[key]} {value:.3g}' for key, value in values.items())
     yield name, f'{parts} {unit}'
-    yield '', f'rms about the body axes {axes} {unit}'
+    yield '', f'rms about the body axes ({axes}) {unit}'

@@ -30,11 +30,11 @@ from rigid_body_ros.scene import Scene
 
 #: Length of the bar of a rank correlation or R^2 of 1, and height of its picture, in its own
 #: units.
-_WIDTH, _HEIGHT = 100.0, 20.0
+_WIDTH, _HEIGHT = 100.0, 10.0
 
-#: Percentiles over time, and their names.
-_BANDS = (('p5_rad', '5 %'), ('p25_rad', '25 %'), ('p50_rad', 'median'), ('p75_rad', '75 %'),
-          ('p95_rad', '95 %'))
+#: Lower and upper percentiles over time, their names and styles.
+_BANDS = ((5, 95, '5 % to 95 %', 'band'), (25, 75, '25 % to 75 %', 'band'),
+          (50, 50, 'median', 'line'))
 
 
 def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
@@ -61,17 +61,30 @@ def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
     tables = [part for one in requirements for part in _tables(one, replay)]
     angle = f'parameter: {ANGLE}' if requirements else 'parameter'
     tables += _bars(angle, 'rank correlation', ranked(found))
-    return Page(f'{name}: {found["runs"]} runs', facts, [*_panels(found)],
+    return Page(f'{name}: {found["runs"]} runs', _headline(found), facts, [*_panels(found)],
                 warnings=scene.warnings, scene=scene, command=command, table=''.join(tables))
 
 
+def _headline(found: Mapping[str, Any]) -> str:
+    """Return how many runs meet the requirements, or how far from the nominal one they end."""
+    runs, angles = found['runs'], found['angle_from_nominal_rad']
+    said = [f'{100.0 * one["share"]:.3g} % of {runs} runs meet {one["require"]} {one["unit"]}'
+            for one in found.get('requirements', ())]
+    if not said and angles:
+        said = [f'half of {runs - found["failed"]} runs end within {angles["p50"]:.3g} rad of the '
+                f'nominal attitude, 95 % within {angles["p95"]:.3g} rad']
+    if found['failed']:
+        said.append(f'{found["failed"]} of {runs} runs failed')
+    return '; '.join(said)
+
+
 def _tables(one: Mapping[str, Any], replay: Callable[[int], str]) -> Iterator[str]:
-    """Generate the worst runs of a requirement, and the effects of the parameters."""
+    """Generate the effects of the parameters on a requirement, and its worst runs."""
+    yield from _bars(f'parameter: {one["require"]}', 'explains (R²)', strongest(one['effects']))
     worst = [(str(each['run']), f'{each["value"]:.3g} {one["unit"]}', replay(each['run']))
              for each in one['worst']]
     if worst:
         yield table((f'worst run: {one["require"]}', 'at the end', 'computed again by'), worst)
-    yield from _bars(f'parameter: {one["require"]}', 'explains (R^2)', strongest(one['effects']))
 
 
 def _bars(name: str, number: str, found: Sequence[tuple[str, float]]) -> Iterator[str]:
@@ -83,33 +96,34 @@ def _bars(name: str, number: str, found: Sequence[tuple[str, float]]) -> Iterato
 def _panels(found: Mapping[str, Any]) -> Iterator[Panel]:
     histogram, bands = found['histogram'], found.get('bands')
     if bands:
-        angles = np.array([bands[key] for key, _ in _BANDS]).T
-        yield Panel('angle from the nominal attitude', 'rad', [Curves(
-            np.array(bands['times_s']), angles, angles, [name for _, name in _BANDS])],
+        angles = {k: np.array(bands[f'p{k}_rad'])[:, None] for k in (5, 25, 50, 75, 95)}
+        yield Panel('angle from the nominal attitude', 'rad', [
+            Curves(np.array(bands['times_s']), angles[low], angles[high], [name], style=style)
+            for low, high, name, style in _BANDS],
             kind='log' if histogram['edges_rad'][0] > 0.0 else 'linear')
     if histogram:
         yield _bins(histogram['edges_rad'], histogram['runs'], found['angle_from_nominal_rad'],
-                    'angle from the nominal final attitude (rad)')
+                    'angle from the nominal final attitude', 'rad')
     for one in found.get('requirements', ()):
         quantity, _, limit = one['require'].split()
         if one['histogram']:
             panel = _bins(**one['histogram'], percentiles=one['percentiles'],
-                          label=f'{quantity} at the end ({one["unit"]})')
+                          label=f'{quantity} at the end', unit=one['unit'])
             yield replace(panel, lines={**panel.lines, 'limit': float(limit)})
 
 
 def _bins(edges: Sequence[float], runs: Sequence[int], percentiles: Mapping[str, float],
-          label: str) -> Panel:
-    counts = np.array([0, *runs, 0], float)[:, None]
-    return Panel('runs', '', [Curves(np.array([edges[0], *edges]), counts, counts, ['runs'],
-                                     step=True)],
-                 label, 'logx' if edges[0] > 0.0 else 'linear',
+          label: str, unit: str) -> Panel:
+    counts = np.array([*runs, 0], float)[:, None]
+    return Panel(f'runs by {label}', '', [Curves(np.array(edges), 0.0 * counts, counts, ['runs'],
+                                                 step=True, style='band')],
+                 f'{label} ({unit})', 'logx' if edges[0] > 0.0 else 'linear',
                  {name: percentiles[key] for key, name in MARKED})
 
 
 def _bar(correlation: float) -> Markup:
-    """Return a rank correlation, or an R^2, as a bar from the middle of a picture."""
-    left, width = _WIDTH * min(0.0, correlation), _WIDTH * abs(correlation)
-    return Markup(f'<svg class="picture" viewBox="{-_WIDTH:g} 0 {2 * _WIDTH:g} {_HEIGHT:g}" '
-                  f'aria-hidden="true"><rect class="bar c0" x="{left:.1f}" y="4" '
-                  f'width="{width:.1f}" height="{_HEIGHT - 8.0:g}"/></svg>')
+    """Return a rank correlation, or an R^2, as a bar; a negative one has another colour."""
+    colour = 'c1' if correlation < 0.0 else 'c0'
+    return Markup(f'<svg class="share" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" aria-hidden="true">'
+                  f'<rect class="bar {colour}" width="{_WIDTH * abs(correlation):.1f}" '
+                  f'height="{_HEIGHT:g}"/></svg>')

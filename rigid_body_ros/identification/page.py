@@ -26,7 +26,6 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.residuals import correlations, Residuals
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.report import matrix, moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page, table
@@ -68,23 +67,17 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
         Whether to show angles in degrees.
 
     """
-    story = [('recording', name), *fit.verdict.rows(), *fit.rows(degrees),
+    (_, headline), *reasons = fit.verdict.rows()
+    story = [('recording', name), *reasons, *fit.rows(degrees),
              ('moving body', 'the motion with all estimates'), *_restarts(fit)]
     panels, (header, *estimated) = [*_panels(fit, first)], fit.table(degrees)
-    return Page(f'{name}: estimated parameters', story,
-                [*map(in_degrees, panels)] if degrees else panels, _body(fit),
-                [*_banner(fit.verdict), *scene.warnings],
+    return Page(f'{name}: estimated parameters', headline, story,
+                [*map(in_degrees, panels)] if degrees else panels, _body(fit), scene.warnings,
                 table=table(header, estimated),
                 picture=matrix.picture('correlation of the estimates (orange: positive, blue: '
                                        'negative)', [*fit.estimates],
                                        fit.correlation) if fit.estimates else '',
                 scene=scene, command=command)
-
-
-def _banner(verdict: Verdict) -> Iterator[str]:
-    """Generate the banner of the page: the verdict, unless the model explains everything."""
-    if not verdict.is_consistent:
-        yield next(verdict.rows())[1]
 
 
 def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:

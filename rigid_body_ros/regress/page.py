@@ -53,8 +53,9 @@ def page(regression: Regression, name: str, scene: Scene, command: str) -> Page:
 
     """
     shown = [('moving body', 'the loop, not the reference')]
-    return Page(f'{name}: closed loop', [*regression.rows(), *shown], [*_panels(regression)],
-                _body(regression, scene), scene.warnings, scene=scene, command=command)
+    return Page(f'{name}: closed loop', regression.verdict, [*regression.rows()[1:], *shown],
+                [*_panels(regression)], _body(regression, scene), scene.warnings, scene=scene,
+                command=command)
 
 
 def _panels(regression: Regression) -> Iterator[Panel]:

@@ -75,8 +75,8 @@ def page(outcomes: Sequence[Outcome], scene: Scene, command: str) -> Page:
     failed = sum(bool(outcome.error) for outcome in outcomes)
     rows = [(os.path.basename(os.path.abspath(outcome.path)), _picture(outcome), _text(outcome))
             for outcome in outcomes]
-    written = f'{len(outcomes) - failed} of {len(outcomes)} written'
-    return Page(f'{len(outcomes)} recordings', [('recordings', written), (
+    written = f'{len(outcomes) - failed} of {len(outcomes)} recordings replayed'
+    return Page(f'{len(outcomes)} recordings', written, [(
         'pictures', 'angular velocity about the body axes x (blue), y (orange), z (green)')],
         warnings=scene.warnings, scene=scene, command=command,
         table=table(('recording', 'angular velocity', 'motion'), rows))

@@ -19,15 +19,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from rigid_body_ros.common.arrays import written
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.replay.batches import Batch
 from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
 from rigid_body_ros.report.panels import ThinnedTorque
+from rigid_body_ros.report.text import numbers
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
+
+#: Significant digits of numbers; the output and the terminal have all of them.
+_DIGITS = 4
+#: Ratio of two speeds up to which they count as the same.
+_SAME = 1.05
 
 
 class PageCollector:
@@ -77,11 +84,11 @@ class PageCollector:
         """Return the page of a replay of the recording `name`."""
         times_ns, keys = self._keys.result()
         body = result.scene.body
-        story = [('recording', name), *result.rows(),
-                 ('start', f'attitude {written(result.start.attitude)} (x y z w), body rates '
-                           f'{written(result.start.angular_velocity)} rad/s'),
-                 ('moments', f'{written(body.principal_moments)} kg m^2')]
-        return Page(f'{name}: {result.topic}', story, self._panels(),
+        story = [('recording', name), *result.rows(_DIGITS),
+                 ('start', f'attitude {numbers(result.start.attitude, _DIGITS)} (x y z w), body '
+                           f'rates {numbers(result.start.angular_velocity, _DIGITS)} rad/s'),
+                 ('moments', f'{numbers(body.principal_moments, _DIGITS)} kg m^2')]
+        return Page(f'{name}: {result.topic}', _headline(times_ns, keys), story, self._panels(),
                     moving_body.as_data(body, times_ns, keys), result.scene.warnings,
                     scene=result.scene, command=command)
 
@@ -105,3 +112,24 @@ class PageCollector:
         names = style.torque_names(len(self._torques))
         return panels + [torque.panel(name, start_ns)
                          for torque, name in zip(self._torques, names)]
+
+
+def _headline(times_ns: NDArray[np.int64], keys: Floats) -> str:
+    """Return how far the body turns, and how its speed changes."""
+    seconds = 1e-9 * (times_ns - times_ns[0])
+    speeds = np.linalg.norm(keys[:, moving_body.RATE], axis=1)
+    angle = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(seconds)))
+    turns = angle / (2.0 * np.pi)
+    far = f'by {angle:.2g} rad' if turns < 0.5 else \
+        f'{turns:.1f} times' if turns < 9.95 else f'{turns:.0f} times'
+    start, end, least, most = speeds[0], speeds[-1], speeds.min(), speeds.max()
+    if most <= _SAME * least:
+        how = f' at {start:.2g} rad/s'
+    elif max(start, end) <= _SAME * min(start, end):
+        how = f' at {least:.2g} to {most:.2g} rad/s'
+    else:
+        peaks = most > _SAME * max(start, end)
+        change = 'spins up' if peaks or end > start else 'slows down'
+        how = f', {change} from {start:.2g} to {most if peaks else end:.2g} rad/s' \
+              + (f' and ends at {end:.2g} rad/s' if peaks else '')
+    return f'the body turns {far} in {seconds[-1]:.4g} s{how}'

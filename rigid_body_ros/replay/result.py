@@ -18,14 +18,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.check import Check, LastDigits
 from rigid_body_ros.replay.gaps import Gaps
-from rigid_body_ros.report.text import interpolation_row, lines
+from rigid_body_ros.report.text import interpolation_row, lines, numbers
 from rigid_body_ros.scene import fields, Scene, wheels
 
 #: The effect of the last digits is reported if it exceeds the rounding error by this factor.
@@ -108,15 +107,16 @@ class Replay:
 
     __str__ = text
 
-    def rows(self) -> list[tuple[str, object]]:
-        """Return the facts of a summary: names and texts."""
+    def rows(self, digits: int = 15) -> list[tuple[str, object]]:
+        """Return the facts of a summary, names and texts; states have so many digits."""
         last, epochs = self.last, (*self.earlier, self)
         sequence = self.scene.euler_sequence
+        angles = euler.from_quaternion(last.attitude, sequence)
         seconds = {name: sum(one.seconds[name] for one in epochs) for name in self.seconds}
         split = ', '.join(f'{name} {taken:.2g} s' for name, taken in seconds.items())
         speed = sum(map(_span, epochs)) / sum(seconds.values())
         return [
-            *_earlier(self),
+            *_earlier(self, digits),
             ('torques', f'{self.messages} on {self.topic}, over '
                         f'{(self.last_ns - self.first_ns) * 1e-9:.9g} s'),
             *([('lost', self.damage)] if self.damage else []),
@@ -132,10 +132,10 @@ class Replay:
             *([('rotors', self.wheel_source)] if self.scene.has_rotors else []),
             *(('solver', text) for text in _solvers(self)),
             ('final state', f'{_span(self):.9g} s after the start'),
-            ('  attitude', f'{_numbers(last.attitude)}  (x y z w)'),
-            (f'  {sequence}', f'{_numbers(euler.from_quaternion(last.attitude, sequence))}  rad'),
-            ('  body rates', f'{_numbers(last.angular_velocity)}  rad/s'),
-            *([('  rotors', f'{_numbers(last.rotor_momentum)}  N m s')]
+            ('  attitude', f'{numbers(last.attitude, digits)}  (x y z w)'),
+            (f'  {sequence}', f'{numbers(angles, digits)}  rad'),
+            ('  body rates', f'{numbers(last.angular_velocity, digits)}  rad/s'),
+            *([('  rotors', f'{numbers(last.rotor_momentum, digits)}  N m s')]
               if self.scene.has_rotors else []),
             ('check', self.check),
             *([('last digits', self.last_digits)] if _is_reported(self.last_digits) else []),
@@ -143,15 +143,15 @@ class Replay:
         ]
 
 
-def _earlier(result: Replay) -> list[tuple[str, object]]:
+def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
     """Return the facts of the earlier epochs, if there are any, a line for each."""
     if not result.earlier:
         return []
     return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows after '
                        'these, plots and pages are of the last one'),
             *((f'  epoch {number}', f'from {one.start.time_ns} ns on, over {_span(one):.9g} s, to '
-               f'attitude {_numbers(one.last.attitude)} (x y z w) and body rates '
-               f'{_numbers(one.last.angular_velocity)} rad/s')
+               f'attitude {numbers(one.last.attitude, digits)} (x y z w) and body rates '
+               f'{numbers(one.last.angular_velocity, digits)} rad/s')
               for number, one in enumerate(result.earlier, 1))]
 
 
@@ -175,7 +175,3 @@ def _solvers(result: Replay) -> list[str]:
     if len(result.solvers) == 1:
         return [*result.solvers]
     return [f'{span_ns * 1e-9:.9g} s by {name}' for name, span_ns in result.solvers.items()]
-
-
-def _numbers(values: Floats) -> str:
-    return ' '.join(f'{value:.15g}' for value in values)

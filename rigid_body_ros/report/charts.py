@@ -15,8 +15,7 @@
 """
 Charts of a page: panels with curves, as data for charts.js.
 
-A script of this package draws them, because a charting library has megabytes and takes seconds to
-load.
+Our own script draws them; docs/report.md says why it is not that of a library.
 """
 
 from __future__ import annotations
@@ -50,9 +49,11 @@ class Curves:
     step : bool
         Whether a value holds to the next abscissa.
     style : str
-        'line', 'broad' (what the lines of other curves are compared with), 'marks' (single
-        values, which do not widen the range of the ordinate) or 'limits' (the smallest and the
-        largest value as two dashed lines). All but lines have the colours of the first lines.
+        'line', 'broad' (what the lines of other curves are compared with), 'front' (what stands
+        out among them), 'band' (filled from the smallest value to the largest; with steps, the
+        bars of a histogram), 'marks' (single values, which do not widen the range of the
+        ordinate) or 'limits' (the smallest and the largest value as two dashed lines). Broad
+        curves, marks and limits have the colours of the first lines.
     gap : float, optional
         Neighbours that are further apart are not joined.
 

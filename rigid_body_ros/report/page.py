@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import hashlib
 from html import escape
 import json
@@ -55,6 +55,9 @@ class Page:
     Attributes
     ----------
     title : str
+        What the page is of.
+    headline : str
+        What happened, in one sentence without its full stop; it may begin in lower case.
     story : sequence of (str, object)
         The facts in words.
     panels : sequence of Panel
@@ -71,6 +74,7 @@ class Page:
     """
 
     title: str
+    headline: str
     story: Rows
     panels: Sequence[Panel] = ()
     body: Mapping[str, Any] | None = None
@@ -80,11 +84,6 @@ class Page:
     picture: str = ''
     scene: Scene | None = field(default=None, kw_only=True)
     command: str = field(default='', kw_only=True)
-
-
-def with_facts(page: Page, facts: Rows) -> Page:
-    """Return a page with more facts in words, before the others."""
-    return replace(page, story=[*facts, *page.story])
 
 
 class Markup(str):
@@ -111,10 +110,12 @@ def html(page: Page) -> str:
         ''.join(f'\n{(_WEB / name).read_text(encoding="utf-8")}' for name in names)
         for names in (['page.css'], ['tools.js', 'charts.js'], ['body.js']))
     data = {'panels': [panel.as_data() for panel in page.panels], 'body': page.body}
+    headline = page.headline[:1].upper() + page.headline[1:]
     return Template((_WEB / 'page.html').read_text(encoding='utf-8')).substitute(
-        title=escape(page.title), style=style, style_hash=_hash(style),
+        title=escape(page.title), headline=_shown(headline), layout=_layout(page),
+        style=style, style_hash=_hash(style),
         script_hashes=' '.join(map(_hash, (charts, body))), charts=charts, body=body,
-        warnings=''.join(f'<p class="warning">{escape(text)}</p>' for text in page.warnings),
+        warnings=''.join(f'<p class="warning">{_shown(text)}</p>' for text in page.warnings),
         story=_facts(page.story), table=page.table, picture=page.picture,
         copied=''.join(f'<pre>{escape(text)}</pre><button class="copy" type="button">Copy</button>'
                        for text in page.copied),
@@ -131,7 +132,17 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _cell(cell: str) -> str:
-    return cell if isinstance(cell, Markup) else escape(cell)
+    return cell if isinstance(cell, Markup) else _shown(cell)
+
+
+def _shown(text: str) -> str:
+    """Return a text as HTML, with the unit of inertia as a person writes it."""
+    return escape(text).replace('kg m^2', 'kg m²')
+
+
+def _layout(page: Page) -> str:
+    """Return whether the body or the charts are beside the facts on a wide screen."""
+    return 'moving' if page.body else 'charted' if page.panels else 'listed'
 
 
 def embedded(data: object) -> str:
@@ -144,7 +155,7 @@ def _hash(text: str) -> str:
 
 
 def _facts(rows: Rows) -> str:
-    return ''.join(f'<dt>{escape(name)}</dt><dd>{escape(str(text))}</dd>' for name, text in rows)
+    return ''.join(f'<dt>{escape(name)}</dt><dd>{_shown(str(text))}</dd>' for name, text in rows)
 
 
 def _origin(page: Page) -> Rows:

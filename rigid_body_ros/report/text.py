@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 import math
 
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import printable
 
 #: Units of angles: number of units per radian, and names.
@@ -30,6 +31,11 @@ _DIGITS, _PLAIN = 15, range(-4, 7)
 def scaled(unit: str, degrees: bool) -> tuple[float, str]:
     """Return the factor to the unit that is shown, and its name; angles may be in degrees."""
     return _ANGLES.get(unit, (1.0, unit)) if degrees else (1.0, unit)
+
+
+def numbers(values: Floats, digits: int, between: str = ' ') -> str:
+    """Return the numbers of an array, each with so many significant digits."""
+    return between.join(f'{value:.{digits}g}' for value in values)
 
 
 def rounded(value: float, sigma: float) -> str:

@@ -46,8 +46,16 @@ def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
 
     """
     copied = [_parameters(target, choice) for target, choice in result.choices.items() if choice]
-    return Page(title, [*result.rows()], [_work_precision(result)],
+    return Page(title, _headline(result), [*result.rows()], [_work_precision(result)],
                 warnings=scene.warnings, copied=copied, scene=scene, command=command)
+
+
+def _headline(result: Tradeoff) -> str:
+    """Return the cheapest setting for each target."""
+    found = [f'for errors up to {target:.3g} rad: '
+             + (f'{choice.measurement.setting.solver}, {value(choice.measurement.setting)}'
+                if choice else 'none is certain') for target, choice in result.choices.items()]
+    return f'cheapest setting {"; ".join(found)}'
 
 
 def _parameters(target: float, choice: Choice) -> str:
@@ -61,6 +69,11 @@ def _work_precision(result: Tradeoff) -> Panel:
         cost = np.array(costs)[:, None]
         curves.append(Curves(np.maximum(errors, _LEAST), cost, cost, [solver]))
         texts.append([*_texts(result, solver)])
+    optimal = sorted((max(one.error.attitude, result.reference.floor, _LEAST), one.seconds)
+                     for one in result.measurements if one.pareto_optimal)
+    errors, seconds = np.array(optimal).T
+    cost = seconds[:, None] / result.stretch.seconds
+    curves.append(Curves(errors, cost, cost, ['Pareto-optimal'], style='front'))
     return Panel('wall time per simulated second', 's/s', curves, 'largest attitude error (rad)',
                  'loglog', dict(_lines(result)), texts)
 

@@ -79,16 +79,17 @@ class Motion {
 }
 
 const ARROWS = [  // name, class of colour, dashes, vector in space axes, reach
-  ['angular momentum L', 0, [], (m, s) => rotated(s.attitude, m.momentum(s)), 1.25],
+  ['angular momentum L', 0, [], (m, s) => rotated(s.attitude, m.momentum(s)), 1.15],
   ['angular velocity ω', 1, [7, 3], (m, s) => rotated(s.attitude, s.rate), 1.05],
   ['torque τ', 2, [8, 3, 2, 3], (m, s) => rotated(s.attitude, s.torque), 0.85],
 ];
 
 class View {
-  constructor(canvas, turning) {
-    this.canvas = canvas;
+  constructor(name, turning, reach) {
+    this.canvas = document.getElementById(name);
+    this.reach = reach;
     this.turning = turning;
-    this.context = canvas.getContext('2d');
+    this.context = this.canvas.getContext('2d');
   }
 
   begin() {
@@ -96,7 +97,7 @@ class View {
     this.canvas.width = w * ratio;
     this.canvas.height = h * ratio;
     this.context.setTransform(ratio, 0, 0, ratio, w * ratio / 2, h * ratio / 2);
-    this.size = Math.min(w, h) / 3.1;
+    this.size = Math.min(w, h) / (2 * this.reach);
     const style = getComputedStyle(document.documentElement);
     this.colour = (name) => style.getPropertyValue(`--${name}`).trim();
     this.context.font = '13px system-ui, sans-serif';
@@ -154,10 +155,10 @@ class Scene {
     this.data = data;
     this.motion = new Motion(data);
     const turning = {azimuth: 0.6, height: 0.35};
-    this.views = [new View(document.getElementById('body'), turning)];
+    this.views = [new View('body', turning, 1.3)];
     if (data.poinsot) {
       document.getElementById('poinsot-figure').hidden = false;
-      this.views.push(new View(document.getElementById('poinsot'), turning));
+      this.views.push(new View('poinsot', turning, 1.55));
     }
     this.ghost = data.ghost && {times: unpacked(data.ghost.times, Float64Array),
       attitudes: unpacked(data.ghost.attitude, Float32Array), reach: data.ghost.reach};
@@ -224,7 +225,7 @@ class Scene {
     this.drawBox(view);
     this.drawGhost(view);
     ['x', 'y', 'z'].forEach((name, k) => {
-      const axis = rotated(state.attitude, [0, 1, 2].map((j) => (j === k ? 1.05 : 0)));
+      const axis = rotated(state.attitude, [0, 1, 2].map((j) => (j === k ? 1.15 : 0)));
       view.arrow(axis, view.colour('ink'), [], name, 1.2);
     });
     ARROWS.forEach(([name, colour, dashes, vector, reach], k) => {
@@ -236,14 +237,14 @@ class Scene {
   }
 
   drawSpaceAxes(view) {
-    ['X', 'Y', 'Z'].forEach((name, k) => view.arrow([0, 1, 2].map((j) => (j === k ? 1.4 : 0)),
+    ['X', 'Y', 'Z'].forEach((name, k) => view.arrow([0, 1, 2].map((j) => (j === k ? 1.2 : 0)),
       view.colour('quiet'), [2, 3], name, 1));
   }
 
   faces(view, attitude) {
-    const {sides, axes} = this.data;
+    const {sides, axes} = this.data, reach = length(sides);  // corners are at a distance of 1
     const corner = (signs) => rotated(attitude, sum(...signs.map(
-      (sign, k) => times(0.6 * sign * sides[k], axes[k]))));
+      (sign, k) => times(sign * sides[k] / reach, axes[k]))));
     return [0, 1, 2].flatMap((k) => [-1, 1].map((sign) => {
       const [a, b] = [(k + 1) % 3, (k + 2) % 3];
       const points = [[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]].map(([p, q]) => {
@@ -359,7 +360,7 @@ class Player {
     this.scene.show(this.time);
     this.slider.value = this.time;
     const shown = this.scene.state.time;
-    this.clock.textContent = `${Number(shown.toPrecision(9))} s`;
+    this.clock.textContent = `${written(shown, 10 ** Math.floor(Math.log10(this.end || 1) - 3))} s`;
     if (this.group && this.group.cursor !== shown)
       this.group.moveCursor(shown, this.follow);
   }
@@ -388,7 +389,6 @@ class Player {
 
 let motion = null;
 if (page.body) {
-  document.getElementById('moving').hidden = false;
   const scene = new Scene(page.body), list = document.getElementById('arrows');
   const ghost = page.body.ghost ? [['the measured body', 4, []]] : [];
   for (const [name, colour, dashes] of [...ARROWS, ...ghost]) {

@@ -11,7 +11,8 @@ const PREFIXES = {0: '', '-3': 'm', '-6': 'µ', '-9': 'n', '-12': 'p', '-15': 'f
 const markAt = (x, y) => `M ${(x - 3).toFixed(1)} ${(y - 3).toFixed(1)} l 6 6 m -6 0 l 6 -6`;
 
 class Group {  // the panels that share an abscissa
-  constructor() {
+  constructor(box) {
+    this.box = box;
     this.panels = [];
     this.cursor = null;
     this.listeners = [];
@@ -48,19 +49,19 @@ class Group {  // the panels that share an abscissa
 }
 
 class Panel {
-  constructor(data, group, parent) {
+  constructor(data, group) {
     this.data = data;
     this.group = group;
     this.logX = data.kind === 'loglog' || data.kind === 'logx';
     this.logY = data.kind === 'loglog' || data.kind === 'log';
     this.tall = data.kind === 'loglog';
     this.height = this.tall ? 2 * HEIGHT : HEIGHT;
-    this.lines = 0;
+    this.lines = this.bands = 0;
     this.isDense = data.curves.some((curves) => curves.style === 'limits');
     this.isNoisy = data.kind === 'log' || data.curves.some((curves) => curves.style !== 'line');
     this.series = data.curves.flatMap((curves) => this.read(curves));
     this.unit = this.withPrefix();
-    const box = html('div', parent);
+    const box = html('div', group.box);
     box.className = 'panel';
     html('h3', box, data.label + (this.unit ? ` (${this.unit})` : ''));
     this.svg = element('svg', {class: this.tall ? 'plot tall' : 'plot', role: 'img', 'aria-label':
@@ -84,7 +85,8 @@ class Panel {
       const values = (source) => Float64Array.from(source.subarray(...part), (v) => v + offset);
       const lower = values(low);
       return {name, x, low: lower, high: high === low ? lower : values(high), step: curves.step,
-        style: curves.style, isAlone: curves.names.length === 1, gap: curves.gap ?? Infinity, ...this.look(curves, k)};
+        style: curves.style, isAlone: curves.names.length === 1, gap: curves.gap ?? Infinity,
+        ...this.look(curves, k)};
     });
   }
 
@@ -93,6 +95,8 @@ class Panel {
       const number = this.lines++;
       return {colour: `c${number % 6}`, dashes: this.isNoisy ? '' : DASHES[number % 4]};
     }
+    if (curves.style === 'band') return {colour: ['c5', 'c0'][this.bands++ % 2], dashes: ''};
+    if (curves.style === 'front') return {colour: 'c5', dashes: ''};
     const isLimit = curves.style === 'limits';
     return {colour: isLimit && curves.names.length === 1 ? 'c3' : `c${k % 6}`,
       dashes: isLimit ? '5 4' : ''};
@@ -104,7 +108,7 @@ class Panel {
     this.scale = 1;
     const [lowest, highest] = this.extremes(), largest = Math.max(-lowest, highest);
     const span = Math.min(highest - lowest || largest, largest);
-    this.finest = 10 ** (Math.floor(Math.log10(span || 1)) - 5);  // of the values at the cursor
+    this.finest = 10 ** (Math.floor(Math.log10(span || 1)) - 3);  // of the values at the cursor
     if (!this.data.unit || this.logY || this.data.kind === 'angle' || !(largest > 0))
       return this.data.unit;
     const power = Math.max(-18, Math.min(0, 3 * Math.floor(Math.log10(largest) / 3)));
@@ -135,13 +139,6 @@ class Panel {
       html('span', item, `${one.name} `);
       if (one.style !== 'marks' && (one.style !== 'limits' || one.isAlone))
         one.reading = html('output', item);
-    });
-    Object.keys(this.data.lines).forEach((name, k) => {
-      const item = html('li', list);
-      const line = element('svg', {viewBox: '0 0 30 10', 'aria-hidden': 'true'}, item);
-      element('line', {x1: 0, x2: 30, y1: 5, y2: 5, 'stroke-width': 1.5, class: 'c6',
-        'stroke-dasharray': DASHES[k % 4]}, line);
-      html('span', item, name);
     });
   }
 
@@ -215,14 +212,12 @@ class Panel {
     const frame = element('svg', {x: MARGIN.left, y: 0, width: this.width, height:
       this.height - MARGIN.bottom, viewBox: `${MARGIN.left} 0 ${this.width} ${this.height - MARGIN.bottom}`},
     this.svg);
-    Object.values(this.data.lines).forEach((value, k) => element('line', {x1: this.toX(value),
-      x2: this.toX(value), y1: MARGIN.top, y2: this.height, class: 'c6',
-      'stroke-dasharray': DASHES[k % 4]}, frame));
-    for (const style of ['broad', 'line', 'limits', 'marks'])
+    for (const style of ['band', 'front', 'broad', 'line', 'limits', 'marks'])
       for (const one of this.series.filter((each) => each.style === style))
         element('path', {d: this.shape(one),
           class: `curve ${style} ${one.colour}${this.isDense ? ' dense' : ''}`,
           'stroke-dasharray': one.dashes}, frame);
+    this.drawLines(frame);
     if (this.data.texts.length) this.drawPoints(frame);
     this.chosen = element('rect', {class: 'chosen', y: 0, height: this.height, width: 0}, frame);
     this.line = element('line', {class: 'cursor', y1: 0, y2: this.height}, frame);
@@ -231,8 +226,17 @@ class Panel {
 
   shape(one) {
     if (one.style === 'marks') return this.marks(one);
+    if (one.style === 'band') return this.band(one);
     if (one.style !== 'limits') return this.path(one);
     return `${this.path({...one, high: one.low})} ${this.path({...one, low: one.high})}`;
+  }
+
+  band(one) {
+    const [first, stop] = this.visible(one);
+    const edge = (values) => Array.from(values.slice(first, stop)).flatMap((value, k) =>
+      [one.x[first + k], ...(one.step ? [one.x[Math.min(first + k + 1, stop - 1)]] : [])].map(
+        (x) => `${this.toX(x).toFixed(1)} ${this.toY(value).toFixed(1)}`));
+    return `M ${[...edge(one.low), ...edge(one.high).reverse()].join(' L ')} Z`;
   }
 
   marks(one) {  // those beyond the range stand at its edge
@@ -276,9 +280,19 @@ class Panel {
     return parts.join(' ');
   }
 
+  drawLines(frame) {  // names stand by turns at the top and at the bottom, within the chart
+    Object.entries(this.data.lines).forEach(([name, value], k) => {
+      const x = this.toX(value), side = x < MARGIN.left + 16 ? 12 : -4;
+      const [y, anchor] = k % 2 ? [this.height - MARGIN.bottom - 4, 'start'] : [MARGIN.top, 'end'];
+      element('line', {x1: x, x2: x, y1: 0, y2: this.height, class: 'c6'}, frame);
+      element('text', {class: 'mark', transform: `translate(${x + side} ${y}) rotate(-90)`,
+        'text-anchor': anchor}, frame).textContent = name;
+    });
+  }
+
   drawPoints(frame) {
-    this.series.forEach((one, k) => one.x.forEach((x, i) => {
-      const text = `${one.name}: ${(this.data.texts[k] || [])[i] || ''}`;
+    this.data.texts.forEach((texts, k) => texts.forEach((said, i) => {
+      const one = this.series[k], x = one.x[i], text = `${one.name}: ${said}`;
       const point = element('circle', {class: `point ${one.colour}`, cx: this.toX(x),
         cy: this.toY(one.low[i]), r: 5, tabindex: 0, role: 'img', 'aria-label': text}, frame);
       for (const event of ['focus', 'pointerenter'])
@@ -386,8 +400,10 @@ class Panel {
 
 const groups = {};
 
-function addButtons(parent, group, hasCursor) {
-  const box = html('p', parent);
+function addGroup(hasCursor) {
+  const parent = document.getElementById('charts'), box = html('p', parent);
+  const group = new Group(html('div', parent));
+  group.box.className = 'group';
   const all = (['Zoom in', 'Zoom out', 'Whole']).map((text) => {
     const button = html('button', box, text);
     button.type = 'button';
@@ -397,18 +413,15 @@ function addButtons(parent, group, hasCursor) {
   all[0].addEventListener('click', () => group.zoom(0.5));
   all[1].addEventListener('click', () => group.zoom(2));
   all[2].addEventListener('click', () => group.show(...group.whole));
-  html('small', box, 'Drag across a chart to zoom, double-click for the whole' +
+  html('span', box, 'Drag across a chart to zoom, double-click for the whole' +
     (hasCursor ? ', click to set the cursor.' : '.'));
+  return group;
 }
 
 for (const data of page.panels) {
-  const parent = document.getElementById('charts');
   const name = data.kind === 'loglog' ? data.label : data.xLabel;
-  if (!groups[name]) {
-    groups[name] = new Group();
-    addButtons(parent, groups[name], !data.kind.startsWith('log') || data.kind === 'log');
-  }
-  new Panel(data, groups[name], parent);
+  groups[name] ||= addGroup(!data.kind.startsWith('log') || data.kind === 'log');
+  new Panel(data, groups[name]);
 }
 
 function drawCharts() {
