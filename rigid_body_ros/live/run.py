@@ -285,7 +285,6 @@ class Run:
     def _finish(self, epoch: Epoch, until: float) -> None:
         """Commit the states that late torques could still change."""
         last_ns = epoch.start.time_ns if epoch.newest_ns is None else epoch.newest_ns
-        self._log_final()  # those that a torque committed before it was rejected
         try:
             while stamps := epoch.uncommitted(last_ns)[:LOG_DEPTH]:  # what the queue holds
                 self._commit(epoch, stamps[-1], until)
