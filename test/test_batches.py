@@ -164,6 +164,40 @@ def shuffled(path, order, frames=('',)):
     return path
 
 
+@pytest.mark.parametrize('order', ['ascending', 'descending', 'any'])
+def test_pieces_are_those_of_the_sorted_log(monkeypatch, order):
+    monkeypatch.setattr(torques, '_SAMPLES', 50)
+    random, count, size = np.random.default_rng(6), 1000, 40
+    # Equal stamps are not descending.
+    stamps = EPOCH_NS + np.cumsum(random.integers(order == 'descending', 3, count))
+    for begin in range(0, count, size):
+        block = stamps[begin:begin + size]
+        block[:] = {'ascending': block, 'descending': block[::-1].copy(),
+                    'any': random.permutation(block)}[order]
+    late = [int(stamps[200:240].argmin()) + 200, 270]  # one comes a block too late
+    stamps[late] = stamps[late[::-1]]
+    values, frames = random.normal(size=(count, 6)), random.integers(0, 2, count)
+    blocks = [recording.Messages('/torque', stamps[rows], frames[rows], ['', 'world'],
+                                 values[rows])
+              for rows in (slice(begin, begin + size) for begin in range(0, count, size))]
+    only, = torques.torque_pieces('here', blocks[:1], 'base_link', 'world')
+    assert np.all(np.diff(only.times_ns) > 0)
+    first, *others = torques.torque_pieces('here', blocks, 'base_link', 'world')
+    assert len(others) > 5
+    before, parts = first, [first.rows(slice(first.stop))]
+    for piece in others:
+        # The one before ends three samples after `stop`, and this begins three samples before.
+        assert 50 <= before.stop == len(before.times_ns) - 4
+        np.testing.assert_array_equal(piece.times_ns[:7], before.times_ns[-7:])
+        parts.append(piece.rows(slice(3, piece.stop)))
+        before = piece
+    assert before.stop is None
+    whole = TorqueLog(stamps, values[:, 3:], frames == 1)
+    for name in ('times_ns', 'torques', 'in_space'):
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]),
+                                      getattr(whole, name))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('distance', [30_000, *at_night(3)])
 def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, distance):

@@ -215,10 +215,17 @@ def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
     assert recording.read(path, '/right').topic == '/right'
 
 
+def test_a_log_of_simulated_time_may_begin_at_zero(tmp_path):
+    year_ns = 365 * 86400 * SECOND
+    log = torque_log(write(tmp_path / 'simulated.mcap', [(0, '', [1, 0, 0]),
+                                                         (year_ns, '', [0, 1, 0])]))
+    assert log.times_ns.tolist() == [0, year_ns]
+
+
 @pytest.mark.parametrize(('rows', 'message'), [
     ([], 'bad.mcap: /torque: expected torques, found no message'),
     ([(1, '', [0, 0, 0]), (2, '', [0, np.nan, 0])],
-     r'bad.mcap: /torque: message 2 at 2 ns: expected a finite torque, found \[0.0, nan, 0.0\]'),
+     r'bad.mcap: /torque: message 2 at 2 ns: expected a finite torque, found \[0.0, nan, 0.0\]$'),
     ([(1, '', [np.inf, 0, 0])], 'message 1 at 1 ns: expected a finite torque'),
     ([(1, '', [0, 0, 0]), (2, 'map', [0, 0, 0])],
      "bad.mcap: /torque: message 2: frame_id: expected 'base_link' .*found 'map'"),

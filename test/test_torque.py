@@ -14,6 +14,8 @@
 
 """Torque logs: the torque between the samples."""
 
+from fractions import Fraction
+
 from conftest import EPOCH_NS, SECOND
 import numpy as np
 import pytest
@@ -53,6 +55,18 @@ def test_linear_is_the_straight_line():
     times = spread(TIMES, 501)
     expected = [np.interp(times - EPOCH_NS, TIMES - EPOCH_NS, column) for column in TORQUES.T]
     np.testing.assert_allclose(log.at(times)[0], np.transpose(expected), atol=1e-13)
+
+
+def test_the_slope_of_a_straight_line_is_exact():
+    sizes = 10.0 ** -(np.arange(TORQUES.size) % 10).reshape(TORQUES.shape)
+    log = TorqueLog(TIMES, sizes * TORQUES, interpolation='linear')
+    here, slope, low = (part.ravel().tolist() for part in np.moveaxis(
+        log.polynomials(0, len(log) - 1), 1, 0))
+    following = log.torques[1:].ravel().tolist()
+    assert any(low)
+    for row in zip(following, here, slope, low):
+        end, begin, *change = map(Fraction, row)
+        assert end - begin == sum(change)
 
 
 def test_cubic_reproduces_cubics_at_irregular_stamps():
