@@ -147,6 +147,14 @@ def test_a_state_is_committed_once_when_no_torque_can_change_it_any_more():
     assert not live.events
 
 
+def test_a_late_torque_changes_every_later_state():
+    live, sent = Session(history=5.0), []
+    for number, seconds in enumerate((1.0, 2.0, 3.0, 1.5, 0.5, 2.5)):
+        sent.append(at(seconds, (0.01, 0.02 * number, -0.01)))
+        assert live.send(seconds, sent[-1].values)
+        check_motion([live.run.epoch.start, live.run.last_state(ns(4.0))], sent)
+
+
 def test_the_log_does_not_depend_on_how_the_work_is_divided():
     whole, divided, timeouts = Session(), Session(), 0
     for one in shuffled(100):
