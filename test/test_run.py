@@ -52,6 +52,11 @@ WHEELED = {'wheel_names': ['rw_x', 'rw_z'], 'rw_x.axis.x': 1.0, 'rw_x.inertia': 
            'rw_z.initial_speed': 60.0, 'rw_z.max_speed': 50.0}
 
 
+@pytest.fixture(autouse=True)
+def _busy_machines_have_time(monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.live.run._END_BUDGET', 60.0)
+
+
 class Session:
     """A run that has begun, what it logs, in order, and what it counts."""
 
