@@ -175,6 +175,9 @@ def test_frames_come_from_each_message(tmp_path):
     path = write(tmp_path / 'mixed.mcap', [(1, '', [1, 0, 0]), (2, 'world', [0, 1, 0]),
                                            (3, 'base_link', [0, 0, 1])])
     assert torque_log(path).in_space.tolist() == [False, True, False]
+    with pytest.raises(InputError, match='mixed.mcap: /torque: interpolation linear: expected '
+                                         'torques in one frame'):
+        recording.torque_log(path, recording.read(path), 'base_link', 'world', 'linear')
 
 
 def test_of_equal_stamps_the_later_in_the_file_counts(tmp_path):

@@ -52,6 +52,11 @@ WHEELED = {'wheel_names': ['rw_x', 'rw_z'], 'rw_x.axis.x': 1.0, 'rw_x.inertia': 
            'rw_z.initial_speed': 60.0, 'rw_z.max_speed': 50.0}
 
 
+@pytest.fixture(autouse=True)
+def _busy_machines_have_time(monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.live.run._END_BUDGET', 60.0)
+
+
 class Session:
     """A run that has begun, what it logs, in order, and what it counts."""
 
@@ -147,6 +152,14 @@ def test_a_state_is_committed_once_when_no_torque_can_change_it_any_more():
     check_motion(live.states, sent)
     assert live.counts == {(APPLIED, 0): 100}
     assert not live.events
+
+
+def test_a_late_torque_changes_every_later_state():
+    live, sent = Session(history=5.0), []
+    for number, seconds in enumerate((1.0, 2.0, 3.0, 1.5, 0.5, 2.5)):
+        sent.append(at(seconds, (0.01, 0.02 * number, -0.01)))
+        assert live.send(seconds, sent[-1].values)
+        check_motion([live.run.epoch.start, live.run.last_state(ns(4.0))], sent)
 
 
 def test_the_log_does_not_depend_on_how_the_work_is_divided():
