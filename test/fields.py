@@ -250,7 +250,7 @@ class Conserved(NamedTuple):
 
     #: By time, shape (m,).
     values: np.ndarray
-    #: The size of what adds up to it.
+    #: The sum of the magnitudes of its terms.
     scale: float
 
     def drift(self):

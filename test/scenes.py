@@ -181,7 +181,7 @@ class Scene:
         def moved(values):
             return np.nextafter(values, random.choice([-np.inf, np.inf], np.shape(values)))
         upper = np.triu(moved(self.body.inertia))
-        # Eight digits, and those carried, are enough for a difference.
+        # Eight digits are enough for a difference.
         states = self._series(upper + np.triu(upper, 1).T, moved(self.rates),
                               moved(self.log.torques), digits=8)
         return max(truth.chord(there, here.astype(float))

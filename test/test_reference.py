@@ -22,7 +22,7 @@ from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
 
 NAMES = sorted(path.stem for path in RECORDINGS.glob('*.yaml'))
-#: Scenes that amplify rounding: rad.
+#: Largest error, rad, of scenes that amplify rounding.
 AMPLIFYING = {'separatrix': 1e-7, 'torque_free_intermediate_axis': 5e-12}
 
 

@@ -72,7 +72,7 @@ def topics_of(options: argparse.Namespace) -> Topics:
 
 
 def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = False) -> Logged:
-    """Return the problem that the recording and a scene state, see `recording.chosen`."""
+    """Return the problem of the recording and a scene, see `recording.chosen`."""
     from rigid_body_ros import recording
     warn_of_units(options, [options.recording])
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)

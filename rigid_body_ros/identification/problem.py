@@ -43,7 +43,7 @@ from rigid_body_ros.sensing.measured import Measured
 _PRIOR = 3.0
 #: Largest change of a prediction, and of an unknown, in a finite difference.
 _STEP = 1e-7
-#: How much longer the steps of the final derivatives are, which are of second order.
+#: The final derivatives are of second order, so their steps are this many times longer.
 _FINAL = 100.0
 #: If the solver rejects a step, the states take this fraction of their own next time.
 _SHORTER = 0.25

@@ -116,7 +116,7 @@ class Identification:
         Whether a logged torque acts.
     predictable_s : float or None
         How long after the start the motion can be predicted: until the uncertainty of the fit
-        explains an error of 0.1 rad; None if to its end, and without a validation.
+        explains an error of 0.1 rad. None if that is the whole motion, or without a validation.
     motion : Problem
         The first recording, with all estimates.
     aligned : list of Measured

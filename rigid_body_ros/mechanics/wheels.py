@@ -179,7 +179,7 @@ class Wheels:
         return packed
 
     def padded(self, rows: Floats) -> Floats:
-        """Return rows of numbers of the wheels with zeros for the missing ones of four."""
+        """Return rows with a number for each wheel, padded with zeros to a multiple of four."""
         return np.ascontiguousarray(np.pad(rows, [(0, 0), (0, -len(self) % 4)]))
 
     def carrier(self, body: RigidBody) -> RigidBody:

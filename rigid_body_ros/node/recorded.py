@@ -62,8 +62,8 @@ class RecordedNode:
     ----------
     scene : Scene
     logs : collection of str
-        The logs of the topics to wait for, such as 'accepted_torque'. If empty, those that have
-        publishers when no other has got one for some time.
+        The logs of the topics to wait for, such as 'accepted_torque'. If empty, the node waits
+        until no more topics get a publisher, and uses those that have one.
 
     """
 

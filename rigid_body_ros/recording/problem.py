@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The problem that a recording and a scene state: torques, start and body, in each epoch."""
+"""The problem of a recording and a scene: torques, start and body, in each epoch."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
          inertia: str | None = None, interpolation: str | None = None,
          time_source: str = 'header') -> Problem:
     """
-    Return the problem that a recording and a scene state, as `attitude_replay` computes it.
+    Return the problem of a recording and a scene, as `attitude_replay` computes it.
 
     If a node has several epochs, it is the last one that begins at the start_time of the scene.
 

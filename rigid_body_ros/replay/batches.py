@@ -74,7 +74,7 @@ class Batch(NamedTuple):
     """
     A part of the motion, its piece of the torques, and the wall time to compute it, s.
 
-    `sensed` is the motion that the IMU measures at the times of the trajectory, earlier by its
+    `sensed` is what the IMU measures at the times of the trajectory: the motion earlier by its
     delay.
     """
 
@@ -101,7 +101,8 @@ class Batches:
         For error messages.
     streams : sequence of Stream
     problem : Problem
-        With the start, and, if the torques are one piece, changes of the body and efforts.
+        It has the start. If the torques are one piece, it also has the changes of the body and the
+        efforts.
     is_epoch : bool
         Whether the start is from an epoch of a node, which may have no torques.
 
@@ -128,8 +129,9 @@ class Batches:
         if problem.efforts:
             stamps.append(int(problem.efforts.times_ns[0]))
         self.first_ns = min(stamps, default=start.time_ns)
-        #: The motion, that which a late IMU measures, and those with the other interpolations,
-        #: which are removed if the body spins too fast; none before the first piece.
+        #: By name: the motion, the motion that a late IMU measures, and the motions with other
+        #: interpolations, which are removed if the body spins too fast. None before the first
+        #: piece.
         self._motions: dict[str, Integration] = {}
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
         self._alternatives = names

@@ -63,7 +63,7 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     trajectory : Trajectory
         In ascending order of time.
     log : TorqueLog or sequence of TorqueLog
-        Drawn in the axes that its samples are given in; several in a panel each.
+        Drawn in the axes of its samples. Each of several logs has a panel.
     sequence : str
         Sequence of the Euler angles.
     title : str

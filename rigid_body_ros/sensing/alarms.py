@@ -178,7 +178,7 @@ class Alarms:
         self._tail, self._quantile = chdtrc, ndtri
 
     def judged(self, error: WindowError) -> Judgement:
-        """Return what the windows so far say, given the next."""
+        """Return the judgement after another window."""
         first = 3 if np.isnan(error.attitude[0]) else 0
         change = np.concatenate([error.attitude, error.rate])[first:]
         covariance = error.covariance[first:, first:]
