@@ -195,7 +195,7 @@ def test_a_temporary_file_never_replaces_another(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize('kind', ['file', 'folder'])
 def test_contents_are_on_the_disk_before_the_name(tmp_path, monkeypatch, kind):
-    # The order that a crash leaves the old or the new file by.
+    # In this order, a crash leaves either the old file or the new one.
     done = []
 
     def noted(name, path_of=lambda argument: argument):

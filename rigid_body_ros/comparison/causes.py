@@ -81,7 +81,7 @@ class Cause:
 
     @property
     def evidence(self) -> str:
-        """Return what undoing the cause changes."""
+        """Return by how much the error falls without the cause, in words."""
         what = 'residual torque' if self.unit == 'N m' else 'error'
         rest = 'which is its noise' if self.explains else 'more than its noise'
         return f'without it the median {what} is {self.after:.2g} {self.unit}, {rest}, not ' \

@@ -54,7 +54,7 @@ class Settings(NamedTuple):
     rate_noise: float
     #: h; time in which a right model gives one alarm.
     false_alarms: float
-    #: s; a torque that acts for longer without another one is not known; 0: it is.
+    #: s; a torque counts as unknown if no other follows for so long. 0 for no limit.
     stale_after: float = 0.0
 
 
