@@ -77,7 +77,7 @@ class Session:
 
     @property
     def states(self):
-        """The committed states."""
+        """Return the committed states."""
         return [one for kind, one in self.logged if kind == 'state']
 
     def count(self, name, source, number=1):

@@ -76,7 +76,7 @@ def test_what_is_embedded_stays_text(text):
     data = {text: [text, 1.5, None]}
     assert json.loads(embedded(data)) == data
     assert not set(embedded(data)) & set('<>&\u2028\u2029')
-    page = html(Page(text, [(text, text)], warnings=[text], command=text))
-    plain = html(Page('', [('', '')], warnings=[''], command='-'))
+    page = html(Page(text, text, [(text, text)], warnings=[text], command=text))
+    plain = html(Page('', '', [('', '')], warnings=[''], command='-'))
     for mark in ('<script', '</script', '<!--', '-->', '<p', '<d'):
         assert page.count(mark) == plain.count(mark)

@@ -121,7 +121,7 @@ class Trajectory:
 
     @cached_property
     def models(self) -> tuple[Model, ...]:
-        """The solver that was used for each span, and the reason."""
+        """Return the solver that was used for each span, and the reason."""
         found = list[Model]()
         for before, part in zip((None, *self._parts), self._parts):
             models = part.models()
