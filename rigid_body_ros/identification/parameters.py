@@ -55,9 +55,8 @@ _OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(RO
 
 
 #: The values of parameters that are not fitted; to make them at each use takes a tenth of a fit.
-_NEUTRAL = {name: np.full(len(kind.components), kind.neutral) for name, kind in KINDS.items()}
-for _value in _NEUTRAL.values():
-    _value.flags.writeable = False
+_NEUTRAL = {name: np.broadcast_to(kind.neutral, len(kind.components))
+            for name, kind in KINDS.items()}
 
 
 class Prior(NamedTuple):

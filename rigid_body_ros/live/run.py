@@ -142,7 +142,7 @@ class Run:
         """
         Apply a torque that arrived at a time, ns; return False if it is rejected.
 
-        Then call `commit` before the next torque, and `log` to log both.
+        Before the next torque, call `commit`, and then `log`, which logs both.
         """
         epoch = self._present()
         try:

@@ -52,12 +52,12 @@ def subscription(node: Node, kind: type, topic: str, callback: Callable[..., Non
 
 class DrainCallback:
     """
-    A callback that takes every message waiting in a subscription and counts lost ones.
+    A callback that takes the messages waiting in a subscription and counts lost ones.
 
     Publishers number their messages. A gap in the numbers is a loss, whether the network or the
-    full queue of the subscription dropped the messages. An executor passes one message at a time;
-    this callback also takes all others that wait, so that the queue is empty before other work
-    starts.
+    full queue of the subscription dropped the messages. An executor passes one message at a time.
+    With `takes_all`, this callback also takes all others that wait, so that the queue is empty
+    before other work starts.
 
     Parameters
     ----------
@@ -67,9 +67,9 @@ class DrainCallback:
     on_gap : callable
         Receives the number of messages missing in a gap.
     on_empty : callable, optional
-        Called when no message is waiting.
+        Called after the messages.
     takes_all : bool
-        Otherwise it takes one message at a time: `on_empty` does not wait for a look for others.
+        If false, `on_empty` is called after each message, without looking for others first.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class DrainCallback:
         self.subscription: Subscription
 
     def __call__(self, *taken: Any) -> None:
-        """Take a message and all that wait after it."""
+        """Take a message and, with `takes_all`, all that wait after it."""
         with self.subscription.handle:
             # EventsExecutor passes message and information as one tuple, other executors as two.
             self._take(taken if len(taken) == 2 else taken[0])

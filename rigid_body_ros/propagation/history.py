@@ -99,7 +99,7 @@ class History:
         """
         if self.newest_ns is not None and self.newest_ns - time_ns >= self._history_ns:
             return None
-        if self.newest_ns is not None:  # what the newest one ends can be asked for until the next
+        if self.newest_ns is not None:  # what that stamp made final stays until now
             self._discard_before(self.newest_ns - self._history_ns)
         self.newest_ns = time_ns if self.newest_ns is None else max(self.newest_ns, time_ns)
         time_ns += delay_ns

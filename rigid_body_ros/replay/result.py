@@ -108,7 +108,7 @@ class Replay:
     __str__ = text
 
     def rows(self, digits: int = 15) -> list[tuple[str, object]]:
-        """Return the facts of a summary, names and texts; states have so many digits."""
+        """Return the facts of a summary as names and texts, with states to so many digits."""
         last, epochs = self.last, (*self.earlier, self)
         sequence = self.scene.euler_sequence
         angles = euler.from_quaternion(last.attitude, sequence)

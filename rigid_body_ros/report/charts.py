@@ -15,7 +15,7 @@
 """
 Charts of a page: panels with curves, as data for charts.js.
 
-Our own script draws them; docs/report.md says why it is not that of a library.
+Our own script draws them; docs/report.md says why no library does.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class Curves:
     step : bool
         Whether a value holds to the next abscissa.
     style : str
-        'line', 'broad' (what the lines of other curves are compared with), 'front' (what stands
-        out among them), 'band' (filled from the smallest value to the largest; with steps, the
+        'line', 'broad' (what the lines of other curves are compared with), 'front' (a broad line
+        behind the points that stand out), 'band' (filled from the smallest value to the largest; with steps, the
         bars of a histogram), 'marks' (single values, which do not widen the range of the
         ordinate) or 'limits' (the smallest and the largest value as two dashed lines). Broad
         curves, marks and limits have the colours of the first lines.

@@ -34,7 +34,7 @@ def scaled(unit: str, degrees: bool) -> tuple[float, str]:
 
 
 def numbers(values: Floats, digits: int, between: str = ' ') -> str:
-    """Return the numbers of an array, each with so many significant digits."""
+    """Return the numbers of an array as text, rounded to some significant digits."""
     return between.join(f'{value:.{digits}g}' for value in values)
 
 

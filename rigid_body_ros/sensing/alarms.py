@@ -123,7 +123,7 @@ class NoiseLevel:
 
     @property
     def factor(self) -> float:
-        """Return the factor of the variance of a mean by correlation, as for AR(1)."""
+        """Return the factor by which AR(1) correlation multiplies the variance of a mean."""
         return (1.0 + self._correlation) / (1.0 - self._correlation)
 
     @property
