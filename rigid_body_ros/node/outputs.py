@@ -69,8 +69,8 @@ class Publishers:
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
         imu, variances = scene.imu, scene.odometry_variances
-        #: The publisher of each topic, and how it encodes a snapshot. Odometry comes first, because
-        #: in lockstep controllers wait for it.
+        #: The publisher of each topic, and how it encodes a snapshot. Odometry comes first: in
+        #: lockstep, controllers wait for it.
         self._states: list[tuple[Publisher, Callable[[State, State, Floats], bytes]]] = [
             (self._publisher(Odometry, 'odometry'), lambda state, *_: (
                 messages.odometry(state, space, body, *variances))),

@@ -50,10 +50,10 @@ class Curves:
         Whether a value holds to the next abscissa.
     style : str
         'line', 'broad' (what the lines of other curves are compared with), 'front' (a broad line
-        behind the points that stand out), 'band' (filled from the smallest value to the largest; with steps, the
-        bars of a histogram), 'marks' (single values, which do not widen the range of the
-        ordinate) or 'limits' (the smallest and the largest value as two dashed lines). Broad
-        curves, marks and limits have the colours of the first lines.
+        behind the points that stand out), 'band' (filled from the smallest value to the largest;
+        with steps, the bars of a histogram), 'marks' (single values, which do not widen the range
+        of the ordinate) or 'limits' (the smallest and the largest value as two dashed lines).
+        Broad curves, marks and limits have the colours of the first lines.
     gap : float, optional
         Neighbours that are further apart are not joined.
 
