@@ -225,7 +225,7 @@ class Scene {
     this.drawBox(view);
     this.drawGhost(view);
     ['x', 'y', 'z'].forEach((name, k) => {
-      const axis = rotated(state.attitude, [0, 1, 2].map((j) => (j === k ? 1.15 : 0)));
+      const axis = rotated(state.attitude, [0, 1, 2].map((j) => (j === k ? 1.0 : 0)));
       view.arrow(axis, view.colour('ink'), [], name, 1.2);
     });
     ARROWS.forEach(([name, colour, dashes, vector, reach], k) => {
