@@ -116,7 +116,7 @@ def test_an_interrupt_leaves_no_task_and_a_folder_that_is_resumed(inputs, schedu
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert error == ('attitude_ensemble: interrupted; the same command goes on with what is in '
+    assert error == ('attitude_ensemble: interrupted; run the same command again to continue in '
                      f'{inputs / "out"}\n')
     with cluster.connected(str(scheduler), print) as connection:
         wait_for(lambda: not connection.client.run_on_scheduler(tasks))

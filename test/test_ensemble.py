@@ -203,7 +203,7 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(inputs):
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert error == ('attitude_ensemble: interrupted; the same command goes on with what is in '
+    assert error == ('attitude_ensemble: interrupted; run the same command again to continue in '
                      f'{inputs / "out"}\n')
 
 

@@ -198,7 +198,7 @@ def test_a_signal_ends_endless_runs(inputs, number, more):
         _, error = process.communicate(timeout=60)
         assert time.monotonic() - sent < 2.0
     assert process.returncode == 128 + number
-    assert error == ('attitude_ensemble: interrupted; the same command goes on with what is in '
+    assert error == ('attitude_ensemble: interrupted; run the same command again to continue in '
                      f'{inputs / "out"}\n')
     assert not (inputs / 'out' / 'runs.parquet').exists()
 

@@ -83,8 +83,8 @@ def threads(workers: int) -> Pool:
 def processes(workers: int) -> Pool:
     """Return a pool of processes, for runs that hold Python's lock."""
     def died(span: Span, error: WorkerError) -> NoReturn:
-        raise InputError(f'cannot compute runs {span[0]} to {span[1] - 1}: {error}; the same '
-                         'command goes on with what is complete') from error
+        raise InputError(f'cannot compute runs {span[0]} to {span[1] - 1}: {error}; run the same '
+                         'command again to compute what is missing') from error
 
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         if spans:

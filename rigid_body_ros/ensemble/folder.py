@@ -95,7 +95,7 @@ def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Ite
                      f'{listed(folder.misfits)}; what is missing is computed again')
             yield folder
     except KeyboardInterrupt as interrupt:
-        interrupt.args += (f'; the same command goes on with what is in {path}',)
+        interrupt.args += (f'; run the same command again to continue in {path}',)
         raise
 
 
