@@ -267,8 +267,8 @@ def error_of(capsys, arguments):
 
 def test_a_worker_that_dies_is_one_line(tmp_path, capsys):
     error = error_of(capsys, given(tmp_path, 'controllers:killed'))
-    assert re.search('cannot compute runs . to .: worker process exited with status 3; the same '
-                     'command goes on', error)
+    assert re.search('cannot compute runs . to .: worker process exited with status 3; run the '
+                     'same command again to compute what is missing', error)
 
 
 def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tmp_path):
