@@ -52,33 +52,34 @@ THIN_RATIO = 16.0
 
 
 @inlined
-def gyroscopic_acceleration(coefficients: Coefficients, form: int, products: Products) -> Vector:
+def gyroscopic_acceleration(coefficients: Coefficients, products: Products) -> Vector:
     """Return J^-1 ((J w) x w), linear in the products of the components of w."""
-    columns, low, main, _ = coefficients
     mixed, squares = products
-    if form == DIAGONAL:  # rounding errors of the coefficients average to zero over a period
-        return four.multiply(main, mixed)
+    if coefficients.form == DIAGONAL:  # rounding errors of these average to zero over a period
+        return four.multiply(coefficients.main, mixed)
+    columns, low = coefficients.columns, coefficients.low
     rest = add(combine(low[:3], mixed), combine(low[3:6], squares))
     return _add_combined(_add_combined(rest, columns[3:6], squares), columns[:3], mixed)
 
 
 @inlined
-def add_gyroscopic_acceleration(rest: Vector, coefficients: Coefficients, form: int,
+def add_gyroscopic_acceleration(rest: Vector, coefficients: Coefficients,
                                 products: Products) -> Vector:
     """Return the same plus a vector."""
-    if form == DIAGONAL:
-        return four.fma(coefficients[2], products[0], rest)
-    return add(rest, gyroscopic_acceleration(coefficients, form, products))
+    if coefficients.form == DIAGONAL:
+        return four.fma(coefficients.main, products[0], rest)
+    return add(rest, gyroscopic_acceleration(coefficients, products))
 
 
 @inlined
-def add_jacobian(matrix: Matrix, coefficients: Coefficients, form: int, w: Vector) -> Matrix:
+def add_jacobian(matrix: Matrix, coefficients: Coefficients, w: Vector) -> Matrix:
     """Return a matrix plus the derivative of `gyroscopic_acceleration` with respect to w."""
     x, y, z = matrix
     yzx, zxy = four.yzx(w), four.zxy(w)
-    if form == DIAGONAL:
-        return x, four.fma(coefficients[2], zxy, y), four.fma(coefficients[2], yzx, z)
-    columns, twice = coefficients[0], scale(2.0, w)
+    if coefficients.form == DIAGONAL:
+        return (x, four.fma(coefficients.main, zxy, y),
+                four.fma(coefficients.main, yzx, z))
+    columns, twice = coefficients.columns, scale(2.0, w)
     a, b, c = from_columns(columns[0], columns[1], columns[2])
     d, e, f = from_columns(columns[3], columns[4], columns[5])
     return (four.fma(d, twice, four.fma(c, yzx, four.fma(b, zxy, x))),
@@ -94,34 +95,33 @@ def _add_combined(rest: Vector, columns: tuple[Vector, Vector, Vector], a: Vecto
 
 
 @inlined
-def acceleration_from_torque(coefficients: Coefficients, form: int, torque: Vector) -> Vector:
+def acceleration_from_torque(coefficients: Coefficients, torque: Vector) -> Vector:
     """
     Return J^-1 tau, rad/s^2, of a torque in body axes.
 
     For a thin rod the result may be a difference of terms a million times larger, so it is
     computed in twice the working precision.
     """
-    columns, low, _, diagonal = coefficients
-    if form == DIAGONAL:
-        return four.multiply(diagonal, torque)
-    if form == FULL:
-        return combine(columns[6:], torque)
-    total, rest = combine_compensated(columns[6:], low[6:], torque)
+    if coefficients.form == DIAGONAL:
+        return four.multiply(coefficients.diagonal, torque)
+    if coefficients.form == FULL:
+        return combine(coefficients.columns[6:], torque)
+    total, rest = combine_compensated(coefficients.columns[6:], coefficients.low[6:], torque)
     return add(total, rest)
 
 
 @inlined
-def acceleration_polynomial(coefficients: Coefficients, form: int, torque: Polynomial,
+def acceleration_polynomial(coefficients: Coefficients, torque: Polynomial,
                             low: Polynomial) -> Polynomial:
     """Return J^-1 tau, rad/s^2, of a torque polynomial in body axes with low-order parts."""
     a, b, c, d = torque
-    if form != THIN:
-        return (acceleration_from_torque(coefficients, form, a),
-                acceleration_from_torque(coefficients, form, b),
-                acceleration_from_torque(coefficients, form, c),
-                acceleration_from_torque(coefficients, form, d))
-    columns, low_columns = coefficients[0][6:], coefficients[1][6:]
-    return (acceleration_from_torque(coefficients, form, a),
+    if coefficients.form != THIN:
+        return (acceleration_from_torque(coefficients, a),
+                acceleration_from_torque(coefficients, b),
+                acceleration_from_torque(coefficients, c),
+                acceleration_from_torque(coefficients, d))
+    columns, low_columns = coefficients.columns[6:], coefficients.low[6:]
+    return (acceleration_from_torque(coefficients, a),
             _combine_both(columns, low_columns, b, low[1]),
             _combine_both(columns, low_columns, c, low[2]),
             _combine_both(columns, low_columns, d, low[3]))
@@ -144,7 +144,7 @@ def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coeffici
             bound += math.sqrt(dot(vector, vector))
         return bound
     norm = size = 0.0  # a torque fixed in space may come to lie along any body axis
-    for column in coefficients[0][6:]:
+    for column in coefficients.columns[6:]:
         norm += dot(column, column)
     for vector in drive:
         size += math.sqrt(dot(vector, vector))

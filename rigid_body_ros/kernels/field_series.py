@@ -109,8 +109,7 @@ def of_step(found: NDArray[Any], angle: DoubleDouble, work: Floats) -> StepField
 
 
 @inlined
-def begin(step: StepFields | None, state: KernelState, coefficients: Coefficients,
-          form: int) -> float:
+def begin(step: StepFields | None, state: KernelState, coefficients: Coefficients) -> float:
     """
     Store the vectors at the beginning of a step.
 
@@ -120,8 +119,8 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
         Its vectors are changed.
     state : KernelState
         At the beginning.
-    coefficients, form : Coefficients, int
-        Of Euler's equations, and the form of the inertia tensor.
+    coefficients : Coefficients
+        Of Euler's equations.
 
     Returns
     -------
@@ -135,13 +134,13 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
     q, total = state[1], four.broadcast(0.0)
     for i in range(found[0].count):
         store_permuted(vectors, PERMUTED * i, to_body(q, fields.field(found, i)))
-        total = _add_uniform(total, step, 0, i, 1.0, coefficients, form)
+        total = _add_uniform(total, step, 0, i, 1.0, coefficients)
     if found[0].mean_motion != 0.0:
         position, along = fields.orbit_at(found, angle)
         place = PERMUTED * found[0].count
         store_permuted(vectors, place, to_body(q, position))
         store_permuted(vectors, place + PERMUTED, to_body(q, along))
-        total = _add_gradient(total, step, 0, 1.0, coefficients, form)
+        total = _add_gradient(total, step, 0, 1.0, coefficients)
     return math.sqrt(dot(total, total))
 
 
@@ -180,7 +179,7 @@ def store_turn(turn: Turn | None, vectors: Floats, k: int) -> None:
 
 @inlined
 def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, seconds: float,
-                     coefficients: Coefficients, form: int) -> Vector:
+                     coefficients: Coefficients) -> Vector:
     """
     Return the sum of a vector and the term of order k of the acceleration.
 
@@ -196,8 +195,8 @@ def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, 
         The order.
     seconds : float
         Length of the step.
-    coefficients, form : Coefficients, int
-        Of Euler's equations, and the form of the inertia tensor.
+    coefficients : Coefficients
+        Of Euler's equations.
 
     """
     if step is None:
@@ -205,24 +204,24 @@ def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, 
     found, vectors = step.fields, step.vectors
     square, rate = seconds * seconds, found[0].mean_motion
     for i in range(found[0].count):
-        u = _add_uniform(u, step, k, i, square, coefficients, form)
+        u = _add_uniform(u, step, k, i, square, coefficients)
         if i > 0:
             _store(vectors, PERMUTED * i, k, turned(vectors, PERMUTED * i, _ORDER, table, k))
     if rate != 0.0:
-        u = _add_gradient(u, step, k, square, coefficients, form)
+        u = _add_gradient(u, step, k, square, coefficients)
         _expand_orbit(vectors, found[0].count, rate * seconds, table, k)
     return u
 
 
 @inlined
 def _add_uniform(u: Vector, step: StepFields, k: int, i: int, square: float,
-                 coefficients: Coefficients, form: int) -> Vector:
+                 coefficients: Coefficients) -> Vector:
     # Add the acceleration by a uniform field, times the square of the step.
     vectors, row, place = step.vectors, _ORDER * k + PERMUTED * i, _MATRICES + PERMUTED * i
-    if form == euler_equations.THIN:  # see `acceleration_from_torque`
+    if coefficients.form == euler_equations.THIN:  # see `acceleration_from_torque`
         torque = cross(fields.moment(step.fields, i), four.load(vectors, row))
         return add_scaled(u, square, euler_equations.acceleration_from_torque(
-            coefficients, form, torque))
+            coefficients, torque))
     v, yzx, zxy = load_permuted(vectors, row)
     matrix = (four.load(vectors, place), four.load(vectors, place + 4),
               four.load(vectors, place + 8))
@@ -230,13 +229,13 @@ def _add_uniform(u: Vector, step: StepFields, k: int, i: int, square: float,
 
 
 @inlined
-def _add_gradient(u: Vector, step: StepFields, k: int, square: float, coefficients: Coefficients,
-                  form: int) -> Vector:
+def _add_gradient(u: Vector, step: StepFields, k: int, square: float,
+                  coefficients: Coefficients) -> Vector:
     # Add the acceleration by the gravity gradient, times the square of the step.
     found, vectors = step.fields, step.vectors
     rate = found[0].mean_motion
     gradient = euler_equations.gyroscopic_acceleration(
-        coefficients, form, _squares(vectors, PERMUTED * found[0].count, k))
+        coefficients, _squares(vectors, PERMUTED * found[0].count, k))
     return add_scaled(u, -3.0 * (rate * rate) * square, gradient)
 
 

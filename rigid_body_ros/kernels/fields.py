@@ -150,13 +150,16 @@ def acceleration_bound(fields: NDArray[Any] | None, coefficients: Coefficients) 
 def acceleration(fields: NDArray[Any], angle: DoubleDouble, q: Quaternion,
                  coefficients: Coefficients) -> Vector:
     """Return the acceleration by fields, rad/s^2, body axes; see `angle_at`."""
+    # The solvers with fixed steps treat every tensor alike.
+    full = Coefficients(coefficients.columns, coefficients.low, coefficients.main,
+                        coefficients.diagonal, euler_equations.FULL)
     torque = four.broadcast(0.0)
     for i in range(fields[0].count):
         torque = add(torque, cross(moment(fields, i), to_body(q, field(fields, i))))
-    total = euler_equations.acceleration_from_torque(coefficients, euler_equations.FULL, torque)
+    total = euler_equations.acceleration_from_torque(full, torque)
     rate = fields[0].mean_motion
     if rate == 0.0:
         return total
     r = to_body(q, orbit_at(fields, angle)[0])
     return add_scaled(total, -3.0 * rate * rate, euler_equations.gyroscopic_acceleration(
-        coefficients, euler_equations.FULL, euler_equations.products(r, r)))
+        full, euler_equations.products(r, r)))

@@ -77,6 +77,8 @@ class WheelStates(NamedTuple):
     grid: Floats
     begin: Floats
     latest: Floats
+    #: The momenta at the requested times, see `layout.Friction`.
+    requested: Floats
 
 
 class RowFriction(NamedTuple):
@@ -86,29 +88,30 @@ class RowFriction(NamedTuple):
     efforts: Floats
     wheels: Floats
     row: int
+    #: Those of the motion.
+    states: WheelStates
 
 
 class StepFriction(NamedTuple):
     """The wheels in a step, and their series."""
 
     friction: RowFriction
-    states: WheelStates
     #: See WORKSPACE.
     series: Floats
 
 
 @optional
-def states_of(_found: NamedTuple, progress: NDArray[Any]) -> WheelStates:
+def states_of(found: Any, progress: NDArray[Any]) -> WheelStates:
     """Return the states in an array of `layout.PROGRESS`; None without friction."""
-    return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest)
+    return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest, found.momenta)
 
 
 @inlined
-def accept(states: WheelStates | None) -> None:
+def accept(found: RowFriction | None) -> None:
     """Let the latest momenta be those of the grid."""
-    if states is None:
+    if found is None:
         return
-    _copy(states.latest, states.grid)
+    _copy(found.states.latest, found.states.grid)
 
 
 @inlined
@@ -134,26 +137,27 @@ def _copy(source: Floats, target: Floats) -> None:
         target[MOMENTA + k] = source[MOMENTA + k]
 
 
-@optional
-def store(states: WheelStates, row: int, found: Any) -> None:
-    """Write the latest momenta into a row of those of a `layout.Friction`."""
-    for k in range(found.momenta.shape[1]):
-        found.momenta[row, k] = states.latest[MOMENTA + k]
+@inlined
+def store(states: WheelStates | None, row: int) -> None:
+    """Store the latest momenta at a requested time."""
+    if states is None:
+        return
+    for k in range(states.requested.shape[1]):
+        states.requested[row, k] = states.latest[MOMENTA + k]
 
 
 @inlined
-def momentum(found: RowFriction | None, states: Any, others: Vector,
-             low: Vector) -> tuple[Vector, Vector]:
+def momentum(found: RowFriction | None, others: Vector, low: Vector) -> tuple[Vector, Vector]:
     """Return the momentum of all rotors on the grid, and its low-order part, from the others'."""
     if found is None:
         return others, low
-    high = others
+    high, grid = others, found.states.grid
     for k in range(found.efforts.shape[1]):
         axis = _axis(found.wheels, k)
-        product = scale(states.grid[MOMENTA + k], axis)
-        rest = add_scaled(four.negative(product), states.grid[MOMENTA + k], axis)
+        product = scale(grid[MOMENTA + k], axis)
+        rest = add_scaled(four.negative(product), grid[MOMENTA + k], axis)
         high, lost = two_sum(high, product)
-        low = add(low, add_scaled(add(rest, lost), states.grid[LOST_MOMENTA + k], axis))
+        low = add(low, add_scaled(add(rest, lost), grid[LOST_MOMENTA + k], axis))
     return high, low
 
 
@@ -182,22 +186,21 @@ def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
 
 
 @inlined
-def acceleration(found: RowFriction | None, states: Any, w: Vector,
-                 coefficients: Coefficients, form: int) -> float:
+def acceleration(found: RowFriction | None, w: Vector, coefficients: Coefficients) -> float:
     """Return the acceleration of the body by its wheels on the grid, rad/s^2."""
     if found is None:
         return 0.0
     torque = four.broadcast(0.0)
     for place in range(0, found.efforts.shape[1], 4):
-        torque = add(torque, _along(found.wheels, place, _torques(found, states, w, place)))
-    rate = euler_equations.acceleration_from_torque(coefficients, form, torque)
+        torque = add(torque, _along(found.wheels, place, _torques(found, w, place)))
+    rate = euler_equations.acceleration_from_torque(coefficients, torque)
     return math.sqrt(dot(rate, rate))
 
 
 @inlined
-def _torques(found: RowFriction, states: WheelStates, w: Vector, place: int) -> Four:
+def _torques(found: RowFriction, w: Vector, place: int) -> Four:
     # Return the torques on four wheels on the grid.
-    pull = _friction(found.wheels, place, w, four.load(states.grid, MOMENTA + place))
+    pull = _friction(found.wheels, place, w, four.load(found.states.grid, MOMENTA + place))
     row = max(found.row, 0)
     return add(pull, four.of(found.efforts[row, place], found.efforts[row, place + 1],
                              found.efforts[row, place + 2], found.efforts[row, place + 3]))
@@ -231,26 +234,25 @@ def workspace(_found: RowFriction, work: Floats) -> Floats:
 
 
 @optional
-def of_step(found: RowFriction, states: WheelStates, work: Floats) -> StepFriction:
+def of_step(found: RowFriction, work: Floats) -> StepFriction:
     """Return the wheels in a step, with series that are not yet filled; None without friction."""
-    return StepFriction(found, states, work)
+    return StepFriction(found, work)
 
 
 @inlined
-def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficients,
-          form: int) -> float:
+def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficients) -> float:
     """Store the momenta at the beginning of a step, and return what `acceleration` does."""
     if step is None:
         return 0.0
-    found, states, series = step
+    found, series = step
     none = torque = four.broadcast(0.0)
     store_permuted(series, _SUM, none)
     for place in range(0, found.efforts.shape[1], 4):
-        torques = _torques(found, states, state[0], place)
+        torques = _torques(found, state[0], place)
         torque = add(torque, _along(found.wheels, place, torques))
-        four.store(series, place, four.load(states.grid, MOMENTA + place))
+        four.store(series, place, four.load(found.states.grid, MOMENTA + place))
         four.store(series, _TORQUES + place, torques)
-    rate = euler_equations.acceleration_from_torque(coefficients, form, torque)
+    rate = euler_equations.acceleration_from_torque(coefficients, torque)
     return math.sqrt(dot(rate, rate))
 
 
@@ -259,7 +261,7 @@ def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
     """Store the weights that make momenta comparable to an angle by which the body turns."""
     if step is None:
         return
-    found, _, series = step
+    found, series = step
     for k in range(found.efforts.shape[1]):
         inverse = found.wheels[k // 4 * SIZE + k % 4 + _INVERSE]
         size = abs(series[k]) + seconds * abs(series[_TORQUES + k])
@@ -269,7 +271,7 @@ def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
 
 @inlined
 def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int, seconds: float,
-                     coefficients: Coefficients, form: int) -> Vector:
+                     coefficients: Coefficients) -> Vector:
     """
     Return the sum of a vector and the term of order k of the acceleration, times seconds^2.
 
@@ -277,7 +279,7 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
     """
     if step is None:
         return u
-    found, _, series = step
+    found, series = step
     w = scale(1.0 / seconds, four.load(table, row_of(table, k) + U))
     factor, row = seconds * float(RECIPROCALS[k]), _ORDER * k
     torque = four.broadcast(0.0)
@@ -290,7 +292,7 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
     turn = scale((k + 1) / seconds, turned(series, _SUM, _ORDER, table, k))
     store_permuted(series, row + _ORDER + _SUM, scale(factor, torque))
     return add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
-        coefficients, form, four.subtract(turn, torque)))
+        coefficients, four.subtract(turn, torque)))
 
 
 @inlined
@@ -298,7 +300,7 @@ def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
     """Return the size of the terms of order k, that of the momenta included."""
     if step is None:
         return size
-    found, _, series = step
+    found, series = step
     for place in range(0, found.efforts.shape[1], 4):
         size += total(four.multiply(four.load(series, _WEIGHTS + place), four.absolute(
             four.load(series, _ORDER * k + place))))
@@ -310,7 +312,8 @@ def end(step: StepFriction | None, order: int) -> None:
     """Add the terms up to an order to the momenta."""
     if step is None:
         return
-    found, states, series = step
+    found, series = step
+    states = found.states
     for place in range(0, found.efforts.shape[1], 4):
         change = four.broadcast(0.0)
         for k in range(order, 0, -1):  # the small terms first

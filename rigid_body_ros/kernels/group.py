@@ -129,13 +129,13 @@ def torques(work: Floats) -> vector.Vector:
 
 
 @inlined
-def step(state: vector.KernelState, seconds: float, coefficients: vector.Coefficients, form: int,
+def step(state: vector.KernelState, seconds: float, coefficients: vector.Coefficients,
          acceleration: vector.Vector, tolerance: float, table: Floats) -> vector.KernelState:
     """Return the states after a step of the series under a held torque."""
     none = four.zero(acceleration)
     bound = math.sqrt(vector.dot(acceleration, acceleration))
     drive = taylor.SeriesDrive((acceleration, none, none, none), 0, False, bound)
-    return taylor.step(state, seconds, coefficients, form, drive, tolerance, table, None)
+    return taylor.step(state, seconds, coefficients, drive, tolerance, table, None)
 
 
 @inlined

@@ -63,6 +63,8 @@ class Shared(NamedTuple):
     #: Requested times, see `layout.Requested`.
     times_ns: NDArray[np.int64]
     order: NDArray[np.intp]
+    #: Of the inertia tensors, see `vector.Coefficients`.
+    form: int
 
 
 @internal
@@ -96,24 +98,24 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared
         return 0, 0
     going = group.going
     for lane in range(LANES):
-        going[lane] = lane < count and _enter(group, lane, segment, body.form, method)
+        going[lane] = lane < count and _enter(group, lane, segment, method)
         if not going[lane]:
             runs.load(group, lane)
             _idle(group.work, lane)
     taken, steps, replace_at = 0, 0, runs.BUDGET
     while steps < runs.BUDGET:
         if steps >= replace_at or _count(going) == 0:
-            taken += _replace(group, waiting[taken:], segment, body.form, method)
+            taken += _replace(group, waiting[taken:], segment, method)
             replace_at = runs.BUDGET
         if _count(going) < (1 if taken < len(waiting) else _FEWEST_RUNS):
             break
-        more, is_slow = _step_together(group.work, body.form, method, replace_at - steps)
+        more, is_slow = _step_together(group.work, segment.form, method, replace_at - steps)
         steps += more
         if not is_slow:
             break  # `loop.run` reports it
         for lane in range(LANES):
             if going[lane] and group.work[runs.MOVES, lane] == 0.0:
-                going[lane] = _arrive(group, lane, segment, body.form, method)
+                going[lane] = _arrive(group, lane, segment, method)
                 if not going[lane]:
                     _idle(group.work, lane)
                     replace_at = min(replace_at, steps + _PATIENCE)
@@ -137,7 +139,7 @@ def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool
     first = group.rows[0]
     place = layout.load_place(group.progress[first:first + 1])
     acceleration = euler_equations.acceleration_from_torque(
-        body.coefficients, body.form, _torque(group, 0, segment))
+        body.coefficients, _torque(group, 0, segment))
     w = state_layout.load(group.progress[group.rows[0]].grid, 0)[0]
     seconds = taylor.step_seconds(
         vector.dot(w, w), math.sqrt(vector.dot(acceleration, acceleration)), method.angle)
@@ -163,22 +165,22 @@ def _torque(group: Group, lane: int, segment: Shared) -> vector.Vector:
 
 
 @internal
-def _enter(group: Group, lane: int, segment: Shared, form: int, method: Method) -> bool:
+def _enter(group: Group, lane: int, segment: Shared, method: Method) -> bool:
     # Load a run that can step with the others into its lane, or return False.
     row = group.rows[lane]
     place, torque = layout.load_place(group.progress[row:row + 1]), _torque(group, lane, segment)
     if (_is_done(group, row, segment) or place.row != segment.row
-            or layout.form_of(group.constants[row]) != form
+            or body_layout.form_of(group.constants[row]) != segment.form
             or vector.is_zero(torque)):  # `loop.run` may use the closed form
         return False
     runs.load(group, lane)
     for k in range(3):
         group.work[runs.TORQUE + k, lane] = torque[k]
-    return _aim(group, lane, segment, form, method)
+    return _aim(group, lane, segment, method)
 
 
 @inlined
-def _aim(group: Group, lane: int, segment: Shared, form: int, method: Method) -> bool:
+def _aim(group: Group, lane: int, segment: Shared, method: Method) -> bool:
     # Set the time up to which a run steps: that of its next output, or the end of the segment.
     # Return False if there is nothing left, or `loop.run` has to go on.
     row = group.rows[lane]
@@ -195,16 +197,16 @@ def _aim(group: Group, lane: int, segment: Shared, form: int, method: Method) ->
     rest_ns = group.limits_ns[lane] - grid_ns
     group.work[runs.REST, lane] = rest_ns
     return rest_ns <= runs.FARTHEST and not (grid_ns == progress.begin_ns and _is_short(
-        group, lane, rest_ns, segment, form, method))
+        group, lane, rest_ns, segment, method))
 
 
 @inlined
-def _is_short(group: Group, lane: int, rest_ns: int, segment: Shared, form: int,
-              method: Method) -> bool:
+def _is_short(group: Group, lane: int, rest_ns: int, segment: Shared, method: Method) -> bool:
     # Return whether `loop.run` takes a short step from the beginning of the segment.
     row = group.rows[lane]
     acceleration = euler_equations.acceleration_from_torque(
-        body_layout.coefficients(group.constants[row]), form, _torque(group, lane, segment))
+        body_layout.coefficients(group.constants[row], segment.form),
+        _torque(group, lane, segment))
     return short_step.is_accurate(state_layout.load(group.progress[row].grid, 0), rest_ns / 1e9,
                                   acceleration, method.tolerance, None)
 
@@ -222,9 +224,9 @@ def _idle(work: Floats, lane: int) -> None:
 def _step_together(work: Floats, form: int, method: Method, budget: int) -> tuple[int, bool]:
     # Step until a run arrives. Return how many steps there were, and whether no body is too fast.
     lanes.align_stack()
-    coefficients = body_layout.coefficients(work[runs.CONSTANTS:])
+    coefficients = body_layout.coefficients(work[runs.CONSTANTS:], form)
     acceleration = euler_equations.acceleration_from_torque(
-        coefficients, form, runs.torques(work))
+        coefficients, runs.torques(work))
     bound = math.sqrt(vector.dot(acceleration, acceleration))
     state, rest = state_layout.load(work, runs.STATE), lanes.load(work, runs.REST)
     table, steps, arrives, is_slow = work[runs.TABLE:], 0, False, True
@@ -232,7 +234,7 @@ def _step_together(work: Floats, form: int, method: Method, budget: int) -> tupl
         square = vector.dot(state[0], state[0])
         step_ns = runs.full_steps_ns(square, bound, method)
         moves = step_ns < lanes.where(runs.is_one_step(rest, square, bound, method), 0.0, rest)
-        latest = runs.step(state, lanes.where(moves, step_ns, rest) / 1e9, coefficients, form,
+        latest = runs.step(state, lanes.where(moves, step_ns, rest) / 1e9, coefficients,
                            acceleration, method.tolerance, table)
         steps += 1
         is_slow = lanes.every(vector.dot(latest[0], latest[0]) <= FASTEST * FASTEST)
@@ -257,7 +259,7 @@ def _choose(condition: bool, one: vector.KernelState,
 
 
 @inlined
-def _arrive(group: Group, lane: int, segment: Shared, form: int, method: Method) -> bool:
+def _arrive(group: Group, lane: int, segment: Shared, method: Method) -> bool:
     # Fill the output of a run that has reached its limit. Return whether it goes on; otherwise its
     # state is put back.
     row, limit_ns = group.rows[lane], group.limits_ns[lane]
@@ -274,7 +276,7 @@ def _arrive(group: Group, lane: int, segment: Shared, form: int, method: Method)
             group.work[runs.STATE + k, lane] = group.work[runs.LATEST + k, lane]
         runs.begin_segment(group, lane, limit_ns, segment.row + 1, done)
         return False
-    if not ends and _aim(group, lane, segment, form, method):
+    if not ends and _aim(group, lane, segment, method):
         return True
     if done < len(segment.times_ns):
         runs.store(group, lane)
@@ -295,8 +297,7 @@ def _leave(group: Group, lane: int, limit_ns: int) -> None:
 
 
 @internal
-def _replace(group: Group, waiting: NDArray[np.intp], segment: Shared, form: int,
-             method: Method) -> int:
+def _replace(group: Group, waiting: NDArray[np.intp], segment: Shared, method: Method) -> int:
     # Give the lanes of runs that have filled their outputs to the next that can step with the
     # others. Return how many runs no longer wait; those passed over are left to another group.
     taken, going = 0, group.going
@@ -306,7 +307,7 @@ def _replace(group: Group, waiting: NDArray[np.intp], segment: Shared, form: int
             while taken < len(waiting) and not going[lane]:
                 group.rows[lane] = waiting[taken]
                 taken += 1
-                going[lane] = _enter(group, lane, segment, form, method)
+                going[lane] = _enter(group, lane, segment, method)
             if not going[lane]:
                 group.rows[lane] = row
                 _idle(group.work, lane)

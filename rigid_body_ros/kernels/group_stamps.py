@@ -70,12 +70,12 @@ def advance(group: Group, place: Place, limit_ns: int, rows: Rows, stop: int, bo
     for lane in range(LANES):
         runs.load(group, lane)
     lanes.align_stack()
-    coefficients = body_layout.coefficients(group.work[runs.CONSTANTS:])
+    coefficients = body_layout.coefficients(group.work[runs.CONSTANTS:], body.coefficients.form)
     state = state_layout.load(group.work, runs.STATE)
     gain, table = lanes.load(group.work, runs.GAIN), group.work[runs.TABLE:]
     while row < min(stop, len(times_ns) - 1, place.row + runs.BUDGET):
         next_ns, torque = times_ns[row + 1], _torques(group, row, gain)
-        acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
+        acceleration = euler_equations.acceleration_from_torque(coefficients, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if (limit_ns < next_ns or span_ns >= min(method.max_step_ns, runs.FARTHEST)
@@ -83,12 +83,12 @@ def advance(group: Group, place: Place, limit_ns: int, rows: Rows, stop: int, bo
             break
         short = short_step.is_accurate(state, seconds, acceleration, method.tolerance, None)
         if lanes.every(short):
-            state = short_step.step(state, seconds, coefficients, body.form, acceleration,
+            state = short_step.step(state, seconds, coefficients, acceleration,
                                     method.tolerance, None)
         elif lanes.some(short) or not _is_full_step(state, span_ns, acceleration, method):
             break
         else:
-            state = runs.step(state, lanes.zero(gain) + seconds, coefficients, body.form,
+            state = runs.step(state, lanes.zero(gain) + seconds, coefficients,
                               acceleration, method.tolerance, table)
         grid_ns = next_ns
         row += 1

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import group_segment, group_stamps, layout
+from rigid_body_ros.kernels import body_layout, group_segment, group_stamps, layout
 from rigid_body_ros.kernels.group import Group
 from rigid_body_ros.kernels.group_segment import Shared
 from rigid_body_ros.kernels.jit import internal
@@ -79,14 +79,14 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], times_ns: NDArr
             or not 0 <= place.row < stop):
         return Advanced(0, 0, place.row)
     steps, row = 0, place.row
-    if _are_alike(group, place, body.form):
+    if _are_alike(group, place, body.coefficients.form):
         limit_ns = times_ns[place.done if len(order) == 0 else order[place.done]]
         steps = group_stamps.advance(group, place, limit_ns, rows, stop, body, method)
         row += steps
     if row >= stop or rows.in_space[row]:
         return Advanced(steps, 0, row + 1)
     end_ns = rows.times_ns[row + 1] if row + 1 < len(rows.times_ns) else NEVER_NS
-    segment = Shared(row, end_ns, times_ns, order)
+    segment = Shared(row, end_ns, times_ns, order, body.coefficients.form)
     more, taken = group_segment.advance(group, count, waiting, segment, body, method)
     return Advanced(steps + more, taken, row + 1)
 
@@ -98,6 +98,6 @@ def _are_alike(group: Group, place: Place, form: int) -> bool:
     for row in group.rows:
         other = group.progress[row]
         if (other.row != place.row or other.done != place.done
-                or layout.form_of(group.constants[row]) != form):
+                or body_layout.form_of(group.constants[row]) != form):
             return False
     return True

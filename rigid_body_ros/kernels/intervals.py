@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import (
+    body_layout,
     euler_equations,
     fields,
     four,
@@ -40,6 +41,20 @@ from rigid_body_ros.kernels import (
 )
 from rigid_body_ros.kernels.jit import inlined, optional
 from rigid_body_ros.kernels.layout import Body
+
+
+class BodyTerms(NamedTuple):
+    """The terms of rows, see `layout.Terms`, with what they need of the body and its motion."""
+
+    momentum: Floats
+    motors: Floats | None
+    space: Floats | None
+    fields: NDArray[Any] | None
+    lags: layout.Lags | None
+    friction: layout.Friction | None
+    constants: linear_terms.Constants
+    #: None without friction.
+    wheel_states: friction.WheelStates | None
 
 
 class Interval(NamedTuple):
@@ -93,6 +108,21 @@ class Loads(NamedTuple):
     friction: friction.RowFriction | None
 
 
+@optional
+def load_terms(terms: layout.AnyTerms, body_constants: Floats,
+               progress: NDArray[Any]) -> BodyTerms:
+    """Return the terms of rows with the constants of a body and the states of its motion."""
+    return BodyTerms(terms.momentum, terms.motors, terms.space, terms.fields, terms.lags,
+                     terms.friction, body_layout.linear_constants(body_constants),
+                     friction.states_of(terms.friction, progress))
+
+
+@optional
+def wheel_states(terms: BodyTerms) -> friction.WheelStates | None:
+    """Return the states with the momenta of wheels, None without friction."""
+    return terms.wheel_states
+
+
 @inlined
 def interval(times_ns: NDArray[np.int64], torques: Floats, spans: Floats, row: int) -> Interval:
     """Return the interval that begins with a row."""
@@ -109,7 +139,7 @@ def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool, bo
     polynomial = now.torque
     if not in_space and not now.is_zero:
         polynomial = euler_equations.acceleration_polynomial(
-            body.coefficients, body.form, polynomial, low)
+            body.coefficients, polynomial, low)
     bound = euler_equations.acceleration_bound(polynomial, in_space, body.coefficients)
     return Drive(polynomial, degree, in_space, now.begin_ns, now.span,
                  bound + _space_bound(loads, body))
@@ -184,24 +214,22 @@ def is_zero(torque: vector.Polynomial) -> bool:
 
 
 @optional
-def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None,
-             others: layout.Others, row: int, span: float,
-             constants: linear_terms.Constants) -> Loads:
-    """Return what acts besides the drive; see `layout.Rows`."""
-    first, low = coefficient(momentum, _row_of(momentum, row), 0), coefficient(
-        momentum, _row_of(momentum, row), 1)
+def loads_of(terms: BodyTerms, row: int, span: float) -> Loads:
+    """Return what acts besides the drive in a row."""
+    first, low = _momentum(terms, row)
     # If the compiler knew these zeros, it would inline `stepping.advance`, which takes longer.
     zero = vector.scale(0.0, first)
-    (a, b, c, d), degree = _polynomial_or(zero, motors, row)
-    torque, space_degree = _polynomial_or(zero, space, row)
+    (a, b, c, d), degree = _polynomial_or(zero, terms.motors, row)
+    torque, space_degree = _polynomial_or(zero, terms.space, row)
     varies = not is_zero((a, b, c, d))
-    acts = varies or fields.exist(others.friction) or not (
-        vector.is_zero(first) and linear_terms.is_zero(constants.damping.matrix))
+    acts = varies or fields.exist(terms.friction) or not (
+        vector.is_zero(first) and linear_terms.is_zero(terms.constants.damping.matrix))
     return Loads((first, vector.scale(span, a), vector.scale(span / 2, b),
                   vector.scale(span / 3, c), vector.scale(span / 4, d)),
-                 low, constants, (degree + 1 if varies else 0) if acts else -1,
-                 torque, -1 if is_zero(torque) else space_degree, others.fields,
-                 _row_lags(others.lags, row), _row_friction(others.friction, row))
+                 low, terms.constants, (degree + 1 if varies else 0) if acts else -1,
+                 torque, -1 if is_zero(torque) else space_degree, terms.fields,
+                 _row_lags(terms.lags, row),
+                 _row_friction(terms.friction, row, terms.wheel_states))
 
 
 @optional
@@ -210,14 +238,17 @@ def _row_lags(found: layout.Lags, row: int) -> lags.RowLags:
 
 
 @optional
-def _row_friction(found: layout.Friction, row: int) -> friction.RowFriction:
-    return friction.RowFriction(found.efforts, found.wheels, row)
+def _row_friction(found: layout.Friction, row: int,
+                  states: friction.WheelStates) -> friction.RowFriction:
+    return friction.RowFriction(found.efforts, found.wheels, row, states)
 
 
 @inlined
-def _row_of(momentum: Floats, row: int) -> int:
-    # Of a constant momentum there is one row. Before the first row nothing else acts.
-    return max(min(row, len(momentum) - 1), 0)
+def _momentum(terms: BodyTerms, row: int) -> tuple[vector.Vector, vector.Vector]:
+    # Return the momentum of the rotors at a row, and its low-order part. Of a constant momentum
+    # there is one row. Before the first row nothing else acts.
+    row = max(min(row, len(terms.momentum) - 1), 0)
+    return coefficient(terms.momentum, row, 0), coefficient(terms.momentum, row, 1)
 
 
 @inlined
@@ -249,43 +280,52 @@ def rotors_change(loads: Loads | None) -> bool:
 
 
 @inlined
-def vary(momentum: Floats | None, space: Floats | None) -> bool:
+def vary(terms: BodyTerms | None) -> bool:
     """Return whether the loads differ from row to row."""
-    if momentum is None:
+    if terms is None:
         return False
-    return len(momentum) > 1 or space is not None
+    return len(terms.momentum) > 1 or fields.exist(terms.space)
 
 
 @inlined
-def coasts(torques: Floats, momentum: Floats | None, motors: Floats | None,
-           space: Floats | None, others: layout.Others, row: int,
-           constants: linear_terms.Constants | None) -> bool:
+def are_polynomials(terms: BodyTerms | None) -> bool:
+    """Return whether nothing acts but torques that are held or polynomials."""
+    if terms is None:
+        return True
+    return not (fields.exist(terms.fields) or fields.exist(terms.lags)
+                or fields.exist(terms.friction))
+
+
+@inlined
+def coasts(torques: Floats, terms: BodyTerms | None, row: int) -> bool:
     """Return whether nothing acts from a row to the next."""
-    return (is_zero(torque_of(torques, row))
-            and not acts(loads_of(momentum, motors, space, others, row, 1.0, constants)))
+    return is_zero(torque_of(torques, row)) and not acts(loads_of(terms, row, 1.0))
 
 
 @optional
-def during_step(momentum: Floats, motors: Floats | None, space: Floats | None, row: int,
-                seconds: float, constants: linear_terms.Constants) -> short_step.HeldLoads:
+def during_step(terms: BodyTerms, row: int, seconds: float) -> short_step.HeldLoads:
     """Return what acts besides the drive in a step from the beginning of held torques."""
-    first = coefficient(momentum, _row_of(momentum, row), 0)
-    low = coefficient(momentum, _row_of(momentum, row), 1)
-    on_rotors, torque = _held(motors, row), _held(space, row)
-    is_linear = True
-    if motors is not None and not vector.is_zero(on_rotors):
-        # The rounding error of the matrix changes from step to step, so it does not add up.
-        linear = linear_terms.rounded_at(constants, first)
-    else:
-        linear = linear_terms.at(constants, first, low)
-        is_linear = not (vector.is_zero(first)
-                         and linear_terms.is_zero(constants.damping.matrix))
+    constants, momentum = terms.constants, _momentum(terms, row)
+    on_rotors, torque = _held(terms.motors, row), _held(terms.space, row)
+    linear, is_linear = _linear(constants, momentum, on_rotors)
     # Squares of Frobenius norms: that of a vector product with tau is 2 |tau|^2.
     square_torque = 0.5 * _square(on_rotors) + _square(torque)
     return short_step.HeldLoads(
         linear, is_linear, _change(on_rotors, seconds), torque,
         linear_terms.square_rate(linear.matrix),
         4.0 * linear_terms.square_rate(constants.inverse.matrix) * square_torque)
+
+
+@inlined
+def _linear(constants: linear_terms.Constants, momentum: tuple[vector.Vector, vector.Vector],
+            on_rotors: vector.Vector | None) -> tuple[linear_terms.Linear, bool]:
+    # Return the linear terms, and whether there are any.
+    first, low = momentum
+    if on_rotors is not None and not vector.is_zero(on_rotors):
+        # The rounding error of the matrix changes from step to step, so it does not add up.
+        return linear_terms.rounded_at(constants, first), True
+    return linear_terms.at(constants, first, low), not (
+        vector.is_zero(first) and linear_terms.is_zero(constants.damping.matrix))
 
 
 @optional

@@ -89,7 +89,7 @@ def begin(step: StepLags | None, state: KernelState) -> None:
 
 @inlined
 def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, seconds: float,
-                     coefficients: Coefficients, form: int) -> Vector:
+                     coefficients: Coefficients) -> Vector:
     """
     Return the sum of a vector and the term of order k of the acceleration, times seconds^2.
 
@@ -110,7 +110,7 @@ def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, se
         store_permuted(vectors, _ORDER * (k + 1) + PERMUTED * i, add_scaled(
             turned(vectors, PERMUTED * i, _ORDER, table, k), factor, term))
     return add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
-        coefficients, form, torque))
+        coefficients, torque))
 
 
 @inlined

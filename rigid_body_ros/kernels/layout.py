@@ -30,14 +30,11 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import (
     body_layout,
-    euler_equations,
-    four,
-    linear_terms,
     state_layout,
     vector,
 )
-from rigid_body_ros.kernels.fields import exist, FIELDS
-from rigid_body_ros.kernels.jit import inlined, internal, optional, record, WRITTEN
+from rigid_body_ros.kernels.fields import FIELDS
+from rigid_body_ros.kernels.jit import inlined, internal, record, WRITTEN
 
 #: Cost of a full step, or a state in closed form, in units of work; anything else costs 1.
 STEP_COST = 16
@@ -75,8 +72,6 @@ class Body(NamedTuple):
     """The constants of a body."""
 
     coefficients: vector.Coefficients
-    #: DIAGONAL, FULL or THIN, see `euler_equations`.
-    form: int
     frame: vector.PrincipalFrame
 
 
@@ -165,14 +160,6 @@ class FrictionTerms(NamedTuple):
 
 
 AnyTerms = Terms | FieldTerms | LagTerms | FrictionTerms
-
-
-class Others(NamedTuple):
-    """What acts besides torques that are held or polynomials; None for each that does not."""
-
-    fields: NDArray[Any] | None
-    lags: Lags | None
-    friction: Friction | None
 
 
 class Rows(NamedTuple):
@@ -286,64 +273,8 @@ def load_method(methods: NDArray[Any]) -> Method:
 @internal
 def load_body(constants: Floats) -> Body:
     """Return a body from its constants, see `body_layout`."""
-    return Body(body_layout.coefficients(constants), form_of(constants),
+    return Body(body_layout.coefficients(constants, body_layout.form_of(constants)),
                 body_layout.principal_frame(constants))
-
-
-@optional
-def others_of(terms: AnyTerms) -> Others:
-    """Return what acts besides torques that are held or polynomials; None without terms."""
-    return Others(terms.fields, terms.lags, terms.friction)
-
-
-@optional
-def friction_of(others: Others) -> Friction | None:
-    """Return the wheels with friction, None without."""
-    return others.friction
-
-
-@inlined
-def have_others(others: Others | None) -> bool:
-    """Return whether anything acts besides torques that are held or polynomials."""
-    if others is None:
-        return False
-    return exist(others.fields) or exist(others.lags) or exist(others.friction)
-
-
-@optional
-def momentum_of(terms: AnyTerms) -> Floats:
-    """Return the momentum of the rotors; None if there are no terms."""
-    return terms.momentum
-
-
-@optional
-def motors_of(terms: AnyTerms) -> Floats | None:
-    """Return the torque on the rotors, None without."""
-    return terms.motors
-
-
-@optional
-def space_of(terms: AnyTerms) -> Floats | None:
-    """Return the torque in space axes beside one in body axes, None without."""
-    return terms.space
-
-
-@optional
-def load_linear(_terms: AnyTerms, constants: Floats) -> linear_terms.Constants:
-    """Return the matrices of a body in a scene that has rotors or damping."""
-    return body_layout.linear_constants(constants)
-
-
-@inlined
-def form_of(constants: Floats) -> int:
-    """Return the form of the inertia tensor: DIAGONAL, FULL or THIN."""
-    moments = four.load(constants, body_layout.MOMENTS)
-    a, b, c, d, e, f, _, _, _ = body_layout.coefficients(constants)[0]
-    if (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
-            and vector.is_zero(d) and vector.is_zero(e) and vector.is_zero(f)):
-        return euler_equations.DIAGONAL
-    is_thin = moments[2] > euler_equations.THIN_RATIO * moments[0]
-    return euler_equations.THIN if is_thin else euler_equations.FULL
 
 
 @internal

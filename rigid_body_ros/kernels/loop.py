@@ -50,6 +50,7 @@ from rigid_body_ros.kernels import (
     stepping,
     vector,
 )
+from rigid_body_ros.kernels.intervals import BodyTerms
 from rigid_body_ros.kernels.jit import inlined, internal, njit, scratch, WRITTEN
 from rigid_body_ros.kernels.layout import (
     Body,
@@ -64,7 +65,6 @@ from rigid_body_ros.kernels.layout import (
     TOO_FAST,
     UNFINISHED,
 )
-from rigid_body_ros.kernels.linear_terms import Constants
 from rigid_body_ros.kernels.series_table import WORKSPACE
 
 
@@ -99,7 +99,7 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
     stop = progress[0].stop
     place, reached = _run_segments(
         progress, Requested(times_ns, order, motion, closed), rows, layout.load_body(constants),
-        layout.load_method(methods), layout.load_linear(rows.terms, constants))
+        layout.load_method(methods), intervals.load_terms(rows.terms, constants, progress))
     layout.store_place(place, progress)
     layout.store_states(reached, progress)
     if stepping.is_too_fast(reached.latest):
@@ -119,23 +119,20 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
 # Arrays are taken out of the records before the loop, not in each pass.
 @internal
 def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: Body,
-                  method: Method, linear: Constants | None) -> tuple[Place, GridStates]:
+                  method: Method, terms: BodyTerms | None) -> tuple[Place, GridStates]:
     grid, begin, latest = layout.load_states(progress)
     grid_ns, begin_ns, row, done = layout.load_place(progress)
     stop, budget = progress[0].stop, progress[0].budget
     times_ns, order, motion, closed = outputs
-    row_times_ns, torques, in_space, spans, terms = rows
-    momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
-    space, others = layout.space_of(terms), layout.others_of(terms)
-    table = scratch(WORKSPACE)
-    states = friction.states_of(layout.friction_of(others), progress)
+    row_times_ns, torques, in_space, spans, _ = rows
+    table, states = scratch(WORKSPACE), intervals.wheel_states(terms)
     coast, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
     while row < stop and done < len(times_ns) and budget > 0:
         now = intervals.interval(row_times_ns, torques, spans, row)
-        loads = intervals.loads_of(momentum, motors, space, others, row, now.span, linear)
+        loads = intervals.loads_of(terms, row, now.span)
         coasts = now.is_zero and not intervals.acts(loads)
         continues = coasts and now.end_ns < NEVER_NS and intervals.coasts(
-            torques, momentum, motors, space, others, row + 1, linear)
+            torques, terms, row + 1)
         output = done if len(order) == 0 else order[done]
         asked = times_ns[output] <= now.end_ns
         if continues and not asked:  # SKIP
@@ -146,8 +143,8 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
         seconds, degree = (time_ns - grid_ns) / 1e9, 0 if coasts else torques.shape[1] // 2
         turning = not now.is_zero and in_space[row]
         acceleration = euler_equations.acceleration_from_torque(
-            body.coefficients, body.form, now.torque[0])
-        held = intervals.during_step(momentum, motors, space, row, seconds, linear)
+            body.coefficients, now.torque[0])
+        held = intervals.during_step(terms, row, seconds)
         by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
         if by_formula and not prepared:
             coast, prepared = free_motion.prepare(begin, body.frame), True
@@ -158,7 +155,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
         elif time_ns == grid_ns:  # REACHED
             latest = grid
             friction.go_back(states)
-        elif (not layout.have_others(others) and grid_ns == begin_ns and degree == 0
+        elif (intervals.are_polynomials(terms) and grid_ns == begin_ns and degree == 0
               and not turning
               and _is_short(grid, time_ns - grid_ns, acceleration, held, body, method)):
             if time_ns == now.end_ns and row >= 0 and not coasts:
@@ -166,22 +163,22 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
                 grid, grid_ns, row, done = _run_short_steps(
                     grid, Place(grid_ns, begin_ns, row, done),
                     min(row + budget, stop, len(row_times_ns) - 1), outputs, rows, body,
-                    method, linear)
+                    method, terms)
                 begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
                 budget -= row - first
                 continue
             latest = short_step.step(  # SHORT STEP
-                grid, seconds, body.coefficients, body.form, acceleration, method.tolerance, held)
+                grid, seconds, body.coefficients, acceleration, method.tolerance, held)
         else:  # STEPS
             drive = intervals.drive(now, intervals.low_order_parts(torques, row), degree, turning,
                                     body, loads)
             grid, grid_ns, latest, arrived, budget = stepping.advance(
-                grid, grid_ns, time_ns, drive, body, method, table, budget, loads, states)
+                grid, grid_ns, time_ns, drive, body, method, table, budget, loads)
             if not arrived:
                 break
         if asked:
             motion_layout.store(latest, output, motion)
-            friction.store(states, output, layout.friction_of(others))
+            friction.store(states, output)
             done += 1
         if time_ns == now.end_ns and not continues:
             grid, grid_ns, begin, begin_ns, prepared = latest, time_ns, latest, time_ns, False
@@ -212,17 +209,15 @@ def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vecto
 @internal
 def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Requested,
                      rows: Rows, body: Body, method: Method,
-                     linear: Constants | None) -> tuple[vector.KernelState, int, int, int]:
+                     terms: BodyTerms | None) -> tuple[vector.KernelState, int, int, int]:
     # Step from row to row, at most to the beginning of the row `last`, under held body torques, as
     # long as one short step is enough and no output lies between the rows. Fill the outputs at the
     # beginnings of rows, except one at the last that is reached. Return state, grid_ns, row and
     # done. In a function of its own, the compiler keeps the state in registers.
     grid_ns, row, done = place.grid_ns, place.row, place.done
     times_ns, order, motion, _ = outputs
-    row_times_ns, torques, in_space, _, terms = rows
-    momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
-    space, others = layout.space_of(terms), layout.others_of(terms)
-    held = intervals.during_step(momentum, motors, space, row, 1.0, linear)
+    row_times_ns, torques, in_space, _, _ = rows
+    held = intervals.during_step(terms, row, 1.0)
     while row < last and done < len(times_ns):
         output = done if len(order) == 0 else order[done]
         if times_ns[output] == grid_ns:
@@ -231,19 +226,19 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
             continue
         next_ns, torque = row_times_ns[row + 1], intervals.coefficient(torques, row, 0)
         acceleration = euler_equations.acceleration_from_torque(
-            body.coefficients, body.form, torque)
+            body.coefficients, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
-        if intervals.vary(momentum, space):
-            held = intervals.during_step(momentum, motors, space, row, seconds, linear)
+        if intervals.vary(terms):
+            held = intervals.during_step(terms, row, seconds)
         if (times_ns[output] < next_ns or span_ns >= method.max_step_ns
                 or (in_space[row] and not vector.is_zero(torque))
                 or (vector.is_zero(torque)
-                    and intervals.coasts(torques, momentum, motors, space, others, row, linear))
+                    and intervals.coasts(torques, terms, row))
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
                                               held)):
             break
-        grid = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
+        grid = short_step.step(grid, seconds, body.coefficients, acceleration,
                                method.tolerance, held)
         grid_ns = next_ns
         row += 1

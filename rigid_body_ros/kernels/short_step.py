@@ -130,7 +130,7 @@ def _size_and_bound(state: KernelState, seconds: float, torque_acceleration: Vec
 
 
 @inlined
-def step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
+def step(state: KernelState, seconds: float, coefficients: Coefficients,
          torque_acceleration: Vector, tolerance: float,
          loads: HeldLoads | None) -> KernelState:
     """
@@ -143,9 +143,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     seconds : float
         Length of the step.
     coefficients : Coefficients
-        Of Euler's equations, as `tensor.euler_coefficients` returns them.
-    form : int
-        Form of the inertia tensor: DIAGONAL, FULL or THIN.
+        Of Euler's equations.
     torque_acceleration : Vector
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
@@ -160,35 +158,35 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     """
     sizes = _size_and_bound(state, seconds, torque_acceleration, tolerance, loads)
     if loads is None:
-        return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None,
+        return _step(state, seconds, coefficients, torque_acceleration, sizes, None, None,
                      None)
-    return _step_with(state, seconds, coefficients, form, torque_acceleration, sizes, loads,
+    return _step_with(state, seconds, coefficients, torque_acceleration, sizes, loads,
                       loads.rotor_change, loads.space_torque)
 
 
 @inlined
-def _step_with(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
+def _step_with(state: KernelState, seconds: float, coefficients: Coefficients,
                torque_acceleration: Vector, sizes: tuple[float, float], loads: HeldLoads,
                rotor_change: Vector | None, space_torque: Vector | None) -> KernelState:
     # Choose once: a branch in every order takes longer than the terms that it leaves out.
     if rotor_change is None:  # noqa: SIM102 (the compiler resolves each by type)
         if space_torque is None:
-            return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
+            return _step(state, seconds, coefficients, torque_acceleration, sizes,
                          loads.linear, None, None)
     if space_torque is not None and total(four.absolute(space_torque)) != 0.0:
         if loads.is_linear:
-            return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
+            return _step(state, seconds, coefficients, torque_acceleration, sizes,
                          loads.linear, rotor_change, space_torque)
-        return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None,
+        return _step(state, seconds, coefficients, torque_acceleration, sizes, None, None,
                      space_torque)
     if loads.is_linear:
-        return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
+        return _step(state, seconds, coefficients, torque_acceleration, sizes,
                      loads.linear, rotor_change, None)
-    return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None, None)
+    return _step(state, seconds, coefficients, torque_acceleration, sizes, None, None, None)
 
 
 @inlined
-def _step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
+def _step(state: KernelState, seconds: float, coefficients: Coefficients,
           torque_acceleration: Vector, sizes: tuple[float, float],
           linear: linear_terms.Linear | None, rotor_change: Vector | None,
           space_torque: Vector | None) -> KernelState:
@@ -199,40 +197,40 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients, form: 
     u0 = scale(seconds, w)
     if linear is not None:
         torque_acceleration = add(torque_acceleration, product(linear.low, w))
-    w1 = add_scaled(gyroscopic_acceleration(coefficients, form, products(u0, w)), seconds,
+    w1 = add_scaled(gyroscopic_acceleration(coefficients, products(u0, w)), seconds,
                     torque_acceleration)
     t0 = t1 = t2 = four.broadcast(0.0)  # the terms of a space torque in body axes, times the step
     if linear is not None:
         # The products of w0 and the latest term are linear in that, so they join the matrix.
-        jacobian = multiple(seconds, add_jacobian(linear.matrix, coefficients, form, w))
+        jacobian = multiple(seconds, add_jacobian(linear.matrix, coefficients, w))
         w1 = add(w1, product(linear.matrix, u0))
     if space_torque is not None:
         t0 = scale(seconds, to_body(state[1], space_torque))
-        w1 = add(w1, acceleration_from_torque(coefficients, form, t0))
+        w1 = add(w1, acceleration_from_torque(coefficients, t0))
     u1 = scale(seconds, w1)
     if linear is None:
-        w2 = gyroscopic_acceleration(coefficients, form, symmetric_products(scale(1 / 2, u0), w1))
+        w2 = gyroscopic_acceleration(coefficients, symmetric_products(scale(1 / 2, u0), w1))
     else:
         w2 = product(multiple(1 / 2, jacobian), w1)
     if space_torque is not None:
         t1 = cross(t0, u0)
-        w2 = add_scaled(w2, 1 / 2, acceleration_from_torque(coefficients, form, t1))
+        w2 = add_scaled(w2, 1 / 2, acceleration_from_torque(coefficients, t1))
     if rotor_change is not None:
         w2 = add(w2, acceleration_from_torque(
-            coefficients, form, cross(rotor_change, scale(1 / 2, u0))))
+            coefficients, cross(rotor_change, scale(1 / 2, u0))))
     u2 = scale(seconds, w2)
     sums = products(scale(1 / 3, u1), w1)
     if linear is None:
         sums = add_symmetric_products(sums, scale(1 / 3, u0), w2)
-    w3 = gyroscopic_acceleration(coefficients, form, sums)
+    w3 = gyroscopic_acceleration(coefficients, sums)
     if linear is not None:
         w3 = _add_linear(w3, multiple(1 / 3, jacobian), w2)
     if space_torque is not None:
         t2 = scale(1 / 2, add(cross(t1, u0), cross(t0, u1)))
-        w3 = add_scaled(w3, 1 / 3, acceleration_from_torque(coefficients, form, t2))
+        w3 = add_scaled(w3, 1 / 3, acceleration_from_torque(coefficients, t2))
     if rotor_change is not None:
         w3 = add(w3, acceleration_from_torque(
-            coefficients, form, cross(rotor_change, scale(1 / 3, u1))))
+            coefficients, cross(rotor_change, scale(1 / 3, u1))))
     a = cross(u0, u1)
     delta_omega = add(add(w1, w2), w3)
     rotation = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
@@ -241,16 +239,16 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients, form: 
         sums = symmetric_products(scale(1 / 4, u1), w2)
         if linear is None:
             sums = add_symmetric_products(sums, scale(1 / 4, u0), w3)
-        w4 = gyroscopic_acceleration(coefficients, form, sums)
+        w4 = gyroscopic_acceleration(coefficients, sums)
         u3, b, t3 = scale(seconds, w3), cross(u0, u2), four.broadcast(0.0)
         if linear is not None:
             w4 = _add_linear(w4, multiple(1 / 4, jacobian), w3)
         if space_torque is not None:
             t3 = scale(1 / 3, add(cross(t2, u0), add(cross(t1, u1), cross(t0, u2))))
-            w4 = add_scaled(w4, 1 / 4, acceleration_from_torque(coefficients, form, t3))
+            w4 = add_scaled(w4, 1 / 4, acceleration_from_torque(coefficients, t3))
         if rotor_change is not None:
             w4 = add(w4, acceleration_from_torque(
-                coefficients, form, cross(rotor_change, scale(1 / 4, u2))))
+                coefficients, cross(rotor_change, scale(1 / 4, u2))))
         delta_omega = four.choose(fourth, add(delta_omega, w4), delta_omega)
         rotation = four.choose(
             fourth, add(rotation, add_scaled(scale(1 / 4, u3), 1 / 12, b)), rotation)
@@ -261,15 +259,15 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients, form: 
                 products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3)
             if linear is None:
                 sums = add_symmetric_products(sums, scale(1 / 5, u0), w4)
-            w5 = gyroscopic_acceleration(coefficients, form, sums)
+            w5 = gyroscopic_acceleration(coefficients, sums)
             if linear is not None:
                 w5 = _add_linear(w5, multiple(1 / 5, jacobian), w4)
             if space_torque is not None:
                 t4 = add(add(cross(t3, u0), cross(t2, u1)), add(cross(t1, u2), cross(t0, u3)))
-                w5 = add_scaled(w5, 1 / 20, acceleration_from_torque(coefficients, form, t4))
+                w5 = add_scaled(w5, 1 / 20, acceleration_from_torque(coefficients, t4))
             if rotor_change is not None:
                 w5 = add(w5, acceleration_from_torque(
-                    coefficients, form, cross(rotor_change, scale(1 / 5, u3))))
+                    coefficients, cross(rotor_change, scale(1 / 5, u3))))
             delta_omega = four.choose(fifth, add(delta_omega, w5), delta_omega)
             rotation = four.choose(fifth, add(rotation, add_scaled(
                 _order_5_rotation(u0, u1, u2, u3, a, b), 1 / 5 * seconds, w4)), rotation)

@@ -145,7 +145,7 @@ def strang(state: KernelState, seconds: float, equations: Coefficients, frame: P
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
                 drive: Polynomial, in_space: bool,
                 loads: StageLoads | None) -> tuple[Vector, Quaternion]:
-    columns = equations[0]
+    columns = equations.columns
     rate = _torque_acceleration(q, fraction, equations, drive, in_space, loads)
     rate = add(rate, combine(columns[:3], four.multiply(four.yzx(w), four.zxy(w))))
     rate = add(rate, combine(columns[3:6], four.multiply(w, w)))
@@ -163,14 +163,14 @@ def _torque_acceleration(q: Quaternion, fraction: float, equations: Coefficients
                          drive: Polynomial, in_space: bool, loads: StageLoads | None) -> Vector:
     value = _at(drive, fraction)
     if in_space:
-        value = combine(equations[0][6:], to_body(_unit(q), value))
+        value = combine(equations.columns[6:], to_body(_unit(q), value))
         if loads is None:
             return value
         value = _add_lags(value, q, fraction, equations, loads, loads.lags)
         return _add_fields(value, q, fraction, equations, loads, loads.fields)
     if loads is not None:
         torque = to_body(_unit(q), _at(loads.space_torque, fraction))
-        value = add(value, combine(equations[0][6:], torque))
+        value = add(value, combine(equations.columns[6:], torque))
         value = _add_lags(value, q, fraction, equations, loads, loads.lags)
         value = _add_fields(value, q, fraction, equations, loads, loads.fields)
     return value
@@ -191,7 +191,7 @@ def _add_lags(value: Vector, q: Quaternion, fraction: float, equations: Coeffici
     if found is None:
         return value
     torque = lags.torque(found, loads.since + fraction * loads.seconds, _unit(q))
-    return add(value, combine(equations[0][6:], torque))
+    return add(value, combine(equations.columns[6:], torque))
 
 
 @internal

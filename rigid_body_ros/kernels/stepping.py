@@ -95,8 +95,7 @@ class LocalLoads(NamedTuple):
 
 @internal
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
-            method: Method, table: Floats, budget: int, loads: Loads | None,
-            states: friction.WheelStates | None) -> Reached:
+            method: Method, table: Floats, budget: int, loads: Loads | None) -> Reached:
     """
     Step to the last grid point before a time, and from there to the time.
 
@@ -114,8 +113,6 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         Units of work after which to return; a step costs `layout.STEP_COST`.
     loads : Loads or None
         What acts besides the drive.
-    states : States or None
-        With the momenta of wheels with friction; changed.
 
     Returns
     -------
@@ -125,7 +122,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     # Here, because what an inlined function has on the stack ends with it.
     work = scratch(WORKSPACE)
     works = work, scratch(LAG_WORKSPACE), scratch(FRICTION_WORKSPACE)
-    latest, now = grid, _local(loads, drive, grid, grid_ns, body, states, works)
+    latest, now = grid, _local(loads, drive, grid, grid_ns, body, works)
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
@@ -135,18 +132,22 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         last = step_ns >= rest_ns
         if last:
             step_ns = rest_ns
-        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now,
-                       states)
+        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now)
         if last:
             break
         grid = latest
-        friction.accept(states)
+        friction.accept(_friction_of(loads))
         grid_ns += step_ns
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
         if intervals.rotors_change(loads):
-            now = _local(loads, drive, grid, grid_ns, body, states, works)
+            now = _local(loads, drive, grid, grid_ns, body, works)
     return Reached(grid, grid_ns, latest, True, budget)
+
+
+@optional
+def _friction_of(loads: Loads) -> friction.RowFriction | None:
+    return loads.friction
 
 
 @inlined
@@ -185,7 +186,6 @@ def full_step_ns(seconds: float, method: Method) -> int:
 
 @optional
 def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, body: Body,
-           states: friction.WheelStates | None,
            works: tuple[Floats, Floats, Floats]) -> LocalLoads:
     # Return the linear terms from a grid point on.
     orbit, lag_rate = fields.rate_bound(loads.fields), lags.square_rate(loads.lags)
@@ -195,12 +195,12 @@ def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, b
     slowed = friction.workspace(loads.friction, works[2])
     if loads.linear_degree <= 0:
         linear = linear_terms.at(loads.constants, *friction.momentum(
-            loads.friction, states, loads.momentum[0], loads.low_momentum))
+            loads.friction, loads.momentum[0], loads.low_momentum))
         return LocalLoads(loads.momentum, linear,
                           linear_terms.square_rate(linear.matrix) + orbit * orbit + lag_rate
                           + friction.square_rate(loads.friction, body.frame),
                           by_fields + friction.acceleration(
-                              loads.friction, states, grid[0], body.coefficients, body.form),
+                              loads.friction, grid[0], body.coefficients),
                           prepared, lagged, slowed)
     change, momentum = _rotors_from(loads.momentum,
                                     (grid_ns - drive.origin_ns) / 1e9 / drive.span)
@@ -248,8 +248,8 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
 
 
 @optional
-def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads, seconds: float,
-            states: friction.WheelStates | None) -> taylor.SeriesLoads:
+def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
+            seconds: float) -> taylor.SeriesLoads:
     # Return the same for a step of the series.
     none = vector.of(0.0, 0.0, 0.0)
     one = two = three = four = none, none, none
@@ -263,7 +263,7 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads, seconds: 
                               field_series.of_step(loads.fields, stage.field_angle,
                                                    now.field_work),
                               lag_series.of_step(loads.lags, stage.since, now.lag_work),
-                              friction.of_step(loads.friction, states, now.friction_work))
+                              friction.of_step(loads.friction, now.friction_work))
 
 
 @inlined
@@ -274,8 +274,8 @@ def _change(constants: linear_terms.Constants, seconds: float,
 
 @inlined
 def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
-          method: Method, table: Floats, loads: Loads | None, now: LocalLoads | None,
-          states: friction.WheelStates | None) -> vector.KernelState:
+          method: Method, table: Floats, loads: Loads | None,
+          now: LocalLoads | None) -> vector.KernelState:
     local = drive.polynomial
     if drive.degree != 0:
         local = vector.shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
@@ -290,5 +290,5 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
         return steppers.explicit_euler(state, seconds, body.coefficients, local, drive.in_space,
                                        stage)
     series = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
-    return taylor.step(state, seconds, body.coefficients, body.form, series, method.tolerance,
-                       table, _series(loads, now, stage, seconds, states))
+    return taylor.step(state, seconds, body.coefficients, series, method.tolerance,
+                       table, _series(loads, now, stage, seconds))

@@ -149,7 +149,7 @@ def turning_rate(square: float, acceleration: float, angle: float) -> float:
 
 
 @inlined
-def step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
+def step(state: KernelState, seconds: float, coefficients: Coefficients,
          drive: SeriesDrive, tolerance: float, table: Floats,
          loads: SeriesLoads | None) -> KernelState:
     """
@@ -162,9 +162,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     seconds : float
         Length of the step; no more than about `step_seconds`.
     coefficients : Coefficients
-        Of Euler's equations, as `tensor.euler_coefficients` returns them.
-    form : int
-        Form of the inertia tensor: DIAGONAL, FULL or THIN.
+        Of Euler's equations.
     drive : SeriesDrive
         With lanes, it is in body axes.
     tolerance : float
@@ -181,13 +179,13 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 
     """
     lag_series.begin(_lags_of(loads), state)
-    acceleration = drive.bound + field_series.begin(_fields_of(loads), state, coefficients, form)
+    acceleration = drive.bound + field_series.begin(_fields_of(loads), state, coefficients)
     if loads is not None:
-        acceleration += friction.begin(loads.friction, state, coefficients, form)
+        acceleration += friction.begin(loads.friction, state, coefficients)
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     friction.weigh(_friction_of(loads), angle, seconds)
     error_bound = tolerance * angle
-    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads)
+    order = _expand(state, seconds, coefficients, drive, error_bound, table, loads)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, without_fourth(table, four.load(table, row_of(table, k) + U)))
@@ -215,7 +213,7 @@ def _friction_of(loads: SeriesLoads) -> friction.StepFriction | None:
 
 
 @inlined
-def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
+def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
             drive: SeriesDrive, error_bound: float, table: Floats,
             loads: SeriesLoads | None) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
@@ -241,29 +239,27 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     vectors = field_series.vectors_of(_fields_of(loads))
     for k in range(MAX_ORDER):
-        products, rotation, turn = _cauchy(table, k, first, latest, form, vectors)
+        products, rotation, turn = _cauchy(table, k, first, latest, coefficients.form, vectors)
         field_series.store_turn(turn, vectors, k)
         if loads is None:
-            u = euler_equations.gyroscopic_acceleration(coefficients, form, products)
+            u = euler_equations.gyroscopic_acceleration(coefficients, products)
         else:
             u = euler_equations.add_gyroscopic_acceleration(
-                _linear_term(k, latest, past, loads), coefficients, form, products)
+                _linear_term(k, latest, past, loads), coefficients, products)
         if in_space:
             torque_acceleration = euler_equations.acceleration_from_torque(
-                coefficients, form, _torque_term(table, k, degree))
+                coefficients, _torque_term(table, k, degree))
             u = add_scaled(u, seconds * seconds, torque_acceleration)
         elif k <= degree:
             u = add_scaled(u, seconds * seconds, polynomial[k])
         if loads is not None:
             if loads.space_degree >= 0:
                 torque_acceleration = euler_equations.acceleration_from_torque(
-                    coefficients, form, _torque_term(table, k, loads.space_degree))
+                    coefficients, _torque_term(table, k, loads.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
-            u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients,
-                                              form)
-            u = lag_series.add_acceleration(u, loads.lags, table, k, seconds, coefficients, form)
-            u = friction.add_acceleration(u, loads.friction, table, k, seconds, coefficients,
-                                          form)
+            u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients)
+            u = lag_series.add_acceleration(u, loads.lags, table, k, seconds, coefficients)
+            u = friction.add_acceleration(u, loads.friction, table, k, seconds, coefficients)
             past = (latest[0], past[0], past[1], past[2])
         reciprocal = float(RECIPROCALS[k])
         u = scale(reciprocal, u)

@@ -21,6 +21,8 @@ is for arrays.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.four import Four
 from rigid_body_ros.kernels.jit import inlined, internal
@@ -33,14 +35,24 @@ KernelState = tuple[Vector, Quaternion, Vector, Quaternion]
 #: Torque, N m: coefficients of a cubic in the fraction of a span of time.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
 Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]
-#: Euler's equations solved for dw/dt, linear in the products of w and in the torque: the columns
-#: that `tensor.euler_coefficients` returns, their low-order parts, and the diagonals of the first
-#: three columns and of the last three.
-Coefficients = tuple[Columns, Columns, Vector, Vector]
 #: Principal moments (kg m^2), their low-order parts, the principal axes and their low-order parts,
 #: as `tensor.principal` returns them.
 PrincipalFrame = tuple[Vector, Vector, tuple[Vector, Vector, Vector],
                        tuple[Vector, Vector, Vector]]
+
+
+class Coefficients(NamedTuple):
+    """Euler's equations solved for dw/dt, linear in the products of w and in the torque."""
+
+    #: As `tensor.euler_coefficients` returns them, and their low-order parts.
+    columns: Columns
+    low: Columns
+    #: The diagonals of the first three columns and of the last three.
+    main: Vector
+    diagonal: Vector
+    #: Form of the inertia tensor: `euler_equations.DIAGONAL`, FULL or THIN.
+    form: int
+
 
 add = four.add
 
