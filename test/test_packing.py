@@ -26,7 +26,7 @@ BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 
 def coefficients(constants):
     high, low, products, torques, _ = body_layout.coefficients(
-        constants, body_layout.form_of(constants))
+        constants, layout.form_of(constants))
     found, diagonals = np.zeros((2, 3, 9)), np.zeros((2, 3))
     for k in range(3):
         diagonals[0, k], diagonals[1, k] = products[k], torques[k]

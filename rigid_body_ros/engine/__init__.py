@@ -27,7 +27,7 @@ from rigid_body_ros.kernels import (
 )
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.fields import MOST as MOST_FIELDS
-from rigid_body_ros.kernels.lags import EXPIRY
+from rigid_body_ros.kernels.lags import CommandChanges, EXPIRY
 from rigid_body_ros.kernels.lags import MOST as MOST_LAGS
 from rigid_body_ros.kernels.layout import (
     FASTEST,
@@ -41,6 +41,7 @@ from rigid_body_ros.kernels.layout import (
     Sums,
     Terms,
 )
+from rigid_body_ros.kernels.messages import Contents, RawMessages
 from rigid_body_ros.kernels.state_layout import MOST_WHEELS
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
@@ -52,11 +53,14 @@ __all__ = [
     'MOST_FIELDS',
     'MOST_LAGS',
     'MOST_WHEELS',
+    'CommandChanges',
+    'Contents',
     'FieldTerms',
     'Friction',
     'FrictionTerms',
     'LagTerms',
     'Lags',
+    'RawMessages',
     'Rows',
     'Samples',
     'Sums',

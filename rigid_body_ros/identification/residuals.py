@@ -27,7 +27,7 @@ from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.identification.problem import errors_of
 from rigid_body_ros.identification.sensors import corrected
 from rigid_body_ros.identification.solve import Solution
-from rigid_body_ros.identification.windows import Window, windows_of
+from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 
@@ -209,7 +209,7 @@ def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> t
     last = problem.windows[k]
     rest = [channel.rows(slice(len(fitted), None))
             for channel, fitted in zip(channels, setup.channels[number])]
-    whole, = windows_of(number, setup.problems[number], channels, 2 ** 62, solution.physics, 0)
+    whole, = setup.windows_of(number, channels, 2 ** 62, solution.physics)
     return k, replace(whole, problem=whole.problem.replaced(start=last.problem.start),
                       is_first=last.is_first, axial=last.axial, channels=rest,
                       rows=[slice(0, len(channel)) for channel in rest])

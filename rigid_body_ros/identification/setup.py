@@ -21,8 +21,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.actuator import MEMORY
 from rigid_body_ros.identification.parameters import Parameters, Physics
-from rigid_body_ros.identification.windows import AxialInertia, LEAD_NS, Window, windows_of
+from rigid_body_ros.identification.sensors import clocked
+from rigid_body_ros.identification.windows import AxialInertia, Window
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
@@ -32,6 +34,9 @@ from rigid_body_ros.sensing.measured import Measured
 _FIRST = 8.0
 #: Fewest and most samples of a channel in a window.
 _SHORTEST, _LONGEST = 20, 60_000
+#: ns; a window with a fitted clock begins this much before its first sample.
+_LEAD_NS = 200_000_000
+_MEMORY_NS = round(1e9 * MEMORY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +99,57 @@ class Setup:
 
     def windows(self, length_ns: int, physics: Physics, parts: int = 1) -> list[Window]:
         """Return all recordings in windows of about this length, each divided into parts."""
-        lead_ns = LEAD_NS if self.parameters.shifts else 0
-        return [window for number, (problem, channels, axial)
-                in enumerate(zip(self.problems, self.channels, self.axial))
-                for window in windows_of(number, problem, channels, length_ns, physics, lead_ns,
-                                         parts, axial)]
+        lead_ns = _LEAD_NS if self.parameters.shifts else 0
+        return [window for number, channels in enumerate(self.channels)
+                for window in self.windows_of(number, channels, length_ns, physics, lead_ns,
+                                              parts)]
+
+    def windows_of(self, number: int, channels: Sequence[Measured], length_ns: int,
+                   physics: Physics, lead_ns: int = 0, parts: int = 1) -> list[Window]:
+        """
+        Divide a recording into windows.
+
+        Parameters
+        ----------
+        number : int
+            Number of the recording.
+        channels : sequence of Measured
+            Its sensors.
+        length_ns : int
+            Length of a window.
+        physics : Physics
+            With the clocks of the sensors.
+        lead_ns : int
+            How much earlier than their first sample windows begin.
+        parts : int
+            Number of windows that each window of that length is divided into.
+
+        Returns
+        -------
+        list of Window
+            Those with samples, in order.
+
+        """
+        problem, axial = self.problems[number], self.axial[number]
+        start_ns = problem.start.time_ns
+        stamps = [clocked(channel, physics, start_ns) for channel in channels]
+        first_ns = max(start_ns, min(int(each[0]) for each in stamps))
+        last_ns = max(int(each[-1]) for each in stamps)
+        count = parts * max(1, round((last_ns - first_ns) / length_ns))
+        edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
+        anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
+        momenta = problem.rotor_momentum(anchors)
+        if axial:
+            momenta = momenta + np.where(anchors > start_ns, 1.0, 0.0)[:, None] * (
+                axial.tensor @ axial.rate)
+        result = []
+        for k, anchor_ns in enumerate(anchors.tolist()):
+            rows = [slice(*np.searchsorted(each, [edges[k], edges[k + 1]])) for each in stamps]
+            samples = [channel.rows(part) for channel, part in zip(channels, rows)]
+            if not any(map(len, samples)):
+                continue
+            start = State(anchor_ns, rotor_momentum=momenta[k])
+            near = problem.between(start, int(edges[k + 1]) + _LEAD_NS, _MEMORY_NS)
+            result.append(Window(number, k == 0, near, samples, rows, start_ns,
+                                 axial.tensor if axial and anchor_ns == start_ns else None))
+        return result

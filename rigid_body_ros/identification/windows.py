@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.actuator import applied, MEMORY
+from rigid_body_ros.identification.actuator import applied
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.identification.sensors import clocked, mounts
 from rigid_body_ros.mechanics import so3
@@ -31,9 +31,6 @@ from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.sensing.measured import Measured
 
-#: ns; a window with a fitted clock begins this much before its first sample.
-LEAD_NS = 200_000_000
-_MEMORY_NS = round(1e9 * MEMORY)
 #: Parameters that the torques of a window depend on.
 _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
 Stamps = Sequence[NDArray[np.int64]]
@@ -200,58 +197,3 @@ def _rates(velocity: Floats, mount: Floats | None, physics: Sequence[Physics],
     scale, bias = (np.array([one.value(name, topic) for one in physics])[:, None]
                    for name in ('gyro_scale', 'gyro_bias'))
     return scale * velocity + bias
-
-
-def windows_of(number: int, problem: Problem, channels: Sequence[Measured], length_ns: int,
-               physics: Physics, lead_ns: int, parts: int = 1,
-               axial: AxialInertia | None = None) -> list[Window]:
-    """
-    Divide a recording into windows.
-
-    Parameters
-    ----------
-    number : int
-        Number of the recording.
-    problem : Problem
-        Its start and its torques.
-    channels : sequence of Measured
-        Its sensors.
-    length_ns : int
-        Length of a window.
-    physics : Physics
-        With the clocks of the sensors.
-    lead_ns : int
-        How much earlier than their first sample windows begin.
-    parts : int
-        Number of windows that each window of that length is divided into.
-    axial : AxialInertia, optional
-        The axial inertia of wheels with names.
-
-    Returns
-    -------
-    list of Window
-        Those with samples, in order.
-
-    """
-    start_ns = problem.start.time_ns
-    stamps = [clocked(channel, physics, start_ns) for channel in channels]
-    first_ns = max(start_ns, min(int(each[0]) for each in stamps))
-    last_ns = max(int(each[-1]) for each in stamps)
-    count = parts * max(1, round((last_ns - first_ns) / length_ns))
-    edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
-    anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
-    momenta = problem.rotor_momentum(anchors)
-    if axial:
-        momenta = momenta + np.where(anchors > start_ns, 1.0, 0.0)[:, None] * (
-            axial.tensor @ axial.rate)
-    result = []
-    for k, anchor_ns in enumerate(anchors.tolist()):
-        rows = [slice(*np.searchsorted(each, [edges[k], edges[k + 1]])) for each in stamps]
-        samples = [channel.rows(part) for channel, part in zip(channels, rows)]
-        if not any(map(len, samples)):
-            continue
-        start = State(anchor_ns, rotor_momentum=momenta[k])
-        near = problem.between(start, int(edges[k + 1]) + LEAD_NS, _MEMORY_NS)
-        result.append(Window(number, k == 0, near, samples, rows, start_ns,
-                             axial.tensor if axial and anchor_ns == start_ns else None))
-    return result

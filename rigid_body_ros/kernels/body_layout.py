@@ -25,17 +25,10 @@ from __future__ import annotations
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import euler_equations, four
-from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.linear_terms import Constants, from_columns, Linear, Matrix
-from rigid_body_ros.kernels.vector import (
-    Coefficients,
-    Columns,
-    is_zero,
-    of,
-    PrincipalFrame,
-    Vector,
-)
+from rigid_body_ros.kernels.vector import Coefficients, Columns, of, PrincipalFrame, Vector
 
 #: Offsets of the parts; a vector or column takes four doubles.
 EQUATIONS, LOST_EQUATIONS, MOMENTS, LOST_MOMENTS, AXES, LOST_AXES = 0, 36, 72, 76, 80, 92
@@ -71,18 +64,6 @@ def coefficients(constants: Floats, form: int) -> Coefficients:
     return Coefficients(columns, _columns(constants, LOST_EQUATIONS),
                         of(columns[0][0], columns[1][1], columns[2][2]),
                         of(columns[6][0], columns[7][1], columns[8][2]), form)
-
-
-@inlined
-def form_of(constants: Floats) -> int:
-    """Return the form of the inertia tensor: DIAGONAL, FULL or THIN."""
-    moments = four.load(constants, MOMENTS)
-    a, b, c, d, e, f, _, _, _ = _columns(constants, EQUATIONS)
-    if (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
-            and is_zero(d) and is_zero(e) and is_zero(f)):
-        return euler_equations.DIAGONAL
-    is_thin = moments[2] > euler_equations.THIN_RATIO * moments[0]
-    return euler_equations.THIN if is_thin else euler_equations.FULL
 
 
 @internal

@@ -170,7 +170,7 @@ def _enter(group: Group, lane: int, segment: Shared, method: Method) -> bool:
     row = group.rows[lane]
     place, torque = layout.load_place(group.progress[row:row + 1]), _torque(group, lane, segment)
     if (_is_done(group, row, segment) or place.row != segment.row
-            or body_layout.form_of(group.constants[row]) != segment.form
+            or layout.form_of(group.constants[row]) != segment.form
             or vector.is_zero(torque)):  # `loop.run` may use the closed form
         return False
     runs.load(group, lane)

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import body_layout, group_segment, group_stamps, layout
+from rigid_body_ros.kernels import group_segment, group_stamps, layout
 from rigid_body_ros.kernels.group import Group
 from rigid_body_ros.kernels.group_segment import Shared
 from rigid_body_ros.kernels.jit import internal
@@ -98,6 +98,6 @@ def _are_alike(group: Group, place: Place, form: int) -> bool:
     for row in group.rows:
         other = group.progress[row]
         if (other.row != place.row or other.done != place.done
-                or body_layout.form_of(group.constants[row]) != form):
+                or layout.form_of(group.constants[row]) != form):
             return False
     return True

@@ -108,11 +108,20 @@ def torque(lags: RowLags, seconds: float, q: vector.Quaternion) -> vector.Vector
     return vector.add(body, vector.to_body(q, space))
 
 
+class CommandChanges(NamedTuple):
+    """The commands of one source, and the torques that follow them."""
+
+    #: ns: when the command changes, ascending.
+    times_ns: Annotated[Ints, 'm']
+    #: N m: from each change on, in body axes and in space axes; one of them is zero.
+    commands: Annotated[Floats, 'm 2 3']
+    #: N m: the torque at each change, and its low-order part; that at the first change is given.
+    torques: Annotated[Floats, 'm 2 6', WRITTEN]
+
+
 @njit
-def add_lag(row_times_ns: Annotated[Ints, 'n'], changes_ns: Annotated[Ints, 'm'],
-            commands: Annotated[Floats, 'm 2 3'], torques: Annotated[Floats, 'm 2 6', WRITTEN],
-            time_constant: float, expiry_ns: int, which: int,
-            into: Annotated[Floats, 'n l 2 3', WRITTEN]) -> None:
+def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_constant: float,
+            expiry_ns: int, which: int, into: Annotated[Floats, 'n l 2 3', WRITTEN]) -> None:
     """
     Add the excess of one source at each row.
 
@@ -120,12 +129,8 @@ def add_lag(row_times_ns: Annotated[Ints, 'n'], changes_ns: Annotated[Ints, 'm']
     ----------
     row_times_ns : int64 (n,), ns
         Ascending.
-    changes_ns : int64 (m,), ns
-        When the command changes, ascending.
-    commands : float64 (m, 2, 3), N m
-        From each change on, in body axes and in space axes; one of them is zero.
-    torques : float64 (m, 2, 6), N m
-        The torque at each change, and its low-order part; that at the first change is given.
+    source : CommandChanges
+        The torques are computed.
     time_constant : float, s
         T.
     expiry_ns : int, ns
@@ -136,6 +141,7 @@ def add_lag(row_times_ns: Annotated[Ints, 'n'], changes_ns: Annotated[Ints, 'm']
         To which the excess is added.
 
     """
+    changes_ns, commands, torques = source
     last_ns, share = -1, 0.0
     for k in range(1, len(changes_ns)):
         span_ns = changes_ns[k] - changes_ns[k - 1]

@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import (
     body_layout,
+    euler_equations,
+    four,
     state_layout,
     vector,
 )
@@ -183,6 +185,8 @@ class Rows(NamedTuple):
 class Sums(NamedTuple):
     """The sums of torques at the rows, and the momentum of the rotors; see `Rows`."""
 
+    times_ns: Annotated[Ints, 'n', WRITTEN]
+    in_space: Annotated[NDArray[np.bool_], 'n', WRITTEN]
     torques: Annotated[Floats, 'n 2d+1 3', WRITTEN]
     space: Annotated[Floats, 'n d+1 3', WRITTEN]
     motors: Annotated[Floats, 'n d+1 3', WRITTEN]
@@ -273,8 +277,20 @@ def load_method(methods: NDArray[Any]) -> Method:
 @internal
 def load_body(constants: Floats) -> Body:
     """Return a body from its constants, see `body_layout`."""
-    return Body(body_layout.coefficients(constants, body_layout.form_of(constants)),
+    return Body(body_layout.coefficients(constants, form_of(constants)),
                 body_layout.principal_frame(constants))
+
+
+@inlined
+def form_of(constants: Floats) -> int:
+    """Return the form of the inertia tensor: DIAGONAL, FULL or THIN."""
+    moments = four.load(constants, body_layout.MOMENTS)
+    a, b, c, d, e, f, _, _, _ = body_layout.coefficients(constants, euler_equations.FULL).columns
+    if (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
+            and vector.is_zero(d) and vector.is_zero(e) and vector.is_zero(f)):
+        return euler_equations.DIAGONAL
+    is_thin = moments[2] > euler_equations.THIN_RATIO * moments[0]
+    return euler_equations.THIN if is_thin else euler_equations.FULL
 
 
 @internal

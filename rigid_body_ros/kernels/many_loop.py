@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import body_layout, groups, layout, loop
-from rigid_body_ros.kernels import group as runs
+from rigid_body_ros.kernels import group as group_of_runs
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.group import BUDGET, Group
 from rigid_body_ros.kernels.groups import Advanced
@@ -33,6 +33,17 @@ from rigid_body_ros.kernels.layout import METHOD, PROGRESS, Rows, Terms
 _PIECE = 64
 
 
+class Runs(NamedTuple):
+    """All runs: an element or row of each array is for one run."""
+
+    #: See `loop.run`. A run that has failed is skipped; one whose body becomes too fast fails.
+    progress: Annotated[NDArray[Any], 'r', PROGRESS, WRITTEN]
+    motions: Annotated[Floats, 'r 7m', WRITTEN]
+    constants: Annotated[Floats, f'r {body_layout.SIZE}']
+    #: Factors of the torque; all 1 for a torque that is not held.
+    gains: Annotated[Floats, 'r']
+
+
 class RunsWorkspace(NamedTuple):
     """The arrays that `run_each` needs besides its results."""
 
@@ -40,7 +51,7 @@ class RunsWorkspace(NamedTuple):
     lanes: Annotated[Ints, 'L', WRITTEN]
     going: Annotated[NDArray[np.bool_], 'L', WRITTEN]
     limits_ns: Annotated[Ints, 'L', WRITTEN]
-    table: Annotated[Floats, f'{runs.ROWS} L', WRITTEN]
+    table: Annotated[Floats, f'{group_of_runs.ROWS} L', WRITTEN]
     #: See `loop.run`.
     closed: Annotated[NDArray[np.bool_], 'n+1', WRITTEN]
     #: Torques times the factor of a run.
@@ -82,34 +93,27 @@ def workspace(lanes: int, rows: ManyRows) -> RunsWorkspace:
     """Return arrays, not yet filled, for rows of all runs; with one lane runs are not grouped."""
     return RunsWorkspace(
         np.empty(lanes, np.intp), np.empty(lanes, np.bool_), np.empty(lanes, np.int64),
-        runs.workspace(lanes), np.empty(len(rows.times_ns) + 1, np.bool_),
+        group_of_runs.workspace(lanes), np.empty(len(rows.times_ns) + 1, np.bool_),
         np.empty(rows.torques.shape[1:]))
 
 
 @njit
-def run_each(which: Annotated[Ints, 'w'],
-             progress: Annotated[NDArray[Any], 'r', PROGRESS, WRITTEN],
-             times_ns: Annotated[Ints, 'm'], order: Annotated[Ints, 'm|0'],
-             motions: Annotated[Floats, 'r 7m', WRITTEN], rows: ManyRows,
-             constants: Annotated[Floats, f'r {body_layout.SIZE}'],
-             methods: Annotated[NDArray[Any], '1', METHOD], gains: Annotated[Floats, 'r'],
-             work: RunsWorkspace) -> int:
+def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 'm'],
+             order: Annotated[Ints, 'm|0'], rows: ManyRows,
+             methods: Annotated[NDArray[Any], '1', METHOD], work: RunsWorkspace) -> int:
     """
     Run the loop for many runs, some of them in lanes.
 
     Parameters
     ----------
     which : array of int, shape (k,)
-        The runs, elements or rows of the arrays that follow.
-    progress, motions, constants : array, shape (n, ...)
-        An element or row for each run, see `loop.run`. Runs that have failed are skipped; one
-        whose body becomes too fast has then failed.
+        The runs to compute, elements or rows of the arrays that follow.
+    runs : Runs
+        All runs.
     times_ns, order, methods
         As for `loop.run`, of all runs.
     rows : ManyRows
         Of all runs.
-    gains : array, shape (n,)
-        Factors of the torque; all 1 for a torque that is not held.
     work : RunsWorkspace
         Changed.
 
@@ -120,6 +124,7 @@ def run_each(which: Annotated[Ints, 'w'],
         the budget is used up, and another call continues.
 
     """
+    progress, motions, constants, gains = runs
     method = layout.load_method(methods)
     group = Group(work.lanes, progress, motions, constants, gains, rows.torques, work.table,
                   work.going, work.limits_ns)

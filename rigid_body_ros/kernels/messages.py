@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,34 +26,44 @@ from rigid_body_ros.kernels.jit import inlined, njit, WRITTEN
 Bytes = NDArray[np.uint8]
 
 
+class RawMessages(NamedTuple):
+    """Messages as bytes."""
+
+    data: Annotated[Bytes, 's']
+    #: Position and size of each message in the data.
+    starts: Annotated[Ints, 'n']
+    sizes: Annotated[Ints, 'n']
+
+
+class Contents(NamedTuple):
+    """The contents of messages."""
+
+    #: ns, zero before.
+    stamps: Annotated[Ints, 'n', WRITTEN]
+    #: The bits of the doubles.
+    bits: Annotated[Ints, 'n d', WRITTEN]
+    #: Start and size of each frame_id.
+    texts: Annotated[Ints, 'n 2', WRITTEN]
+    #: Whether the frame_id differs from the previous one; false before.
+    changes: Annotated[NDArray[np.bool_], 'n', WRITTEN]
+    #: The number of bytes after the doubles.
+    after: Annotated[Ints, 'n', WRITTEN]
+
+
 @njit
-def decode(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'], sizes: Annotated[Ints, 'n'],
-           has_header: bool, is_list: bool, has_child_frame: bool, before_doubles: int,
-           stamps: Annotated[Ints, 'n', WRITTEN], bits: Annotated[Ints, 'n d', WRITTEN],
-           texts: Annotated[Ints, 'n 2', WRITTEN],
-           changes: Annotated[NDArray[np.bool_], 'n', WRITTEN],
-           after: Annotated[Ints, 'n', WRITTEN]) -> int:
+def decode(messages: RawMessages, has_header: bool, is_list: bool, has_child_frame: bool,
+           before_doubles: int, contents: Contents) -> int:
     """
     Decode messages in CDR.
 
     Parameters
     ----------
-    data : uint8 (size,)
-        Messages, one after the other.
-    starts, sizes : int64 (n,)
-        Position and size of each message in the data.
+    messages : RawMessages
+        Of one type.
     has_header, is_list, has_child_frame, before_doubles : bool, bool, bool, int
         See `MessageType`; the last is a number of bytes.
-    stamps : int64 (n,)
-        Output, ns, zero before.
-    bits : int64 (n, doubles)
-        Output: the bits of the doubles.
-    texts : int64 (n, 2)
-        Output: start and size of each frame_id.
-    changes : bool (n,)
-        Output, false before: whether the frame_id differs from the previous one.
-    after : int64 (n,)
-        Output: the number of bytes after the doubles.
+    contents : Contents
+        Output.
 
     Returns
     -------
@@ -61,6 +71,8 @@ def decode(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'], sizes: Ann
         The number of valid messages before the first invalid one.
 
     """
+    data, starts, sizes = messages
+    stamps, bits, texts, changes, after = contents
     for row in range(len(starts)):
         start, end = starts[row], starts[row] + sizes[row]
         if sizes[row] < 4 or data[start] != 0 or data[start + 1] > 1:
@@ -102,8 +114,7 @@ def decode(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'], sizes: Ann
 
 
 @njit
-def find_transforms(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'],
-                    sizes: Annotated[Ints, 'n'], is_list: bool, parent: Annotated[Bytes, 'p'],
+def find_transforms(messages: RawMessages, is_list: bool, parent: Annotated[Bytes, 'p'],
                     child: Annotated[Bytes, 'c'], rows: Annotated[Ints, 'm', WRITTEN],
                     stamps: Annotated[Ints, 'm', WRITTEN],
                     bits: Annotated[Ints, 'm d', WRITTEN]) -> tuple[int, int]:
@@ -112,7 +123,7 @@ def find_transforms(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'],
 
     Parameters
     ----------
-    data, starts, sizes, is_list
+    messages, is_list
         As for `decode`.
     parent, child : uint8 (size,)
         The frame_id and the child_frame_id, each followed by a zero.
@@ -125,7 +136,7 @@ def find_transforms(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'],
         The number of transforms found, and the first invalid message or -1.
 
     """
-    found = 0
+    (data, starts, sizes), found = messages, 0
     for row in range(len(starts)):
         start, end = starts[row], starts[row] + sizes[row]
         if sizes[row] < 8 or data[start] != 0 or data[start + 1] > 1:
@@ -164,9 +175,7 @@ def find_transforms(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'],
 
 @njit
 def scan(data: Annotated[Bytes, 's'], position: int, count: int,
-         channels: Annotated[Ints, 'n', WRITTEN], log_ns: Annotated[Ints, 'n', WRITTEN],
-         publish_ns: Annotated[Ints, 'n', WRITTEN], starts: Annotated[Ints, 'n', WRITTEN],
-         sizes: Annotated[Ints, 'n', WRITTEN]) -> tuple[int, int]:
+         found: Annotated[Ints, '5 n', WRITTEN]) -> tuple[int, int]:
     """
     Find the messages in MCAP records, up to the first record that is not a message.
 
@@ -176,8 +185,9 @@ def scan(data: Annotated[Bytes, 's'], position: int, count: int,
         Consecutive records, as in a decompressed chunk.
     position, count : int
         Where to start in the data, and how many messages were found before.
-    channels, log_ns, publish_ns, starts, sizes : array of int64
-        Outputs, filled from index `count` on.
+    found : int64 (5, n)
+        Output, filled from column `count` on: the channel of each message, when it was logged and
+        published, ns, and the position and size of its content in the data.
 
     Returns
     -------
@@ -190,10 +200,10 @@ def scan(data: Annotated[Bytes, 's'], position: int, count: int,
         length = _integer(data, position + 1, 8, True)
         if length < 22 or length > end - position - 9:
             break
-        channels[count] = _integer(data, position + 9, 2, True)
-        log_ns[count] = _integer(data, position + 15, 8, True)
-        publish_ns[count] = _integer(data, position + 23, 8, True)
-        starts[count], sizes[count] = position + 31, length - 22
+        found[0, count] = _integer(data, position + 9, 2, True)
+        found[1, count] = _integer(data, position + 15, 8, True)
+        found[2, count] = _integer(data, position + 23, 8, True)
+        found[3, count], found[4, count] = position + 31, length - 22
         position += 9 + length
         count += 1
     return position, count

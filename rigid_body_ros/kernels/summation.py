@@ -40,32 +40,30 @@ class _Total(NamedTuple):
 
 
 @njit
-def sum_rows(times_ns: Annotated[Ints, 'n'], body: Annotated[Floats, 'n|1 3'],
-             space: Annotated[Floats, 'n|1 3'], on_rotors: Annotated[Floats, 'n|1 3'],
-             momentum: Annotated[Floats, '2 3'], sums: Sums,
-             in_space: Annotated[NDArray[np.bool_], 'n', WRITTEN]) -> None:
+def sum_rows(body: Annotated[Floats, 'n|1 3'], space: Annotated[Floats, 'n|1 3'],
+             on_rotors: Annotated[Floats, 'n|1 3'], momentum: Annotated[Floats, '2 3'],
+             sums: Sums) -> None:
     """
     Sum held torques that change at the same times.
 
     Parameters
     ----------
-    times_ns : int64 (n,), ns
-        When they change.
     body, space, on_rotors : float64 (n, 3), N m
         Sums of torques in body axes, in space axes and on the rotors; shape (1, 3) if one is the
         same at all times.
     momentum : float64 (2, 3), N m s
         Momentum of the rotors at the start, and its low-order part.
-    sums, in_space : Sums, bool (n,)
-        Outputs; the latter states whether each sum is in space axes.
+    sums : Sums
+        Output, but for the times, at which the torques change.
 
     """
-    count, rotors = len(times_ns), _loaded(momentum)
+    times_ns, rotors = sums.times_ns, _loaded(momentum)
+    count = len(times_ns)
     for row in range(count):
         turning = _row(on_rotors, row)
         total = _Total(_held(four.subtract(_row(body, row), turning)), _zero(),
                        _held(_row(space, row)), _held(turning))
-        in_space[row] = _store(total, rotors, row, sums)
+        sums.in_space[row] = _store(total, rotors, row, sums)
         if row + 1 < count:
             length_ns = times_ns[row + 1] - times_ns[row]
             rotors = after(rotors, total.rotors, length_ns, length_ns)
@@ -85,9 +83,7 @@ def _loaded(momentum: Floats) -> Rotor:
 @njit
 def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_ns: int,
              start_ns: int, marks_ns: Annotated[Ints, 'm'],
-             momentum: Annotated[Floats, '2 3'], sums: Sums,
-             times_ns: Annotated[Ints, 'n', WRITTEN],
-             spaces: Annotated[NDArray[np.bool_], 'n', WRITTEN]) -> int:
+             momentum: Annotated[Floats, '2 3'], sums: Sums) -> int:
     """
     Sum torques of any sources, the last of which is the torque on the rotors.
 
@@ -105,9 +101,8 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
         Other times at which a row begins, ascending.
     momentum : float64 (2, 3), N m s
         As for `sum_rows`.
-    sums, times_ns, spaces : Sums, int64 (n,), bool (n,)
-        Outputs, with rows for all changes: the sum, when it changes, ns, and whether it is in
-        space axes.
+    sums : Sums
+        Output, with rows for all changes.
 
     Returns
     -------
@@ -151,7 +146,7 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
                         else NEVER_NS
                     total = _add(total, _piece(coefficients, row, time_ns - stamps_ns[row],
                                                span_ns, length_ns), k == count - 1, in_space[row])
-        times_ns[at], spaces[at] = time_ns, _store(total, rotors, at, sums)
+        sums.times_ns[at], sums.in_space[at] = time_ns, _store(total, rotors, at, sums)
         if next_ns < NEVER_NS:
             rotors = after(rotors, total.rotors, length_ns, length_ns)
         at, time_ns = at + 1, next_ns

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import kernels, Lags
+from rigid_body_ros.engine import CommandChanges, kernels, Lags
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, Actuators, time_constants
 from rigid_body_ros.mechanics.state import State
@@ -152,6 +152,8 @@ class ActingSamples:
             one = self.of(source)
             assert one
             which = self._time_constants.index(one.time_constant)
-            kernels.add_lag(np.array([time_ns]), np.array([since_ns]), command[None],
-                            torque[None].copy(), one.time_constant, one.expiry_ns, which, excess)
+            kernels.add_lag(
+                np.array([time_ns]),
+                CommandChanges(np.array([since_ns]), command[None], torque[None].copy()),
+                one.time_constant, one.expiry_ns, which, excess)
         return Lags(excess, np.array(self._time_constants))

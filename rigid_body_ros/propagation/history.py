@@ -148,13 +148,13 @@ class History:
         """Compute the first segment."""
         start, first = self._start, self.changes[0]
         axial = self._axial_at_start(first.commands)
-        total, lagging = self._sum(first, start.time_ns, axial, {})
+        total = self._sum(first, start.time_ns, axial, {})
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = first.begins_at(start.time_ns, self._acting)
         acts = not total.is_zero() or self._fields is not None or (
             first.body.body.is_damped or start._has_rotors or self._has_friction)
         first.active = self._active_from(without_origin(start) if begins and acts else start,
-                                         total, first.body, lagging, axial)
+                                         total, first.body, axial)
 
     def _axial_at_start(self, commands: Commands) -> Axial | None:
         if self._wheels is None or self._axial is None:
@@ -171,17 +171,17 @@ class History:
         return self.changes[self.index_of(after_ns) + 1:self.index_of(until_ns) + 1]
 
     def _sum(self, change: Change, time_ns: int, axial: Axial | None,
-             before: Mapping[int, Lagging]) -> tuple[Sum, Mapping[int, Lagging]]:
-        """Return the sum of all torques, and the sources that lag, given those before."""
+             before: Mapping[int, Lagging]) -> Sum:
+        """Return the sum of all torques, given the sources that lagged before."""
         acting = self._acting
         motors = None
         if self._wheels and axial and not self._has_friction:
             motors = self._wheels.torque(axial.efforts)[None]
         total = summed(acting.acting(change.samples), time_ns, self._options.timeout_ns, motors)
         if not acting.lag:
-            return total, before
+            return total
         lagging = acting.lagging(change.samples, time_ns, before)
-        return total._replace(lags=acting.lags(lagging, time_ns)), lagging
+        return total._replace(lagging=lagging, lags=acting.lags(lagging, time_ns))
 
     def _discard_before(self, horizon_ns: int) -> None:
         """Discard changes that no late torque can affect; raise ValueError as `at` does."""
@@ -229,12 +229,12 @@ class History:
         if self._wheels and axial:
             end = start or segment.end_at(time_ns, until)
             axial = self._next_axial(axial, change.commands, end)
-        total, lagging = self._sum(change, time_ns, axial, segment.lagging)
+        total = self._sum(change, time_ns, axial, segment.lagging)
         if start is None:
             if segment.coasts and total.is_zero():
                 return Active(segment, axial)
             start = end or segment.end_at(time_ns, until)
-        return self._active_from(start, total, body, lagging, axial)
+        return self._active_from(start, total, body, axial)
 
     def _next_axial(self, axial: Axial, commands: Commands, state: State) -> Axial:
         """Return the state of the wheels that begins with a state."""
@@ -253,10 +253,10 @@ class History:
         return NewBody(stamp_ns, body, keep, carrier)
 
     def _active_from(self, start: State, total: Sum, body: NewBody,
-                     lagging: Mapping[int, Lagging], axial: Axial | None) -> Active:
+                     axial: Axial | None) -> Active:
         friction = None
         if self._wheels and axial and self._has_friction:
             friction = friction_of(self._wheels, axial.efforts[None])
         segment = Segment(body.carrier, self._options, self._history_ns, start, total,
-                          self._fields, lagging, friction)
+                          self._fields, friction)
         return Active(segment, axial)

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import FIELDS, kernels, Lags, LagTerms
+from rigid_body_ros.engine import CommandChanges, FIELDS, kernels, Lags, LagTerms
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, time_constants
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -52,11 +52,12 @@ class Lagging(NamedTuple):
 
     def at(self, time_ns: int, command: Floats, actuator: Actuator) -> Lagging:
         """Return the source after another change of its command."""
-        torques = np.stack([self.torque, self.torque])
-        kernels.add_lag(_NO_TIMES, np.array([self.since_ns, time_ns]),
-                        np.stack([self.command, command]), torques, actuator.time_constant,
-                        actuator.expiry_ns, 0, _NO_EXCESS)
-        return Lagging(time_ns, command, torques[1])
+        source = CommandChanges(np.array([self.since_ns, time_ns]),
+                                np.stack([self.command, command]),
+                                np.stack([self.torque, self.torque]))
+        kernels.add_lag(_NO_TIMES, source, actuator.time_constant, actuator.expiry_ns, 0,
+                        _NO_EXCESS)
+        return Lagging(time_ns, command, source.torques[1])
 
 
 _NO_TIMES, _NO_EXCESS = np.empty(0, np.int64), np.empty((0, 0, 2, 3))
@@ -185,7 +186,7 @@ def lag_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[A
 def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:
     """Add the excess at times, and return the torque at each change; see `Lagging`."""
     torques = np.zeros((len(changes.times_ns), 2, 6))
-    kernels.add_lag(times_ns, changes.times_ns, changes.commands, torques,
+    kernels.add_lag(times_ns, CommandChanges(changes.times_ns, changes.commands, torques),
                     changes.actuator.time_constant, changes.actuator.expiry_ns, which, into)
     return torques
 

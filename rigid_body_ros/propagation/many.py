@@ -347,15 +347,15 @@ class _Runs:
 
     def _run_alike(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
         """Run the loop over some runs, in chunks."""
-        gains = np.ones(len(self._progress)) if gains is None else gains
+        runs = many_loop.Runs(self._progress, self._motions, self._bodies._constants,
+                              np.ones(len(self._progress)) if gains is None else gains)
         of_all = cast(many_loop.ManyRows, rows)  # torques and momentum have one more axis
         work = many_loop.workspace(LANES, of_all)
         done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
-            done += kernels.run_each(
-                which[done:done + chunk], self._progress, self._times_ns, self._order,
-                self._motions, of_all, self._bodies._constants, self._options.method, gains, work)
+            done += kernels.run_each(which[done:done + chunk], runs, self._times_ns, self._order,
+                                     of_all, self._options.method, work)
             if time.monotonic() - began < _PATIENCE:
                 chunk *= 2
 

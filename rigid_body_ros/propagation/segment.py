@@ -51,7 +51,7 @@ COMMANDS, WHEELS, BODY = sys.maxsize - 2, sys.maxsize - 1, sys.maxsize
 #: Outputs of the loop that are not read: only its latest state is used.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 _NONE = np.zeros((1, 3))
-_NO_LAGS: Mapping[int, Lagging] = {}
+_NOTHING_LAGS: Mapping[int, Lagging] = {}
 
 
 class Sample(NamedTuple):
@@ -79,7 +79,8 @@ class Sum(NamedTuple):
     in_space: bool
     space: Floats = _NONE
     motors: Floats = _NONE
-    #: The difference between torques that lag and their commands; None if none does.
+    #: The sources that lag, and the difference between their torques and their commands.
+    lagging: Mapping[int, Lagging] = _NOTHING_LAGS
     lags: Lags | None = None
 
     @property
@@ -130,15 +131,13 @@ class Segment:
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
                  total: Sum, fields: NDArray[Any] | None = None,
-                 lagging: Mapping[int, Lagging] = _NO_LAGS,
                  friction: Friction | None = None) -> None:
-        lags = total.lags
         #: The sources that lag.
-        self.lagging = lagging
+        self.lagging, lags = total.lagging, total.lags
         self.coasts = total.is_zero() and fields is None and friction is None and not (
             body.is_damped or start._has_rotors)
         self.body, self._options, self._history_ns = body, options, history_ns
-        key = [np.concatenate([each.key for each in lagging.values()])] \
+        key = [np.concatenate([each.key for each in self.lagging.values()])] \
             if lags is not None and lags.excess.any() else []
         if friction is not None:
             key.append(friction_key(friction))

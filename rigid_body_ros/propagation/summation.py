@@ -37,8 +37,7 @@ _NO_MARKS = np.empty(0, np.int64)
 
 
 def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum: Floats,
-           timeout_ns: int, marks_ns: NDArray[np.int64] | None = None
-           ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
+           timeout_ns: int, marks_ns: NDArray[np.int64] | None = None) -> Sums:
     """
     Return the sum of torque logs and the momentum of the rotors.
 
@@ -59,8 +58,8 @@ def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum
 
     Returns
     -------
-    times_ns, in_space, sums
-        See `layout.Rows`. The first time is the start.
+    Sums
+        The first time is the start.
 
     """
     motors = [wheels] if len(wheels) else []
@@ -85,7 +84,7 @@ def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
 
 
 def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], start_ns: int,
-                     momentum: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
+                     momentum: Floats) -> Sums:
     """Return the sum of logs that change together, which takes a third of the time."""
     stamps_ns = max((log.times_ns for log in (*logs, *motors)), key=len)
     first = int(np.searchsorted(stamps_ns, start_ns, 'right')) - 1
@@ -94,27 +93,28 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
     body, space, on_rotors = (
         added([log.torques[first if len(log) > 1 else 0:] for log in group])
         for group in (*in_axes, motors))
-    sums, in_space = _allocated(len(times_ns), 0), np.empty(len(times_ns), np.bool_)
-    kernels.sum_rows(times_ns, body, space, on_rotors, momentum, sums, in_space)
-    return times_ns, in_space, sums
+    sums = _allocated(times_ns, 0)
+    kernels.sum_rows(body, space, on_rotors, momentum, sums)
+    return sums
 
 
-def _allocated(count: int, degree: int) -> Sums:
+def _allocated(times_ns: NDArray[np.int64], degree: int) -> Sums:
     """
-    Return arrays of sums, not yet filled.
+    Return arrays of sums at times, not yet filled.
 
     They are one block that numpy allocates. For a large block numpy asks for large pages; getting
     small ones from the system takes longer than filling them. Memory that is never touched takes
     no time.
     """
-    sizes = 2 * degree + 1, degree + 1, degree + 1, 2
+    sizes, count = (2 * degree + 1, degree + 1, degree + 1, 2), len(times_ns)
     block = np.empty((sum(sizes), 3 * count))
     ends = accumulate(sizes)  # np.split takes as long as the sum of a few samples
-    return Sums(*(block[end - size:end].reshape(count, size, 3) for size, end in zip(sizes, ends)))
+    parts = (block[end - size:end].reshape(count, size, 3) for size, end in zip(sizes, ends))
+    return Sums(times_ns, np.empty(count, np.bool_), *parts)
 
 
 def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int,
-            marks_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
+            marks_ns: NDArray[np.int64]) -> Sums:
     """Return the sum of any logs; the last one is the torque on the rotors."""
     pieces = [_pieces(log) for log in sources]
     degree = max(piece.shape[1] // 2 for piece in pieces)
@@ -123,11 +123,10 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeo
                       np.concatenate([log.in_space for log in sources]),
                       np.cumsum([0, *map(len, sources)]))
     limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1) + len(marks_ns)
-    sums = _allocated(limit, degree)
-    times_ns, in_space = np.empty(limit, np.int64), np.empty(limit, np.bool_)
+    sums = _allocated(np.empty(limit, np.int64), degree)
     count = kernels.sum_logs(samples, samples.offsets[:-1] - 1, timeout_ns, start_ns, marks_ns,
-                             momentum, sums, times_ns, in_space)
-    return times_ns[:count], in_space[:count], Sums(*(part[:count] for part in sums))
+                             momentum, sums)
+    return Sums._make(part[:count] for part in sums)
 
 
 def _pieces(log: TorqueLog) -> Floats:

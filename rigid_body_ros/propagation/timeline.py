@@ -136,9 +136,9 @@ class Timeline:
     def _sum(self, logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int) -> Rows:
         momentum = self._terms.momentum[0] if self._terms else _NO_MOMENTUM
         marks_ns = [each.marks_ns for each in (self._lagging, self._named) if each]
-        times_ns, in_space, sums = summation.summed(
-            logs, wheels, start_ns, momentum, self._timeout_ns,
-            reduce(np.union1d, marks_ns) if marks_ns else None)
+        sums = summation.summed(logs, wheels, start_ns, momentum, self._timeout_ns,
+                                reduce(np.union1d, marks_ns) if marks_ns else None)
+        times_ns = sums.times_ns
         axes = [log.in_space for log in (*logs, wheels) if len(log)]
         in_two = any(each.any() for each in axes) and not all(each.all() for each in axes)
         spans = _NO_SPANS
@@ -159,7 +159,7 @@ class Timeline:
         elif self.has_terms or in_two:
             terms = Terms(momentum, sums.motors if has_motors else None,
                           sums.space if in_two else None)
-        return Rows(times_ns, sums.torques, in_space, spans, terms)
+        return Rows(times_ns, sums.torques, sums.in_space, spans, terms)
 
     def in_force(self, time_ns: int) -> int:
         """Return the row in force at a time, -1 before the first."""

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import kernels
+from rigid_body_ros.engine import Contents, kernels, RawMessages
 from rigid_body_ros.messages import JointCommands, MessageType, Stamped
 
 Bytes = NDArray[np.uint8]
@@ -120,12 +120,11 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
     if isinstance(kind, JointCommands):  # names of joints before each list
         return _decode_each(kind, raw)
     count = len(raw.starts)
-    stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
-    texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
-    after = np.zeros(count, np.int64)
-    done = kernels.decode(
-        raw.data, raw.starts, raw.sizes, kind.has_header, kind.is_list, kind.has_child_frame,
-        len(kind.before_doubles), stamps, bits, texts, changes, after)
+    contents = stamps, bits, texts, changes, after = Contents(
+        np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64),
+        np.zeros((count, 2), np.int64), np.zeros(count, np.bool_), np.zeros(count, np.int64))
+    done = kernels.decode(RawMessages(*raw[:3]), kind.has_header, kind.is_list,
+                          kind.has_child_frame, len(kind.before_doubles), contents)
     names: dict[str, int] = {}
     codes = np.zeros(count, np.intp)
     rows = np.flatnonzero(changes[:done])

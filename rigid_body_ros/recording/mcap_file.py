@@ -215,15 +215,13 @@ class McapFile(File):
 
     def _scan(self, offset: int,
               data: bulk.Bytes) -> tuple[Ints, tuple[Ints, Ints, Ints, Ints]]:
-        columns = np.empty((5, len(data) // 31 + 1), np.int64)
-        channels, starts, sizes, log_ns, publish_ns = columns
+        found = np.empty((5, len(data) // 31 + 1), np.int64)
         position = count = 0
         while position < len(data):
-            position, count = kernels.scan(data, position, count, channels, log_ns, publish_ns,
-                                           starts, sizes)
+            position, count = kernels.scan(data, position, count, found)
             if position < len(data):
                 position = self._register(offset, data, position)
-        channels, starts, sizes, log_ns, publish_ns = columns[:, :count]
+        channels, log_ns, publish_ns, starts, sizes = found[:, :count]
         numbers, counts = np.unique(channels, return_counts=True)
         unknown = set(numbers.tolist()) - self._channels.keys()
         if unknown:

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import numpy as np
-from rigid_body_ros.engine import kernels
+from rigid_body_ros.engine import kernels, RawMessages
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import BadMessageError, Decoded, Raw
 
@@ -56,8 +56,8 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
     rows, stamps = np.zeros(most, np.int64), np.zeros(most, np.int64)
     bits = np.zeros((most, kind.doubles), np.int64)
     parent, child = (np.frombuffer(name.encode() + b'\0', np.uint8) for name in frames)
-    found, bad = kernels.find_transforms(raw.data, raw.starts, raw.sizes, kind.is_list, parent,
-                                         child, rows, stamps, bits)
+    found, bad = kernels.find_transforms(RawMessages(*raw[:3]), kind.is_list, parent, child, rows,
+                                         stamps, bits)
     if bad >= 0:
         raise BadMessageError(bad, f'expected a {kind.name} in CDR, found undecodable bytes')
     rows = rows[:found]
