@@ -84,6 +84,7 @@ def same(one, other):
             and np.array_equal(one.angular_velocity, other.angular_velocity))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('timeout', [0.0, 0.04, 0.3])
 @pytest.mark.parametrize('name', ACTUATORS)
 def test_any_order_of_arrival_gives_the_bits_of_the_whole_log(name, timeout):
@@ -228,6 +229,7 @@ def test_what_does_not_fit_the_sources_is_an_error():
         propagator.apply(0, (1, 0, 0), source=2)
 
 
+@pytest.mark.slow
 def test_outputs_do_not_accumulate_errors():
     # A thousand commands within a time constant, against exact fractions of the sum.
     rng, count, lag = np.random.default_rng(8), 3000, 1.0

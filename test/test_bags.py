@@ -87,6 +87,7 @@ def outcome(path):
     return damage, found.rows()
 
 
+@pytest.mark.slow
 @every_form
 @every_traffic
 def test_every_form_is_read_to_the_last_bit(tmp_path, form, sent):
@@ -130,6 +131,7 @@ SOME = ['mcap-zstd', 'mcap-none-unchunked-unindexed', 'mcap-big-endian', 'mcap-d
 some_forms = pytest.mark.parametrize('form', SOME)
 
 
+@pytest.mark.slow
 @some_forms
 def test_frames_may_have_any_length(tmp_path, form):
     recorded = bags.torques(frames=bags.FRAMES, seed=3)
@@ -143,6 +145,7 @@ def test_messages_are_in_the_order_of_the_file(tmp_path, form):
     assert read_whole(FORMS[form](tmp_path, traffic(recorded))).rows() == recorded.rows()
 
 
+@pytest.mark.slow
 @some_forms
 def test_a_second_topic_has_to_be_told_from_the_first(tmp_path, form):
     both = [*traffic(ALONE, '/left'), *traffic(MIXED, '/right')]
@@ -186,6 +189,7 @@ def test_of_a_truncated_file_all_whole_chunks_are_read(tmp_path, sent, options, 
     check_truncated(path, data, end, RECORDED[sent])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('options', [{}, UNINDEXED], ids=['indexed', 'unindexed'])
 @pytest.mark.parametrize('cut', range(20))
 @every_traffic

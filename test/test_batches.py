@@ -120,6 +120,7 @@ def test_the_end_of_a_piece_may_be_asked_for_more_than_once(zero):
                                           expected.angular_velocity[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 @pytest.mark.parametrize('options', [{}, {'rate': 37.0}, {'until': 7.3}, {'until': 900.0}],
                          ids=str)

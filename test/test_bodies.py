@@ -118,12 +118,14 @@ def rows(bodies):
             for message, constants in zip(bodies.messages, bodies._constants)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', BODIES)
 def test_many_bodies_have_the_bits_and_the_errors_of_one(name):
     inertia = BODIES[name]
     assert rows(RigidBodies(inertia)) == [*map(alone, inertia)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', DAMPING)
 @pytest.mark.parametrize('inertia', ['diagonal', 'full'])
 def test_damped_bodies_have_the_bits_and_the_errors_of_one(inertia, name):
@@ -139,6 +141,7 @@ def test_one_damping_is_that_of_all():
     assert rows(RigidBodies(inertia, damping)) == [alone(tensor, damping) for tensor in inertia]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['diagonal', 'full', 'one axis', 'rods', 'diagonal rods'])
 def test_exact_arithmetic_is_seldom_necessary(name):
     inertia = 0.5 * (BODIES[name] + BODIES[name].transpose(0, 2, 1))

@@ -158,6 +158,7 @@ def line(random, count, offset, thickness=0.0):
     return random.uniform(0.1, 2.0, count), positions + offset * random.normal(size=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('offset', [0.0, 1.0, 1e3, 1e7])
 @pytest.mark.parametrize('count', [2, 3, 10, 1000, 100_000])
 def test_masses_on_any_line_are_refused(count, offset):

@@ -60,6 +60,7 @@ def broken(name):
     return replace(mocap, attitude=attitude), imu
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'topic', 'text'), [
     ('gyro_bias', '/imu', 'bias of'), ('gyro_scale', '/imu', 'times the angular velocity'),
     ('gyro_saturation', '/imu', 'saturates at 0.9 rad/s'), ('degrees', '/imu', 'degrees per'),
@@ -104,12 +105,14 @@ def test_a_mounting_is_named_with_its_angle(name, topic, degrees):
     assert angle == pytest.approx(degrees, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('level', [0.1, 1.0, 10.0])
 @pytest.mark.parametrize('seed', [0, *at_night(*range(1, 10))])
 def test_a_perfect_model_names_nothing(level, seed):
     assert against(truth(), sensors(level, seed, outliers=0.02 * (seed % 2))).causes == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('torque', [0.0, 1e-4])
 def test_a_body_at_rest_is_not_in_degrees(torque):
     random, times = np.random.default_rng(0), np.arange(1, 2001) * 10 ** 7
@@ -124,6 +127,7 @@ def test_a_body_at_rest_is_not_in_degrees(torque):
     assert [cause.name for cause in causes] == (['torque_bias'] if torque else [])
 
 
+@pytest.mark.slow
 def test_what_leaves_more_than_noise_only_reduces():
     mocap, imu = sensors()
     imu = replace(imu, angular_velocity=0.5 * imu.angular_velocity + 0.03)
@@ -132,6 +136,7 @@ def test_what_leaves_more_than_noise_only_reduces():
     assert 'more than its noise' in cause.evidence
 
 
+@pytest.mark.slow
 def test_each_sensor_has_its_own_clock_and_mounting():
     turns = {'/mocap': np.radians(3.0) * np.array([0.6, -0.64, 0.48]),
              '/imu': np.radians(30.0) * np.array([0.0, 0.6, -0.8])}
@@ -150,6 +155,7 @@ def test_each_sensor_has_its_own_clock_and_mounting():
         assert as_dict['alignment'][name] == value
 
 
+@pytest.mark.slow
 def test_one_sensor_can_be_aligned_alone():
     mocap, imu = sensors()
     turned = replace(imu, angular_velocity=Rotation.from_rotvec([0.3, 0.0, 0.0]).apply(
@@ -162,6 +168,7 @@ def test_one_sensor_can_be_aligned_alone():
         against(truth(), [mocap, imu], align=['mount@/gps'])
 
 
+@pytest.mark.slow
 def test_errors_that_the_start_explains_are_no_finding():
     # A spin about the middle axis flips over and over: a change of the start grows as exp(t).
     body, times = RigidBody.from_moments(1.0, 2.0, 3.0), np.arange(1, 6001) * 5 * 10 ** 7
@@ -185,6 +192,7 @@ def test_errors_that_the_start_explains_are_no_finding():
         measured, attitude=motion.attitude)).predictable_s is None
 
 
+@pytest.mark.slow
 def test_usual_horizons_are_those_that_the_measurement_has():
     mocap, imu = sensors()
     assert [one.seconds for one in against(truth(), mocap, horizons=None).horizons] == [

@@ -76,6 +76,7 @@ def test_motions_agree_with_fifty_digits(name, fifty_digits):
         values['keep'])), values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('solver', ['auto', 'taylor', 'rk4', 'explicit_euler'])
 @pytest.mark.parametrize('keep', ['rate', 'momentum'])
 def test_any_order_of_arrival_gives_the_same_bits(keep, solver):

@@ -49,6 +49,7 @@ def test_no_file_is_no_state(tmp_path):
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.slow
 def test_a_file_that_is_cut_anywhere_is_an_error_and_stays(file):
     whole = file.read_bytes()
     for size in range(len(whole)):
@@ -58,6 +59,7 @@ def test_a_file_that_is_cut_anywhere_is_an_error_and_stays(file):
         assert file.read_bytes() == whole[:size]
 
 
+@pytest.mark.slow
 def test_a_file_with_another_byte_is_an_error(file):
     whole, random = file.read_bytes(), np.random.default_rng(5)
     for place in range(0, len(whole), 3):

@@ -258,6 +258,7 @@ def test_bad_files(inputs, capsys, text, message):
         in error_of(capsys, inputs, inputs / 'scheduler.json')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('address', 'message'), [
     ('tcp://127.0.0.1:port', 'invalid literal'),
     ('carrier://pigeon', "unknown address scheme 'carrier'"),
@@ -267,6 +268,7 @@ def test_an_impossible_address(inputs, capsys, address, message):
         in error_of(capsys, inputs, address)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('listens', [False, True])
 def test_nothing_replies_at_an_address(inputs, capsys, monkeypatch, listens):
     monkeypatch.setattr(cluster, '_PATIENCE', 0.2)

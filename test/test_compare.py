@@ -60,6 +60,7 @@ def angle(quaternion, rotation):
     return float(so3.angle_between(quaternion, rotation.as_quat()))
 
 
+@pytest.mark.slow
 def test_the_truth_has_no_error():
     found = compared(truth().measured(), horizons=[1.0, 4.0]).as_dict()
     assert found['attitude_error_rad']['max'] < 1e-12
@@ -90,6 +91,7 @@ def test_errors_are_measured_minus_computed_in_body_axes():
     np.testing.assert_allclose(errors.rates, [[0.0, 0.2, 0.0]] * 2000, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('offset', [0.035, -0.035, 2.5, -3.0])
 def test_the_clock_offset_is_found(offset):
     found = compared(noisy(clock=offset), align=['clock'])
@@ -100,6 +102,7 @@ def test_the_clock_offset_is_found(offset):
         [ATTITUDE_NOISE] * 3, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_mounting_is_found():
     found = compared(noisy(mount=MOUNT, space=SPACE), align=['mount']).alignment
     assert angle(found.mount, MOUNT) < 2e-4
@@ -107,6 +110,7 @@ def test_the_mounting_is_found():
     assert angle(found.mount, MOUNT) < 5 * found.sigma['mount_rad'].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('kind', 'measures'), [
     ('both', {}), ('attitude', {'angular_velocity': None}), ('rate', {'attitude': None})])
 def test_clock_and_mounting_are_found_together(kind, measures):
@@ -139,6 +143,7 @@ def test_the_start_is_found(outliers):
         1.5382 * ATTITUDE_NOISE, rel=0.06)
 
 
+@pytest.mark.slow
 def test_what_a_spin_about_one_axis_does_not_determine_has_no_deviation():
     spinning = free(seconds=5.0, rates=(0.0, 0.0, 1.0))
     spinning = replace(spinning, inertia=np.diag([1.0, 2.0, 3.0]), rates=np.tile(
@@ -165,6 +170,7 @@ def test_residual_torque_shows_when_and_where_a_torque_is_missing():
     np.testing.assert_allclose(scatter, torque.noise, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_horizons_see_the_model_not_the_distance():
     # With a wrong inertia the motion drifts away, but little within a second.
     motion = truth()
@@ -176,6 +182,7 @@ def test_horizons_see_the_model_not_the_distance():
     assert short < 0.3 * long < found['attitude_error_rad']['rms']
 
 
+@pytest.mark.slow
 def test_horizons_skip_a_gap_of_any_length():
     known = free()
     sensor = known.measured(1e-4)
@@ -193,6 +200,7 @@ def test_a_recorded_motion_is_interpolated():
     np.testing.assert_allclose(found.angular_velocity, motion.rates[1:1990:2], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_several_sensors_share_a_clock_and_a_mounting():
     both = noisy(clock=0.02, mount=MOUNT)
     attitude = replace(both.rows(np.arange(0, 2000, 3)), topic='/mocap', angular_velocity=None)
@@ -204,6 +212,7 @@ def test_several_sensors_share_a_clock_and_a_mounting():
     assert angle(found.alignment.mount, MOUNT) < 2e-3
 
 
+@pytest.mark.slow
 def test_rotors_damping_and_torques_in_space_axes_are_known():
     # A spinning-up rotor and a drag, under a torque in space axes, integrated by DOP853.
     damping, momentum = np.diag([1e-3, 2e-3, 5e-4]), np.array([0.01, -0.02, 0.03])
@@ -246,6 +255,7 @@ WAVES = TorqueLog(np.arange(200) * 10 ** 8,
 ORBIT = GravityGradient(0.4, (0.0, 0.6, 0.8), (1.0, 0.0, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('fields', [(WEIGHT,), (ORBIT,), (WEIGHT, ORBIT)])
 @pytest.mark.parametrize('gyro', [False, True])
 def test_the_torque_of_fields_is_no_residual(fields, gyro):
@@ -351,6 +361,7 @@ def test_nothing_is_named_without_a_mix_up(seed):
     assert not compare(motion.body, motion.start, motion.log, measured=sensor).causes
 
 
+@pytest.mark.slow
 def test_a_restart_keeps_the_speeds_of_wheels():
     wheels = {'wheels': [Wheel('x', (1, 0, 0), inertia=5e-4, initial_speed=50.0)],
               'efforts': EffortLog([0, 4 * 10 ** 9], [[2e-3], [-2e-3]])}
@@ -362,6 +373,7 @@ def test_a_restart_keeps_the_speeds_of_wheels():
     assert found['horizons'][0]['attitude_p95_rad'] < 1e-8
 
 
+@pytest.mark.slow
 def test_what_an_inertia_lacks_is_named_beside_wheels_with_names():
     motion, wheels = truth(), [Wheel('x', (1, 0, 0), inertia=0.2 * INERTIA[0, 0])]
     exact = propagate(motion.body, motion.start, motion.log, at=motion.stamps_ns, wheels=wheels)

@@ -67,6 +67,7 @@ def run(script, cwd='/', **environment):
                           cwd=cwd, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('level', [*LEVELS, 'python'])
 def test_every_level_and_plain_python_give_the_same_bits(level):
     log = TorqueLog([0, 10 ** 9], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]], ['body', 'space'])
@@ -77,6 +78,7 @@ def test_every_level_and_plain_python_give_the_same_bits(level):
     assert [*map(float.fromhex, result.stdout.split())] == here.attitude[0].tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('level', LEVELS)
 def test_every_level_gives_many_motions_the_same_bits(level):
     found = {}
@@ -89,6 +91,7 @@ def test_every_level_gives_many_motions_the_same_bits(level):
     assert numbers == [number for motion in alone for number in motion.attitude[0].tolist()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('level', [*LEVELS, 'python'])
 def test_the_lanes_are_those_of_the_level(level):
     result = run('from rigid_body_ros.engine.binding import LANES; print(LANES)',
@@ -97,6 +100,7 @@ def test_the_lanes_are_those_of_the_level(level):
     assert int(result.stdout) == expected[level]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('level', LEVELS)
 def test_other_threads_run_while_a_kernel_does(level):
     kernel = _compiled.kernels(level)['fill_exponentials']
@@ -271,6 +275,7 @@ def spoilt(good, choose):
     return TypeError, [label], good.having(label, choose.choice(options))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('level', LEVELS)
 @pytest.mark.parametrize(('name', 'source'), sources().items(), ids=[*sources()])
 def test_an_argument_of_the_wrong_kind_is_named(name, source, level):
@@ -311,6 +316,7 @@ def test_an_unknown_level_is_an_error_that_names_those_that_exist():
     assert result.returncode == 1
 
 
+@pytest.mark.slow
 def test_a_command_reports_an_unknown_level_in_one_line(tmp_path):
     result = run('import sys; from rigid_body_ros.commands.main import attitude_replay; '
                  "sys.exit(attitude_replay(['log.csv', '--scene', 'scene.yaml']))", tmp_path,
@@ -333,6 +339,7 @@ def change(file, before, after):
     file.write_text(text.replace(before, after))
 
 
+@pytest.mark.slow
 def test_kernels_that_changed_since_they_were_compiled_are_refused(copied):
     change(copied / 'kernels' / 'elementary.py', '2.0 ** 20', '2.0 ** 19')
     site = str(copied.parent)
@@ -346,6 +353,7 @@ def test_kernels_that_changed_since_they_were_compiled_are_refused(copied):
     assert (result.stderr, result.returncode) == ('', 0)
 
 
+@pytest.mark.slow
 def test_kernels_of_which_comments_changed_are_those_that_were_compiled(copied):
     change(copied / 'kernels' / 'elementary.py', '2.0 ** 20', '2.0 ** 20  # rad')
     site = str(copied.parent)
@@ -374,12 +382,14 @@ print([name for name in ('numba', 'llvmlite') if name in sys.modules], file=sys.
 """)
 
 
+@pytest.mark.slow
 def test_the_public_names_need_no_numba():
     result = imports('from rigid_body_ros import *\nimport rigid_body_ros as package\n'
                      'for name in dir(package): getattr(package, name)')
     assert (result.stderr, result.returncode) == ('[]\n', 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('command', [*OFFLINE, *(pytest.param(name, marks=pytest.mark.skipif(
     find_spec('rclpy') is None, reason='rclpy is not installed')) for name in NODES)])
 def test_no_command_needs_numba(command):
@@ -391,6 +401,7 @@ with suppress(SystemExit):
     assert (result.stderr, result.returncode) == ('[]\n', 0)
 
 
+@pytest.mark.slow
 def test_the_first_motion_of_a_user_writes_no_file(tmp_path):
     result = run(SCRIPT, tmp_path, HOME=str(tmp_path), TMPDIR=str(tmp_path),
                  XDG_CACHE_HOME=str(tmp_path), PYTHONPATH=str(PACKAGE.parent))
@@ -398,6 +409,7 @@ def test_the_first_motion_of_a_user_writes_no_file(tmp_path):
     assert [*tmp_path.iterdir()] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('level', [*LEVELS, 'python'])
 def test_the_build_is_named(level):
     info = build_info()
@@ -408,6 +420,7 @@ def test_the_build_is_named(level):
     assert printed == f"{ {**info, 'level': level} }\n"
 
 
+@pytest.mark.slow
 def test_the_best_level_of_the_processor_is_chosen():
     result = run('import rigid_body_ros; print(rigid_body_ros.build_info()["level"])',
                  RIGID_BODY_ROS_KERNELS='')

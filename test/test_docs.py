@@ -64,6 +64,7 @@ def run(page):
     return names, said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('page', [page for page in PAGES if blocks(page)], ids=lambda p: p.name)
 def test_the_code_of_a_page_runs_and_prints_what_it_says(page):
     _, said = run(page)
@@ -78,6 +79,7 @@ def test_no_example_stands_where_it_is_not_run(page):
     assert len(shown) == len(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_the_names_in_the_text_of_a_page_are_there(page):
     # Code within a sentence is not run; its names are looked up like the names of the examples.
@@ -121,6 +123,7 @@ def test_the_page_of_the_design_lists_the_layers_of_the_contract():
                       for place, names in enumerate(contract) for name in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'arguments'), [('nodes', ()), ('commands', ('commands',))])
 def test_a_printed_page_is_what_the_code_declares(name, arguments):
     printed = subprocess.run([sys.executable, ROOT / 'docs' / 'nodes.py', *arguments],

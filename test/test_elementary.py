@@ -243,6 +243,7 @@ def test_tables_hold_32_digits():
         assert 0 < 128 / mp.pi - found < mpf(2) ** (-24 * 51)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kernels', [
     *LEVELS, pytest.param('python', marks=pytest.mark.slow)])
 def test_results_have_the_same_bits_everywhere(kernels):

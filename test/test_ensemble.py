@@ -80,6 +80,7 @@ def error_of(capsys, *given):
     return line
 
 
+@pytest.mark.slow
 def test_every_row_has_the_bits_of_propagate(inputs):
     run(inputs, 'out', 300)
     rows = parquet.read_table(inputs / 'out' / 'runs.parquet').to_pylist()
@@ -97,6 +98,7 @@ def test_every_row_has_the_bits_of_propagate(inputs):
             == motion.angular_velocity[0].tolist()
 
 
+@pytest.mark.slow
 def test_fields_vary_by_the_keys_of_the_scene(inputs):
     (inputs / 'scene.yaml').write_text(
         SCENE + '    fields: [pivot]\n    pivot: {moment: {z: -0.01}, field: {z: -9.81}}\n')
@@ -116,6 +118,7 @@ def test_fields_vary_by_the_keys_of_the_scene(inputs):
     assert np.std(rows['pivot.moment.x'].to_numpy()) > 0.001
 
 
+@pytest.mark.slow
 def test_units_and_summary(inputs, capsys):
     run(inputs, 'out', 300, '--seed', 5)
     schema = parquet.read_schema(inputs / 'out' / 'runs.parquet')
@@ -133,6 +136,7 @@ def test_units_and_summary(inputs, capsys):
     assert 'depends on' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_parameter_that_explains_the_spread_is_found(inputs):
     (inputs / 'vary.yaml').write_text('initial_angular_velocity.z: {normal: 1.0e-3}\n'
                                       'torque_gain: {normal: 1.0e-9}\n')
@@ -166,6 +170,7 @@ def test_workers_extension_and_lost_blocks_give_the_same_bytes(inputs):
     assert contents(inputs / 'two') == expected
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('small_blocks')
 def test_nothing_but_its_own_blocks_is_removed(inputs):
     run(inputs, 'out', 20)
@@ -224,6 +229,7 @@ def count(blocks):
     return len([*blocks.glob('0*.parquet')])
 
 
+@pytest.mark.slow
 def test_failed_runs_are_rows(inputs, capsys):
     (inputs / 'vary.yaml').write_text('inertia.izz: {normal: 0.1}\n')
     run(inputs, 'out', 300)
@@ -240,6 +246,7 @@ def test_failed_runs_are_rows(inputs, capsys):
     assert 'failed' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_without_a_recording_the_body_turns_freely(inputs):
     (inputs / 'vary.yaml').write_text('initial_attitude: {tilt: 0.02}\n')
     given = [one for one in arguments(inputs, 'out', 3, '--until', 10)
@@ -253,6 +260,7 @@ def test_without_a_recording_the_body_turns_freely(inputs):
     assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('change', 'message'), [
     (lambda inputs: ('--seed', 7), 'expected the seed of its runs, 0, found 7'),
     (lambda inputs: ('--until', 1), 'expected the end_ns of its runs'),

@@ -114,6 +114,7 @@ def test_a_second_command_changes_nothing(inputs, capsys):
     assert contents(path) == contents(inputs / 'whole')
 
 
+@pytest.mark.slow
 def test_a_file_system_without_locks_is_reported(inputs, capsys, monkeypatch):
     def none(handle, operation):
         raise OSError(errno.ENOLCK, 'No locks available')
@@ -132,6 +133,7 @@ def test_a_folder_of_something_else_gets_no_lock(inputs, capsys, name):
     assert [path.name for path in (inputs / 'out').iterdir()] == [name]
 
 
+@pytest.mark.slow
 def test_a_link_in_place_of_the_lock_is_not_followed(inputs, capsys):
     run(inputs, 'out', 5)
     (inputs / 'mine').write_text('precious')
@@ -158,6 +160,7 @@ def flipped(path, other):
     path.write_bytes(data)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('small_blocks')
 @pytest.mark.parametrize('change', [
     flipped,
@@ -301,6 +304,7 @@ def test_a_write_that_fails_is_one_line_and_the_folder_is_resumed(inputs, capsys
     assert contents(inputs / 'out') == contents(inputs / 'whole')
 
 
+@pytest.mark.slow
 def test_a_run_that_is_missing_is_found_before_the_table_has_its_name(inputs, capsys,
                                                                       monkeypatch):
     from rigid_body_ros.ensemble import driver

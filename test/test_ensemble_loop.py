@@ -123,6 +123,7 @@ def everything():
             np.array([0.04, 0.1, 0.12, 0.0, 0.0, 0.0]))]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['damp', None])
 def test_what_is_written_of_a_run_gives_it_again(tmp_path, everything, name):
     scene, problem = everything
@@ -142,6 +143,7 @@ def test_what_is_written_of_a_run_gives_it_again(tmp_path, everything, name):
         np.testing.assert_array_equal(motion[:, 4:], motion_again.angular_velocity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['damp', None])
 @pytest.mark.parametrize('recorded', [True, False])
 def test_what_is_written_of_a_run_with_actuators_gives_it_again(tmp_path, recorded, name):
@@ -168,6 +170,7 @@ def test_what_is_written_of_a_run_with_actuators_gives_it_again(tmp_path, record
                                                for axis in 'xyzw']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('speeds', [(), (90.0, -50.0, 20.0, 0.0)])
 @pytest.mark.parametrize('name', ['damp', None])
 def test_what_is_written_of_a_run_with_commanded_wheels_gives_it_again(tmp_path, name, speeds):
@@ -197,6 +200,7 @@ def test_a_body_that_changes_does_not_vary(everything):
             ensemble('damp', vary, problem=problem)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['damp', 'Pid'])
 @pytest.mark.parametrize('actuator', [{}, ACTUATOR])
 def test_runs_do_not_depend_on_those_before(name, actuator):
@@ -265,12 +269,14 @@ def error_of(capsys, arguments):
     return captured.err.strip().splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_one_line(tmp_path, capsys):
     error = error_of(capsys, given(tmp_path, 'controllers:killed'))
     assert re.search('cannot compute runs . to .: worker process exited with status 3; run the '
                      'same command again to compute what is missing', error)
 
 
+@pytest.mark.slow
 def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tmp_path):
     (tmp_path / 'endless.py').write_text('from pathlib import Path\n\n\ndef law(state, time):\n'
                                          '    while Path("go").exists():\n'
@@ -305,6 +311,7 @@ def example(tmp_path_factory):
     return folder, [*arguments, '--report', str(folder / 'runs.html'), '--overwrite']
 
 
+@pytest.mark.slow
 def test_the_example_is_the_same_after_an_interruption(example, monkeypatch, capsys):
     folder, arguments = example
     monkeypatch.chdir(ROOT)
@@ -339,6 +346,7 @@ def replay_the_worst(folder, rows, text, monkeypatch):
         assert last.tolist() == [rows[int(run)][f'{topic}.{axis}'] for axis in axes]
 
 
+@pytest.mark.slow
 def test_another_controller_is_refused(tmp_path, monkeypatch, capsys):
     source = tmp_path / 'its_own.py'
     shutil.copy(ROOT / 'examples' / 'damp_rates.py', source)

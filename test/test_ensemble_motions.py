@@ -72,6 +72,7 @@ def test_every_state_has_the_bits_of_propagate(inputs):
         assert found[-1].tolist() == [row[name] for name in group['component'][:]]
 
 
+@pytest.mark.slow
 def test_xarray_opens_the_motions_with_their_coordinates(inputs):
     xarray = pytest.importorskip('xarray', reason='xarray is not installed')
     run(inputs, 'out', 5, '--times', 4)
@@ -105,6 +106,7 @@ def test_workers_extension_and_lost_files_give_the_same_bytes(inputs):
         assert contents(inputs / name) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('small_chunks')
 def test_failed_runs_are_nan_and_no_chunk_is_missing(inputs):
     (inputs / 'vary.yaml').write_text('inertia.izz: {normal: 0.1}\n')
@@ -117,6 +119,7 @@ def test_failed_runs_are_nan_and_no_chunk_is_missing(inputs):
     assert np.isfinite(found[~failed]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('runs', 'more', 'message'), [
     (10, (), "expected the times of its runs, 7.0, found 'final'"),
     (10, ('--times', 8), 'expected the times of its runs, 7.0, found 8.0'),

@@ -83,6 +83,7 @@ def marks(panel):
     return {line.get_label(): line.get_xdata()[0] for line in panel.lines}
 
 
+@pytest.mark.slow
 def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
     assert main.attitude_ensemble(arguments) == 0
     assert matplotlib.image.imread(tmp_path / 'out' / 'bands.png').shape[1] == 1080
@@ -105,6 +106,7 @@ def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
     assert [*named] == sorted(named, key=lambda name: -abs(named[name]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kept', [0, 2 ** 24], ids=['passes', 'in memory'])
 def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path, monkeypatch,
                                                       kept):
@@ -133,6 +135,7 @@ def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path
             assert {*zip(times, expected[row])} <= {*map(tuple, corners)}
 
 
+@pytest.mark.slow
 def test_angles_that_span_decades_have_a_logarithmic_axis(drawn, tmp_path):
     angles = np.exp(np.random.default_rng(1).normal(-9.0, 2.0, 10_000))
     angles[[3, 77]] = 0.0, np.nan
@@ -148,6 +151,7 @@ def test_angles_that_span_decades_have_a_logarithmic_axis(drawn, tmp_path):
     assert 'nominal' not in marks(panel)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('angles', [[0.0], [0.0] * 5, [1e-200], [0.3, 0.3], [5e-324] * 200])
 def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
     spread.draw(tmp_path / 'b.png', results_of(np.array(angles)), [], 'title')
@@ -155,6 +159,7 @@ def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
     assert (values.sum(), *np.sort(edges)) == (len(angles), *edges)
 
 
+@pytest.mark.slow
 def test_the_ten_strongest_correlations_are_drawn(drawn, tmp_path):
     values = {f'key.{k}': 0.9 * (-0.8) ** k for k in reversed(range(13))}
     found = results_of(np.linspace(0.0, 1e-3, 50), rank_correlation=values)
@@ -197,6 +202,7 @@ def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, ki
     np.testing.assert_allclose(marks, expected, atol=0.2)
 
 
+@pytest.mark.slow
 def test_a_page_that_exists_is_kept(arguments, tmp_path, capsys):
     target = tmp_path / 'page.html'
     target.write_text('precious')
@@ -209,6 +215,7 @@ def test_a_page_that_exists_is_kept(arguments, tmp_path, capsys):
     assert '<title>scene.yaml: 400 runs</title>' in target.read_text()
 
 
+@pytest.mark.slow
 def test_no_picture_if_all_runs_failed(arguments, tmp_path, capsys):
     (tmp_path / 'vary.yaml').write_text('inertia.izz: {uniform: [-2.0, -1.0]}\n')
     assert main.attitude_ensemble(arguments) == 2

@@ -62,6 +62,7 @@ def numbers(row, prefix, axes='xyz'):
     return [row[f'{prefix}{axis}'] for axis in axes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('vary', [
     VARY, VARY[:1] + VARY[-3:], (*VARY[:3], VARY[-1]), VARY[:3] + VARY[4:6], VARY[1:3]],
     ids=['all', 'bias', 'offset', 'gain', 'start'])
@@ -95,6 +96,7 @@ def test_motions_have_the_bits_of_propagate(vary):
             row, 'angular_velocity.')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('wheels', [None, WHEELS], ids=['still', 'wheels'])
 @pytest.mark.parametrize('logs', [(), LOGS, (*LOGS, LOGS[0].rows(slice(5, 9))), (*LOGS, OTHER)],
                          ids=['free', 'one', 'two', 'two frames'])
@@ -125,6 +127,7 @@ OF_FIELDS = (Dispersion('pivot.moment.z', 'normal', (0.1,), relative=True),
              Dispersion('orbit.position.y', 'uniform', (-1.0, 1.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('vary', [VARY, VARY[:3], (), (TILT, NOISE)],
                          ids=['all', 'start', 'fields', 'noise'])
 @pytest.mark.parametrize('of_fields', [OF_FIELDS, OF_FIELDS[:1], ()],

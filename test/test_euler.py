@@ -121,6 +121,7 @@ def test_angles_are_scipys(sequence):
                                1.0, atol=8 * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sequence', ALL)
 def test_round_trip_keeps_the_attitude_everywhere(sequence):
     attitudes = np.concatenate([so3.normalize(RANDOM.normal(size=(40_000, 4))), LATTICE,

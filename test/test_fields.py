@@ -85,6 +85,7 @@ def test_every_motion_is_the_one_of_fifty_digits(name, fifty_digits):
         assert np.all(relative(truth.exact(found), scene.truth(key)) <= limits)
 
 
+@pytest.mark.slow
 def test_no_second_of_the_pendulum_loses_more_than_it_magnifies(fifty_digits):
     # From each row of the truth to the next one, a second later: a factor of 1 to 1e3.
     scene = terms.Reference('pendulum_swing', terms.TRUTH_OF_FIELDS)
@@ -127,6 +128,7 @@ def test_a_plane_pendulum_swings_and_goes_round(angle, rate, near_the_top, fifty
         assert np.all(error <= limits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('moment', 'attitude', 'rates'), [
     (0.3, (0.3, 0.0, 0.0, 0.9), (0.5, 0.0, 20.0)),
     (0.3, (0.3, 0.2, -0.5, 0.9), (-1.5, 0.3, 12.0)),
@@ -288,6 +290,7 @@ ALL_SOLVERS = [('auto', True, None), ('taylor', True, 0.04), ('rk4', True, 0.01)
                ('explicit_euler', True, 0.01), ('strang', False, 0.01)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('solver', 'rotors', 'max_step'), ALL_SOLVERS)
 @pytest.mark.parametrize('timeout', [0.0, 0.07])
 def test_any_order_of_arrival_gives_the_bits_of_the_whole_log(solver, rotors, max_step, timeout):
@@ -336,6 +339,7 @@ def assert_each(found, at, problems):
         np.testing.assert_array_equal(found.angular_velocity[number], alone.angular_velocity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('own', [False, True], ids=['fields of all', 'fields of each'])
 @pytest.mark.parametrize('logs', ['no log', 'one log', 'two logs', 'a log of each'])
 @pytest.mark.parametrize(('solver', 'rotors', 'max_step'), ALL_SOLVERS)
@@ -375,6 +379,7 @@ def test_gains_of_a_log_leave_the_fields_as_they_are():
                                     fields=FIELDS) for gain in gains])
 
 
+@pytest.mark.slow
 def test_directions_and_sums_have_the_same_bits_on_every_processor():
     # BLAS multiplies and adds in an order, and with fused products, that depend on it.
     script = """

@@ -223,6 +223,7 @@ def test_from_a_bag_to_a_spread_in_two_commands(fit, tmp_path, capsys):
             assert abs(spread.std() - one['sigma']) < 4 * one['sigma'] / np.sqrt(400), name
 
 
+@pytest.mark.slow
 def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
     table, truth = parquet.read_table(tmp_path / 'out' / 'runs.parquet'), measurements.truth()
@@ -235,6 +236,7 @@ def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
     assert np.sqrt(np.trace(np.cov(errors.T))) < 0.01
 
 
+@pytest.mark.slow
 def test_a_row_has_the_bits_of_propagate_for_its_values(fit, tmp_path):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
     problem = read_problem(fit / 'in.mcap', fit / 'fitted.yaml')
@@ -276,6 +278,7 @@ def test_independent_deviations_would_exaggerate_the_spread(fit, tmp_path):
     assert medians[1] > 5 * medians[0]
 
 
+@pytest.mark.slow
 def test_another_covariance_is_refused(fit, tmp_path, capsys):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
     data = json.loads((fit / 'fitted.json').read_text())

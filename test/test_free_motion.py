@@ -39,6 +39,7 @@ def error(tensor, attitude, rates, span_ns, solver='exact'):
             float(mp.norm(apart)) / max(np.abs(motion.angular_velocity).max(), 1e-300))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('span_ns', [1, SECOND // 10, SECOND, 100 * SECOND, DAY, 365 * DAY])
 @pytest.mark.parametrize(('moments', 'rates'), [
     ((1, 2, 3), (1.0, 0.4, 2.0)), ((1, 2, 3), (2.0, 0.4, -0.3)), ((1, 2, 3), (-2.0, 0.4, -0.3)),
@@ -99,6 +100,7 @@ def test_a_million_turns_cost_no_digit(rates):
     assert attitude < 2e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seconds', [0.1, 5, 30, 1000])
 @pytest.mark.parametrize('offset', [1e-3, 1e-7, 1e-11])
 @pytest.mark.parametrize('side', [-1.0, 1.0])
@@ -124,6 +126,7 @@ def test_rotation_about_the_intermediate_axis_stays_put():
     np.testing.assert_array_equal(motion.angular_velocity, [[0.0, 2.0, 0.0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seconds', [1, 30, 60, 100, 1000])
 @pytest.mark.parametrize('offset', [1e-10, 1e-15, 1e-20, 1e-30])
 def test_as_near_to_the_intermediate_axis_as_one_likes(offset, seconds):

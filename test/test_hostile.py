@@ -194,6 +194,7 @@ def test_many_keys_of_other_nodes_are_read_in_bounded_time(tmp_path, name):
     assert note.isprintable()
 
 
+@pytest.mark.slow
 def test_a_long_number_of_a_robot_takes_no_time(tmp_path):
     number = '1' * 100_000 + 'x'
     urdf = f"<robot><link name='a'><inertial><inertia ixx='{number}'/></inertial></link></robot>"
@@ -204,6 +205,7 @@ def test_a_long_number_of_a_robot_takes_no_time(tmp_path):
 
 # Files that are none
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd', 'a.db3.zst', 'a'])
 @pytest.mark.parametrize('kind', ['pipe', 'folder', 'zeros'])
 def test_what_is_no_file_is_refused_as_a_recording_and_as_a_scene(tmp_path, name, kind):
@@ -247,6 +249,7 @@ def test_a_summary_that_claims_the_whole_of_a_large_file_is_not_read(tmp_path):
     assert 'expected an MCAP file with messages' in outcome(path)
 
 
+@pytest.mark.slow
 def test_a_summary_does_not_unpack_chunks(tmp_path):
     data = zstandard.ZstdCompressor().compress(bytes(2 ** 29))
     builder = RecordBuilder()
@@ -318,6 +321,7 @@ def test_what_is_dense_is_unpacked_whole(size, content, says_its_size):
             unpack.unpack(packed, size - 1, unpacker)
 
 
+@pytest.mark.slow
 def test_a_size_that_is_claimed_takes_no_memory():
     packed = bytearray(zstandard.ZstdCompressor().compress(bytes(2 ** 29)))[:30]
     assert zstandard.frame_content_size(bytes(packed)) == 2 ** 29

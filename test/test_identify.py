@@ -64,6 +64,7 @@ def inertia_truth(inertia=INERTIA):
     return dict(zip(INERTIA_NAMES, inertia[rows, columns]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('factor', [3.0, *at_night(1.0, 1.0 / 3.0)])
 def test_the_inertia_is_exact_without_noise_from_a_guess_three_times_off(factor):
     result = identify(RigidBody(factor * np.diag(np.diag(INERTIA))),
@@ -73,6 +74,7 @@ def test_the_inertia_is_exact_without_noise_from_a_guess_three_times_off(factor)
     assert result.unidentifiable == []
 
 
+@pytest.mark.slow
 def test_a_sphere_is_guess_enough_where_the_torque_is_weak_and_samples_are_few():
     # As in NASA's check-case of a brick, which test_validation.py fits where its data is.
     brick = np.diag([0.0019, 0.0062, 0.0072])
@@ -82,6 +84,7 @@ def test_a_sphere_is_guess_enough_where_the_torque_is_weak_and_samples_are_few()
     np.testing.assert_allclose(result.body.inertia, brick, rtol=1e-8, atol=1e-8 * 0.0072)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('attitude', 'rate'), [(0.0, None), (None, 0.0)])
 def test_either_attitudes_or_rates_are_enough(attitude, rate):
     result = identify(GUESS, tumble().experiment(tumble().measured(attitude, rate)))
@@ -89,11 +92,13 @@ def test_either_attitudes_or_rates_are_enough(attitude, rate):
     assert ('initial_attitude.x' in result.estimates) == (attitude is not None)
 
 
+@pytest.mark.slow
 def test_noisy_attitudes_are_enough():
     result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, None)))
     assert_covered(result, inertia_truth())
 
 
+@pytest.mark.slow
 def test_the_start_is_fitted_from_a_wrong_one():
     wrong = State(0, (0.5, 0.1, 0.0, 1.0), (0.0, 0.0, 0.0))
     result = identify(GUESS, tumble().experiment(tumble().measured(), start=wrong))
@@ -104,6 +109,7 @@ def test_the_start_is_fitted_from_a_wrong_one():
     np.testing.assert_allclose(found, turned, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_given_start_is_kept():
     result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
                       estimate=['inertia'])
@@ -112,6 +118,7 @@ def test_a_given_start_is_kept():
     assert_covered(result, inertia_truth())
 
 
+@pytest.mark.slow
 def test_noise_levels_and_intervals():
     result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE, seed=3)))
     assert_covered(result, inertia_truth())
@@ -122,6 +129,7 @@ def test_noise_levels_and_intervals():
         assert high - low == pytest.approx(2 * 1.96 * one.sigma, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_chi_square_with_given_noise():
     result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
                       attitude_noise=ATTITUDE, rate_noise=RATE)
@@ -129,6 +137,7 @@ def test_chi_square_with_given_noise():
     assert result.training.samples == 2 * len(tumble().stamps_ns)
 
 
+@pytest.mark.slow
 def test_gyro_bias():
     clean = tumble().measured(None, RATE)
     bias = np.array([0.02, -0.03, 0.01])
@@ -138,6 +147,7 @@ def test_gyro_bias():
     assert_covered(result, dict(zip(('gyro_bias.x', 'gyro_bias.y', 'gyro_bias.z'), bias)))
 
 
+@pytest.mark.slow
 def test_clock_offset_and_mount():
     vector = np.array([0.12, -0.13, 0.09])
     camera = mounted(shifted(tumble().measured(ATTITUDE, None, topic='/camera'), 0.035), vector)
@@ -149,6 +159,7 @@ def test_clock_offset_and_mount():
     assert result.estimates['clock_offset'].sigma < 1e-3
 
 
+@pytest.mark.slow
 def test_a_mount_turns_the_rates_of_its_topic_too():
     vector = np.array([0.12, -0.13, 0.09])
     truth = Truth(seconds=5.0)
@@ -168,6 +179,7 @@ def test_a_clock_offset_of_seconds(offset):
     assert_covered(result, {**inertia_truth(), 'clock_offset': offset})
 
 
+@pytest.mark.slow
 def test_covariances_in_messages_are_not_used():
     # Many drivers fill in constants, and an interval from a wrong one would be wrong.
     plain = tumble().measured(ATTITUDE, RATE)
@@ -177,6 +189,7 @@ def test_covariances_in_messages_are_not_used():
     assert result.noise['/imu attitude'] == pytest.approx(ATTITUDE, rel=0.05)
 
 
+@pytest.mark.slow
 def test_torque_gain_and_bias_with_a_known_inertia():
     bias = (0.002, -0.001, 0.003)
     truth = Truth(bias=bias, gain=0.9)
@@ -186,6 +199,7 @@ def test_torque_gain_and_bias_with_a_known_inertia():
                             'torque_bias.y': bias[1], 'torque_bias.z': bias[2]})
 
 
+@pytest.mark.slow
 def test_a_torque_bias_does_not_time_out():
     truth = Truth(seconds=2.0, amplitude=0.0, bias=(0.002, -0.001, 0.003))
     result = identify(RigidBody(INERTIA), Experiment(truth.start, None, [truth.measured()]),
@@ -194,6 +208,7 @@ def test_a_torque_bias_does_not_time_out():
     np.testing.assert_allclose(values, truth.bias, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('delay', [1.7, 2.3])
 def test_a_torque_delay_of_more_than_two_seconds_is_refused(delay):
     log = TorqueLog(tumble().times - round(delay * SECOND), tumble().torques)
@@ -206,6 +221,7 @@ def test_a_torque_delay_of_more_than_two_seconds_is_refused(delay):
             identify(RigidBody(INERTIA), experiment, estimate=['torque_delay'])
 
 
+@pytest.mark.slow
 def test_a_plate_is_the_start_of_its_estimates_and_the_centre_of_what_is_known():
     experiment = tumble(5.0).experiment(tumble(5.0).measured(ATTITUDE, RATE))
     plate = RigidBody.from_moments(0.02, 0.03, 0.05)
@@ -216,6 +232,7 @@ def test_a_plate_is_the_start_of_its_estimates_and_the_centre_of_what_is_known()
     assert result.estimates['inertia.izz'].value == pytest.approx(0.05, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_torque_bias_and_inertia():
     truth = Truth(bias=(0.002, -0.001, 0.003))
     result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),
@@ -245,6 +262,7 @@ def test_damping():
     assert np.linalg.eigvalsh(result.body.damping)[0] >= 0.0
 
 
+@pytest.mark.slow
 def test_three_moments_keep_the_products():
     guess = INERTIA + np.diag([0.01, 0.004, -0.01])
     result = identify(RigidBody(guess), tumble().experiment(tumble().measured()),
@@ -261,6 +279,7 @@ def flywheel(**options):
                  measured_hz=100, **options)
 
 
+@pytest.mark.slow
 def test_a_flywheel_that_spins_up_gives_the_scale_of_the_inertia_without_torque():
     truth = flywheel()
     assert inertia_error(identify(GUESS, truth.experiment(truth.measured()))) < 1e-8
@@ -269,6 +288,7 @@ def test_a_flywheel_that_spins_up_gives_the_scale_of_the_inertia_without_torque(
     assert_covered(noisy, inertia_truth())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('attitude', 'rate'), [(0.0, 0.0), (ATTITUDE, RATE)])
 def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
     body, stamps = RigidBody(INERTIA), np.arange(1, 1000) * (SECOND // 50)
@@ -296,6 +316,7 @@ def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
     assert so3.angle_between(again.attitude, motion.attitude).max() < 1e-11 + attitude
 
 
+@pytest.mark.slow
 def test_the_momentum_of_a_rotor():
     truth = Truth(momentum=np.tile([0.0, 0.01, 0.02], (201, 1)))
     unknown = State(0, truth.attitude, truth.rates)
@@ -306,6 +327,7 @@ def test_the_momentum_of_a_rotor():
     np.testing.assert_allclose(result.starts[0].rotor_momentum, (0.0, 0.01, 0.02), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_outliers_are_counted_and_do_no_harm():
     measured, bad = with_outliers(tumble().measured(ATTITUDE, RATE), 0.02)
     result = identify(GUESS, tumble().experiment(measured))
@@ -315,6 +337,7 @@ def test_outliers_are_counted_and_do_no_harm():
                                           '/imu angular_velocity': RATE}, rel=0.05)
 
 
+@pytest.mark.slow
 def test_two_recordings_give_one_inertia_and_two_starts():
     other = Truth(rates=(-0.3, 0.2, 0.9), seconds=10.0)
     both = identify(GUESS, [tumble().experiment(tumble().measured(ATTITUDE, RATE)),
@@ -325,6 +348,7 @@ def test_two_recordings_give_one_inertia_and_two_starts():
     assert len(both.starts) == 2
 
 
+@pytest.mark.slow
 def test_recordings_with_different_sensors():
     other = Truth(rates=(-0.3, 0.2, 0.9), seconds=10.0)
     result = identify(GUESS, [tumble().experiment(tumble().measured(ATTITUDE, None)),
@@ -335,6 +359,7 @@ def test_recordings_with_different_sensors():
     assert_covered(result, inertia_truth())
 
 
+@pytest.mark.slow
 def test_the_errors_of_all_samples_are_in_the_result():
     measured, bad = with_outliers(tumble().measured(ATTITUDE, RATE), 0.02)
     result = identify(GUESS, tumble().experiment(measured), validate=0.3)
@@ -346,6 +371,7 @@ def test_the_errors_of_all_samples_are_in_the_result():
     assert abs(first.autocorrelation) < 0.1
 
 
+@pytest.mark.slow
 def test_validation_is_kept_out_of_the_fit():
     whole = tumble().measured(ATTITUDE, RATE)
     result = identify(GUESS, tumble().experiment(whole), validate=0.3)
@@ -359,6 +385,7 @@ def test_validation_is_kept_out_of_the_fit():
     assert again.validation.rate_rms > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('noise', NOISES)
 def test_without_torque_only_ratios_of_moments_are_known(noise):
     truth = Truth(amplitude=0.0)
@@ -392,6 +419,7 @@ def test_a_rotation_about_one_axis_gives_one_moment(noise):
     assert_covered(result, {'inertia.izz': 0.04}, width=4.0 if noise[0] else 1e9)
 
 
+@pytest.mark.slow
 def test_the_result_as_json():
     result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
                       estimate=['inertia', 'start', 'torque_gain'], validate=0.2)
@@ -429,6 +457,7 @@ def with_field(experiment, field=NEAR):
     return replace(experiment, fields=[field])
 
 
+@pytest.mark.slow
 def test_the_moment_of_a_field_is_exact_without_noise():
     experiment = with_field(swinging().experiment(swinging().measured()))
     result = identify(GUESS, experiment, estimate=['inertia', 'start', 'pivot.moment'])
@@ -440,6 +469,7 @@ def test_the_moment_of_a_field_is_exact_without_noise():
     assert {one.unit for one in found} == {'kg m or A m^2'}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sensors', [(ATTITUDE, RATE), (ATTITUDE, None)])
 def test_noisy_moments_are_covered(sensors):
     experiment = with_field(swinging().experiment(swinging().measured(*sensors, seed=5)))
@@ -448,6 +478,7 @@ def test_noisy_moments_are_covered(sensors):
     assert [*result.estimates][:9] == [*INERTIA_NAMES, *MOMENT]
 
 
+@pytest.mark.slow
 def test_a_known_weight_gives_the_scale_of_the_inertia_without_torque():
     known = UniformField(*WEIGHT.values(), 'pivot')
     experiment = with_field(swinging(0.0).experiment(swinging(0.0).measured()), known)
@@ -455,6 +486,7 @@ def test_a_known_weight_gives_the_scale_of_the_inertia_without_torque():
     assert inertia_error(result) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_weight_is_a_field_of_the_result():
     experiment = swinging().experiment(swinging().measured())
     result = identify(GUESS, experiment, estimate=['inertia', 'start', 'weight'],
@@ -467,6 +499,7 @@ def test_a_weight_is_a_field_of_the_result():
     assert so3.angle_between(again.attitude, swinging().q).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_moment_and_inertia_are_not_known_together_without_torque():
     experiment = with_field(swinging(0.0).experiment(swinging(0.0).measured(ATTITUDE, RATE)))
     result = identify(GUESS, experiment, estimate=['inertia', 'start', 'pivot.moment'])
@@ -544,6 +577,7 @@ def test_intervals_cover_the_truth_and_are_as_short_as_possible():
     assert np.ptp(sigmas, axis=0).max() < 0.05 * np.max(sigmas)
 
 
+@pytest.mark.slow
 def test_a_log_in_space_axes():
     # Under a torque in space axes the motion of the momentum is known, whatever the inertia.
     times = np.arange(100) * (SECOND // 10)

@@ -77,6 +77,7 @@ def test_from_a_recording_to_a_fitted_scene(tumble, capsys):
     assert main.attitude_replay([str(tumble / 'in.mcap'), *replayed]) == 0
 
 
+@pytest.mark.slow
 def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys):
     (tumble / 'in.mcap').rename(tumble / '<b>&.mcap')
     report = tumble / 'page.html'
@@ -116,6 +117,7 @@ def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys)
     assert '<title>inertia.ixx and inertia.iyy: ' in text
 
 
+@pytest.mark.slow
 def test_a_page_of_a_sensor_that_ends_before_the_validation(tmp_path):
     truth = measurements.truth()
     sensor, report = truth.measured(2e-3, 5e-3), tmp_path / 'page.html'
@@ -129,6 +131,7 @@ def test_a_page_of_a_sensor_that_ends_before_the_validation(tmp_path):
     assert not panels['/pose: attitude quaternion, axes of the sensor']['lines']
 
 
+@pytest.mark.slow
 def test_measured_and_computed_curves_are_over_each_other_and_outliers_are_marks(tmp_path):
     truth = measurements.truth()
     clean = truth.measured(2e-3, 5e-3)
@@ -167,6 +170,7 @@ def test_rounding_to_an_uncertainty(value, sigma, text):
     assert rounded(value, sigma) == text
 
 
+@pytest.mark.slow
 def test_values_have_the_digits_of_their_sigma(tumble, capsys):
     assert identify(tumble, '--json', tumble / 'out.json', '--degrees') == 0
     shown = capsys.readouterr().out.splitlines()
@@ -182,6 +186,7 @@ def test_values_have_the_digits_of_their_sigma(tumble, capsys):
         assert one['unit'] != unit or factor == 1.0
 
 
+@pytest.mark.slow
 def test_a_late_clock_and_a_turned_sensor(tumble):
     truth, vector = measurements.truth(), np.array([0.12, -0.13, 0.09])
     sensor = mounted(shifted(truth.measured(2e-3, 5e-3), 0.035), vector)
@@ -206,6 +211,7 @@ def test_two_recordings(tumble):
     assert {'initial_attitude.x', 'initial_attitude.x[2]'} <= estimates.keys()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('copied', [shutil.copy, os.link, os.symlink, record])
 def test_the_same_measurements_twice_are_not_independent(tumble, capsys, copied):
     one, two = tumble / 'in.mcap', tumble / 'copy.mcap'
@@ -251,6 +257,7 @@ def test_a_tumble_without_torque(tmp_path):
     assert not (tmp_path / 'fitted.yaml').exists()
 
 
+@pytest.mark.slow
 def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
     spin = 0.05 * np.clip(np.arange(61) / 10 - 1.0, 0.0, 3.0) / 3.0
     truth = Truth(seconds=6.0, amplitude=0.0, momentum=np.outer(spin, [0.6, 0.5, 0.6]),
@@ -284,6 +291,7 @@ def weighed(folder, moment, fields=PIVOT):
     return truth
 
 
+@pytest.mark.slow
 def test_the_moment_of_a_weight_from_a_recording_to_an_ensemble(tmp_path, capsys):
     moment = (0.002, 0.0, -0.02)
     truth = weighed(tmp_path, moment)
@@ -316,6 +324,7 @@ def test_the_moment_of_a_weight_from_a_recording_to_an_ensemble(tmp_path, capsys
     assert np.std(rows['pivot.moment.z'].to_numpy()) == pytest.approx(sigma, rel=0.6)
 
 
+@pytest.mark.slow
 def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
     moment = (0.002, 0.0, -0.02)
     dipole = '    fields: [dipole]\n    dipole: {moment: {x: 1.0e-9}, field: {y: 1.0}}\n'
@@ -347,6 +356,7 @@ def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
         estimates['weight.x']['sigma'], rel=0.6)
 
 
+@pytest.mark.slow
 def test_a_fitted_body_is_a_urdf_with_the_same_numbers(tumble, capsys):
     urdf, out = tumble / 'fitted.urdf', tumble / 'out.json'
     assert identify(tumble, '--measured', '/imu', '--estimate', 'inertia,start,gyro_bias', '-o',
@@ -384,6 +394,7 @@ def test_bad_input_has_exit_status_2(tumble, capsys, arguments, message):
     assert (tumble / 'guess.yaml').read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('change', 'message'), [
     (lambda sensor: {'attitude': np.full_like(sensor.attitude, np.nan),
                      'angular_velocity': np.full_like(sensor.angular_velocity, np.nan)}, 'finite'),
@@ -402,6 +413,7 @@ def test_useless_measurements_have_exit_status_2(tumble, capsys, change, message
     assert message in error
 
 
+@pytest.mark.slow
 def test_measurements_of_another_robot_are_a_warning(tumble, capsys):
     truth = measurements.truth()
     path = tumble / 'in.mcap'

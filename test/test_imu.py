@@ -52,6 +52,7 @@ def allan_variance(rates, count):
     return 0.5 * np.mean(change ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rate', [100, *at_night(250)])
 def test_the_allan_deviation_of_an_hour_is_that_of_the_parameters(rate):
     errors = ImuErrors(2e-4, 8e-4, seed=3)
@@ -67,6 +68,7 @@ def test_the_allan_deviation_of_an_hour_is_that_of_the_parameters(rate):
     assert times[0] < 3 ** 0.5 * 2e-4 / 8e-4 < times[-1]
 
 
+@pytest.mark.slow
 def test_at_100_hz_the_noise_is_white_and_independent_on_each_axis():
     stamps = at_rate(100, 1000)
     vectors, rates = noise(ImuErrors(1e-3, attitude_noise=1e-3, seed=1), stamps)
@@ -98,6 +100,7 @@ def test_the_bias_is_a_wiener_process_that_begins_at_zero():
     np.testing.assert_allclose(many.std(), (period / 6e9) ** 0.5, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_the_noise_at_a_stamp_depends_on_neither_order_nor_rate():
     stamps = np.sort(np.random.default_rng(2).integers(0, 2 ** 31 * SECOND, 9000))
     stamps[:4000] = at_rate(1000, 4)
@@ -175,6 +178,7 @@ def replayed(tmp_path, keys, **options):
     return np.hstack([attitude.values, rates.values]), imu
 
 
+@pytest.mark.slow
 def test_a_replay_writes_the_errors_to_imu_data_alone(tmp_path):
     exact, plain = replayed(tmp_path, {})
     motion, imu = replayed(tmp_path, KEYS)
@@ -187,6 +191,7 @@ def test_a_replay_writes_the_errors_to_imu_data_alone(tmp_path):
     assert not plain.values[:, 4:13].any()
 
 
+@pytest.mark.slow
 def test_two_rates_of_a_replay_have_the_same_noise_at_common_stamps(tmp_path):
     (slow, seldom), (fast, often) = (replayed(tmp_path, KEYS, rate=rate) for rate in (20.0, 200.0))
     common = np.isin(often.stamps_ns, seldom.stamps_ns)
@@ -195,6 +200,7 @@ def test_two_rates_of_a_replay_have_the_same_noise_at_common_stamps(tmp_path):
     np.testing.assert_array_equal(fast[common], slow)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rate', [None, 4000.0])
 def test_a_late_imu_has_the_motion_from_before_its_stamp(tmp_path, rate):
     exact, imu = replayed(tmp_path, {'imu.delay': 0.05, **KEYS}, rate=rate, until=20.0)

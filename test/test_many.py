@@ -208,6 +208,7 @@ def test_an_output_that_cannot_be_written_is_reported_beside_the_others(tmp_path
     assert sorted(path.name for path in (tmp_path / 'out').iterdir()) == ['a.mcap', 'b.mcap']
 
 
+@pytest.mark.slow
 def test_torques_as_text_are_read_to_the_nanosecond_and_the_last_bit(tmp_path):
     random = np.random.default_rng(2)
     stamps = EPOCH_NS + np.cumsum(random.integers(1, SECOND, 20_000))

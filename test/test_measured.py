@@ -122,6 +122,7 @@ def test_messages_without_a_finite_value_are_rejected(tmp_path, measured):
     assert (len(found), found.rejected) == (97, 3)
 
 
+@pytest.mark.slow
 def test_impossible_rates_are_rejected_like_those_that_are_not_finite(run, tmp_path, measured):
     bad = measured.rows(np.arange(1000))
     bad.angular_velocity[3:9:2] = [[1e300, 0.0, 0.0], [0.0, -1.1e9, 0.0], [-np.inf, 0.0, 0.0]]
@@ -168,6 +169,7 @@ def test_transforms_of_other_frames_are_ignored(tmp_path, measured):
         read_measured(path, '/it', frames=('world', 'x'))
 
 
+@pytest.mark.slow
 def test_frames_are_chosen_from_transforms_alone(run, tmp_path, measured):
     path = write(tmp_path / 'it.mcap', torque=torque_messages(truth()),
                  imu=messages_of('Imu', measured), tf=messages_of('TFMessage', measured))
@@ -189,6 +191,7 @@ def renamed(pairs, parent, child=''):
         yield stamp, message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('kind', 'parent', 'child', 'warning'), [
     ('Odometry', 'odom', 'b/base_link', "frames 'world' to 'base_link', found 'odom' to 'b/base_"),
     ('TransformStamped', 'world', 'b', "frames 'world' to 'base_link', found 'world' to 'b'"),
@@ -254,6 +257,7 @@ def run(capsys, bag, scene):
     return call
 
 
+@pytest.mark.slow
 def test_the_command_reports_the_noise(run, tmp_path):
     status, shown, _ = run('--json', tmp_path / 'it.json', '--horizon', 1, '--horizon', 5)
     assert status == 0
@@ -276,6 +280,7 @@ def test_a_horizon_shorter_than_the_spacing_is_an_error(run, bag, seconds):
                      f's, the time between two samples, found {float(seconds):g} s\n')
 
 
+@pytest.mark.slow
 def test_the_command_writes_errors_and_a_plot(run, tmp_path):
     output, plot = tmp_path / 'errors.mcap', tmp_path / 'errors.png'
     status, shown, _ = run('-o', output, '--plot', plot, '--measured', '/imu', '--horizon', 1)
@@ -326,6 +331,7 @@ def test_the_page_has_the_errors_the_summary_and_names_as_text(run, tmp_path, ba
     assert len(array(data['body']['times'])) == 2000
 
 
+@pytest.mark.slow
 def test_the_measured_curve_has_the_sign_of_the_computed_one(run, tmp_path):
     sensor, report = truth().measured(1e-3, 2e-3), tmp_path / 'page.html'
     path = write(tmp_path / 'flight.mcap', torque=torque_messages(truth()),
@@ -336,6 +342,7 @@ def test_the_measured_curve_has_the_sign_of_the_computed_one(run, tmp_path):
         np.testing.assert_allclose(drawn[:, 0], truth().start.attitude, atol=0.02)
 
 
+@pytest.mark.slow
 def test_the_command_aligns(run, tmp_path):
     mount = Rotation.from_rotvec([0.1, 0.1, -0.1])
     sensor = truth().measured(1e-3, 2e-3, clock=0.035, mount=mount)
@@ -349,6 +356,7 @@ def test_the_command_aligns(run, tmp_path):
     assert so3.angle_between(found['mount_xyzw'], mount.as_quat()) < 2e-3
 
 
+@pytest.mark.slow
 def test_the_command_aligns_one_sensor_and_checks_it(run, tmp_path):
     sensor = truth().measured(1e-3, 2e-3)
     late = truth().measured(1e-3, 2e-3, clock=0.035, seed=1)
@@ -391,6 +399,7 @@ def aligned_in_first_epoch(tmp_path, clock):
     return compare_recording(path, scene, align=['clock'])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('clock', [0.5, -0.5, 4.0])
 def test_a_clock_that_is_off_moves_the_end_of_an_epoch(tmp_path, clock):
     found = aligned_in_first_epoch(tmp_path, clock)
@@ -399,6 +408,7 @@ def test_a_clock_that_is_off_moves_the_end_of_an_epoch(tmp_path, clock):
     assert found.as_dict()['attitude_error_rad']['max'] < 1e-5
 
 
+@pytest.mark.slow
 def test_measurements_of_later_epochs_only_are_rejected(tmp_path):
     with pytest.raises(InputError, match='two.mcap: /odom: expected measurements before the next '
                                          'epoch, which begins at .* ns on their clock, found'):
@@ -419,6 +429,7 @@ def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene):
     assert 'expected a model that can restart, found a recorded motion' in error
 
 
+@pytest.mark.slow
 def test_a_recording_without_torques_is_a_free_body(run, tmp_path, measured):
     path = write(tmp_path / 'free.mcap', imu=messages_of('Imu', measured))
     status, shown, _ = run(path=path)
@@ -471,6 +482,7 @@ def test_bad_input_is_one_line_and_status_2(run, tmp_path, measured, capsys, cas
     assert error.count('\n') == 1
 
 
+@pytest.mark.slow
 def test_ambiguous_topics_are_an_error(run, tmp_path, measured):
     path = write(tmp_path / 'two.mcap', torque=torque_messages(truth()),
                  pose=messages_of('PoseStamped', measured), imu=messages_of('Imu', measured))

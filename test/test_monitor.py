@@ -75,6 +75,7 @@ def windows(judgements):
     return [(one.error.end_ns - EPOCH_NS) // (5 * SECOND) + 1 for one in judgements]
 
 
+@pytest.mark.slow
 def test_the_errors_of_a_right_model_have_the_covariance_that_is_stated():
     found = [one.error for one in judged(messages(660))]
     squares = [change @ np.linalg.solve(one.covariance, change) for one in found
@@ -87,15 +88,18 @@ def test_the_errors_of_a_right_model_have_the_covariance_that_is_stated():
         assert 1e-3 < share < 1.0 - 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', [*FIRST, *at_night(*LATER)])
 def test_an_error_of_the_model_is_found(name):
     assert any(one.level == ERROR for one in judged(messages(420, **campaign.ERRORS[name])))
 
 
+@pytest.mark.slow
 def test_a_right_model_gives_no_alarm():
     assert not any(one.level == ERROR for one in judged(messages(420)))
 
 
+@pytest.mark.slow
 def test_the_residual_torque_is_the_torque_that_is_not_logged():
     bias = np.array([1e-4, -5e-5, 2e-5])
     found = judged(messages(120, bias=tuple(bias)))
@@ -105,6 +109,7 @@ def test_the_residual_torque_is_the_torque_that_is_not_logged():
     assert np.abs((torques - bias) / sigma).max() < 5.0
 
 
+@pytest.mark.slow
 def test_the_order_of_arrival_changes_no_bit():
     found = sorted(messages(120), key=lambda message: message[0])
     random = np.random.default_rng(5)
@@ -117,6 +122,7 @@ def test_the_order_of_arrival_changes_no_bit():
                                       numbers(expected))
 
 
+@pytest.mark.slow
 def test_a_message_of_a_window_that_was_judged_is_rejected():
     found = sorted(messages(60), key=lambda message: message[0])
     monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=1.0))
@@ -129,6 +135,7 @@ def test_a_message_of_a_window_that_was_judged_is_rejected():
     assert not put(monitor, EPOCH_NS + 3 * SECOND, 'torque', np.ones(3))
 
 
+@pytest.mark.slow
 def test_memory_is_bounded():
     monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=1.0))
     sizes = []
@@ -140,6 +147,7 @@ def test_memory_is_bounded():
     assert max(sizes[-6000:]) <= max(sizes[:6000])
 
 
+@pytest.mark.slow
 def test_a_torque_that_is_not_known_is_no_error_of_the_model():
     begin_ns, end_ns = EPOCH_NS + 32 * SECOND, EPOCH_NS + 48 * SECOND
     found = sorted((message for message in messages(120)
@@ -155,6 +163,7 @@ def test_a_torque_that_is_not_known_is_no_error_of_the_model():
         assert windows(judgements) == [2, 3, 4, 5, 6, *range(11, 24)]
 
 
+@pytest.mark.slow
 def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed():
     # The sixth window ends at 29.9 s. The last torque of before is followed after 0.9 or 1.1 s.
     for next_s, is_judged in ((30.4, True), (30.6, False)):
@@ -167,6 +176,7 @@ def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed()
             2, 3, 4, 5, *[6] * is_judged, *[7] * is_judged, 8, 9, 10, 11, 12]
 
 
+@pytest.mark.slow
 def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
     # Before the first torque there is none, or it is not known.
     for awaited, judged_first in ((), [1, 2]), ({0}, []):
@@ -195,6 +205,7 @@ def lagging(actuator, seconds=60):
                      Measured('/gyro', at_ns, None, rates)]
 
 
+@pytest.mark.slow
 def test_the_lag_of_an_actuator_is_part_of_the_model_with_the_bits_of_the_offline_twin():
     # The limit matters, and the lag lasts longer than a window.
     actuator = Actuator(0.04, 0.3, (5e-3, 5e-3, 4e-3))
@@ -217,6 +228,7 @@ def test_the_lag_of_an_actuator_is_part_of_the_model_with_the_bits_of_the_offlin
     assert any(one.level == ERROR for one in judged(found, settings))  # without the actuator
 
 
+@pytest.mark.slow
 def test_a_silent_sensor_is_no_error_of_the_model():
     found = [message for message in messages(180)
              if message[1] != '/mocap' or message[0] < EPOCH_NS + 60 * SECOND]

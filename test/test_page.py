@@ -139,6 +139,7 @@ def test_a_page_replaces_no_file_that_it_should_not(tmp_path, capsys):
         assert {path: path.read_text() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_no_page_no_import():
     script = f"""
 import sys

@@ -122,6 +122,7 @@ def test_the_labels_of_a_trade_stay_inside_the_picture(tmp_path, monkeypatch):
                           'target 0.1 rad', 'linear interpolation 3e+00 rad']
 
 
+@pytest.mark.slow
 def test_any_name_is_drawn_as_it_is_and_powers_of_ten_as_formulas(tmp_path, monkeypatch):
     drawn, name = [], '$\\frac{$ \x1b[2J\n机器😀 العربية'
     for module in (figures, spread):

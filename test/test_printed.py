@@ -175,6 +175,7 @@ def with_keys(folder, scene, more):
 COMMANDS = ['attitude_replay', 'attitude_compare', 'attitude_identify']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('command', COMMANDS)
 def test_names_of_types_frames_and_keys(flight, tmp_path, capfdbinary, command):
     scene, path = flight

@@ -96,6 +96,7 @@ def test_a_log_longer_than_a_chunk_has_no_seam(monkeypatch, interpolation):
         np.testing.assert_array_equal(cut.attitude, whole.attitude)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(seed=strategies.integers(0, 2 ** 32 - 1), timeout=strategies.sampled_from([0.0, 0.05]),
        solver=strategies.sampled_from(['auto', 'taylor', 'rk4']))
@@ -418,6 +419,7 @@ class TestPropagator:
         with pytest.raises(ValueError, match=earliest):
             propagator.at(EPOCH_NS)
 
+    @pytest.mark.slow
     def test_an_open_segment_costs_only_what_is_new(self, monkeypatch):
         # An hour of coast, requested at 10 Hz: each call continues from the previous one.
         spans, run = [], kernels.run
@@ -487,6 +489,7 @@ def test_a_time_as_far_from_the_start_as_no_int64_can_tell_is_refused():
             call()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('torque', [1e12, 1e100, 1e308])
 def test_a_motion_that_no_step_resolves_is_refused_not_returned(torque):
     log = TorqueLog([EPOCH_NS], [[torque, 0.0, 0.0]])
@@ -540,6 +543,7 @@ def test_trajectories_give_euler_angles():
                                np.diff(motion.times_ns) * 1e-9, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_work_may_be_done_in_parts_and_gives_the_same_bits():
     # A million steps in one segment, and then a thousand segments.
     torques = [(EPOCH_NS + 10 * SECOND + k * SECOND // 1000, (1e-3 * k, 0.0, 1e-3))

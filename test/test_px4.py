@@ -55,6 +55,7 @@ def scene_of(path, inertia=INERTIA):
     return path
 
 
+@pytest.mark.slow
 def test_the_numbers_of_a_log_in_its_own_frames(tmp_path):
     samples = [(1000 + 10 * k, 1000 + 10 * k - 7, vector) for k, vector in enumerate(
         np.random.default_rng(0).normal(size=(20_000, 4)).astype(np.float32).tolist())]
@@ -128,6 +129,7 @@ def test_a_log_without_its_reader_is_one_line(tmp_path, capsys, monkeypatch):
         'run python3 -m pip install pyulog')
 
 
+@pytest.mark.slow
 def test_the_gains_of_normalized_torques(tmp_path, capsys):
     path = logged(tmp_path / 'log.ulg', Truth(), GAINS)
     out, arguments = tmp_path / 'out.json', [str(path), '--scene', str(scene_of(
@@ -144,6 +146,7 @@ def test_the_gains_of_normalized_torques(tmp_path, capsys):
         capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_log_is_replayed_and_compared(tmp_path, capsys):
     truth = Truth()
     path, fitted = logged(tmp_path / 'log.ulg', truth), tmp_path / 'fitted.yaml'

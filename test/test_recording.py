@@ -87,6 +87,7 @@ def interrupted_at(moment, action):
     return False
 
 
+@pytest.mark.slow
 # An interrupted write leaves it to Python to close the file.
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnraisableExceptionWarning')
 def test_an_interrupt_at_any_moment_leaves_a_whole_file_or_none(tmp_path):
@@ -291,6 +292,7 @@ def test_an_mcap_file_without_a_record_is_refused(tmp_path):
         recording.read(tmp_path / 'short.mcap')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('share', [0.01, 0.1, 0.5, 0.9, 0.99])
 def test_of_a_truncated_file_all_is_used_that_is_there(tmp_path, share):
     count = 40_000
@@ -307,6 +309,7 @@ def test_of_a_truncated_file_all_is_used_that_is_there(tmp_path, share):
     assert 'cut.mcap: cut off ' in found.damage
 
 
+@pytest.mark.slow
 def test_damaged_bytes_give_the_right_result_or_one_line(tmp_path, recorded):
     data, random = recorded.read_bytes(), np.random.default_rng(9)
     whole = torque_log(recorded)

@@ -89,6 +89,7 @@ def test_the_start_time_of_the_scene_counts(tmp_path, output):
     assert main.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 2
 
 
+@pytest.mark.slow
 def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path, output):
     config = tmp_path / 'cubic.yaml'
     config.write_text((CONFIG / 'tumbler.yaml').read_text() + '    interpolation: cubic\n')
@@ -176,6 +177,7 @@ def test_rounded_digits_of_a_tensor_are_told(tmp_path, output, capsys):
     assert 'exceeds the sum of the other two by 1.7 %' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 @pytest.mark.parametrize('name', ['tumbler', 'thruster_pulses_irregular', 'constant_space_torque',
                                   'torque_stream_1khz', 'iss'])
@@ -460,6 +462,7 @@ def test_no_progress_bar_where_nobody_watches(output):
     assert result.stderr == ''
 
 
+@pytest.mark.slow
 def test_imu_and_tf_are_written_on_request(tmp_path, output):
     loaded = scene.load(CONFIG / 'tumbler.yaml')
     replay(RECORDINGS / 'tumbler.mcap', loaded, output, also=('imu', 'tf'))
@@ -498,6 +501,7 @@ def test_torques_before_the_start_asked_for_are_left_out(tmp_path, output, keep)
     np.testing.assert_array_equal(motion.attitude[0], result.last.attitude)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['motion.mcap', 'motion'])
 def test_the_input_is_copied_byte_for_byte_on_request(tmp_path, name):
     replay(RECORDINGS / 'iss.mcap', scene.load(CONFIG / 'iss.yaml'), tmp_path / name,
@@ -621,6 +625,7 @@ def test_damping_limits_the_turns_over_a_gap(tmp_path, capsys):
     assert main.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
 
 
+@pytest.mark.slow
 def test_a_long_computation_is_announced(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('rigid_body_ros.replay.gaps._PATIENCE', 0.01)
     arguments = stopped_clock(tmp_path / 'gap.csv', 200.0)

@@ -209,6 +209,7 @@ def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topic
     assert float(number) < bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('lines', 'laws'), [
     (PIVOT, ['drift of the energy', 'of the momentum about the field']),
     ([*PIVOT, ROTORS], ['drift of the energy', 'of the momentum about the field']),
@@ -240,6 +241,7 @@ def test_fields_alone_conserve_their_integrals(tmp_path, written, lines, laws, c
     assert main.attitude_replay([str(path), '--scene', config, '--verify', str(output)]) == 0
 
 
+@pytest.mark.slow
 def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatch):
     path, config = write(tmp_path / 'one.mcap', ['/control']), written(*PIVOT, ORBIT)
     drawn, save = {}, figures.save

@@ -376,6 +376,7 @@ def test_torques_that_waited_for_the_clock_return_to_their_places():
     assert (bool(queue), len(queue)) == (False, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('count', 'waited', 'is_patient', 'is_full'), [
     (5000, 9.0, False, False), (5001, 2.0, False, False), (5001, 2.1, False, True),
     (5001, 9.0, True, False), (99_999, 0.0, False, False), (99_999, 9.0, True, False),

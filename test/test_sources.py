@@ -87,6 +87,7 @@ def test_any_order_of_arrival_gives_the_states_of_the_logs(seed, timeout):
         np.testing.assert_array_equal(terms.numbers(state), terms.numbers(motion)[row])
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(seed=strategies.integers(0, 2 ** 32 - 1), timeout=strategies.sampled_from([0.0, 0.05, 5.0]),
        solver=strategies.sampled_from(LINEAR_SOLVERS))

@@ -44,6 +44,7 @@ def test_a_sine_has_its_amplitude_at_its_frequency(hertz):
     assert found.amplitudes[best, 2] > 5.0 * found.limits[best, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seconds', [40.0, 300.0])
 def test_white_noise_exceeds_its_limit_at_one_frequency_in_a_hundred(seconds):
     found = spectrum(residual(seconds=seconds))

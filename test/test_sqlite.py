@@ -152,6 +152,7 @@ def test_messages_before_one_that_is_none_are_used(tmp_path, change):
     assert 'damaged after 8 messages of /torque (expected messages with an integer time' in damage
 
 
+@pytest.mark.slow
 def test_pages_that_refer_to_each_other_come_to_an_end(tmp_path):
     # Each inner page of a level points 400 times to the only one of the next: 400^9 rows.
     path = database(tmp_path)

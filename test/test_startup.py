@@ -77,6 +77,7 @@ assert RigidBody is rigid_body_ros.RigidBody is vars(rigid_body_ros)['RigidBody'
     assert result.stderr == ''
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec('rclpy') is None, reason='rclpy is not installed')
 @pytest.mark.parametrize(('module', 'unused'), [
     ('attitude_node', ['matplotlib', 'tqdm', 'mcap', 'zstandard', 'scipy.spatial', 'scipy.linalg',

@@ -36,6 +36,7 @@ def some_body(kind):
     return RigidBody(0.5 * (tensor + tensor.T))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind', range(5))
 @pytest.mark.parametrize('tolerance', [1e-3, 1e-6, 1e-9, 1e-12])
 def test_one_step_between_samples_keeps_to_the_tolerance(kind, tolerance):

@@ -60,6 +60,7 @@ FREE = Problem(RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=
 pytestmark = pytest.mark.usefixtures('short_trades')
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_a_motion_in_closed_form():
     # A symmetric top: its rates turn about the axis, its attitude is two rotations.
     body, rates = RigidBody.from_moments(2.0, 2.0, 3.0), np.array([0.3, -0.2, 1.5])
@@ -98,6 +99,7 @@ PIVOT = UniformField((0.03, 0.0, -0.2), (0.0, 0.0, -9.81))
 ORBIT = GravityGradient(0.4, (0.0, 0.6, 0.8), (1.0, 0.0, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('fields', [(PIVOT,), (ORBIT,), (PIVOT, ORBIT)])
 @pytest.mark.parametrize('rotors', [0.0, 0.3])
 def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
@@ -126,6 +128,7 @@ def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
     assert 'in principal axes' not in text
 
 
+@pytest.mark.slow
 def test_a_scene_with_fields_may_begin_at_rest(tmp_path, capsys):
     path = tmp_path / 'scene.yaml'
     path.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1, iyy: 2, izz: 2.5}\n'
@@ -240,6 +243,7 @@ def test_the_floor_shows_an_error_that_other_steps_share():
     assert 0.5 * error < reference.floor < 2.0 * error
 
 
+@pytest.mark.slow
 def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, capsys):
     path = RECORDINGS / 'rod_full_tensor_body_torque'
     arguments = ['--scene', f'{path}.yaml', '--recording', f'{path}.mcap', '--json',
@@ -267,6 +271,7 @@ def a_rod(samples, interpolation='hold'):
                    State(0, angular_velocity=(0.3, 1.2, 0.7)), log)
 
 
+@pytest.mark.slow
 def test_a_target_that_only_the_whole_motion_misses_is_refused_with_its_figure(monkeypatch):
     problem = a_rod(1000)
     assert measure(problem, seconds=0.1).whole.seconds == 610.0
@@ -286,6 +291,7 @@ def test_a_target_that_only_the_whole_motion_misses_is_refused_with_its_figure(m
     assert 'scaled to the whole motion by the square of the time\n' in hurried.text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
 def test_another_interpolation_is_advised_under_a_condition_if_hold_may_be_right(interpolation):
     result = measure(a_rod(1000, interpolation), seconds=0.1)
@@ -383,6 +389,7 @@ def test_every_target_has_its_own_recommendation(tmp_path):
     assert {name: data[name] for name in data['targets'][0]} == data['targets'][0]
 
 
+@pytest.mark.slow
 def test_other_interpolations_end_where_the_replay_says(capsys):
     assert main.attitude_replay([TORQUES[1], *TUMBLER]) == 0
     printed = capsys.readouterr().out.splitlines()
@@ -392,6 +399,7 @@ def test_other_interpolations_end_where_the_replay_says(capsys):
     assert f'\ninterpolation     {row}\n' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('shape', ['smooth', 'pulses'])
 def test_another_interpolation_is_advised_only_if_it_helps(shape):
     body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0, 1, 0.1))
@@ -461,6 +469,7 @@ def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     assert '; for errors up to 1e-20 rad: none is certain</h1>' in text
 
 
+@pytest.mark.slow
 def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
     monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 300)
     times = np.arange(2000) * SECOND // 10
@@ -498,6 +507,7 @@ def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
     assert f'rest.yaml: {error}\n' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_torques_are_measured_whatever_the_solver_of_the_scene(tmp_path, capsys):
     exact = tmp_path / 'exact.yaml'
     exact.write_text((CONFIG / 'tumbler.yaml').read_text() + '    solver: exact\n')

@@ -92,6 +92,7 @@ def test_the_runs_end_there_within_a_tenth_of_their_spread_with_the_setting(spre
     assert 0.0 < errors.max() < 0.1 * median
 
 
+@pytest.mark.slow
 def test_the_measured_motion_ends_where_the_runs_do(spread, tmp_path):
     assert tradeoff('--ensemble', spread / 'free', '--target', '1e-6', '--json',
                     tmp_path / 'o.json') == 0
@@ -118,6 +119,7 @@ def test_the_recommended_setting_is_the_cheapest_for_many_runs(monkeypatch):
         assert result.ensemble == Advice(spread, 1e-9, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('logs', 'momentum'), [((), (0.1, 0.0, 0.3)), ((), (0.0, 0.0, 0.0)),
                                                 (LOGS, (0.0, 0.0, 0.0))],
                          ids=['rotors', 'free', 'two logs'])
@@ -140,6 +142,7 @@ def test_a_setting_that_is_not_faster_saves_nothing():
     assert spread.target == 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('more', 'message'), [
     (['--ensemble', 'missing'], 'missing/summary.json: cannot read the summary of the ensemble'),
     (['--ensemble', 'free', *TORQUES], 'free: expected an ensemble under the torques of '),

@@ -84,6 +84,7 @@ def test_a_rotated_tensor_is_that_of_the_rotated_masses(rpy):
     np.testing.assert_array_equal(found, found.T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rpy', TURNS)
 def test_a_rotation_leaves_the_principal_moments(rpy):
     np.testing.assert_allclose(turned(rpy).principal_moments, BODY.principal_moments,

@@ -30,10 +30,12 @@ from rigid_body_ros.propagation import SOLVERS
 import vectors
 
 
+@pytest.mark.slow
 def test_every_motion_has_the_committed_bits():
     assert vectors.differences(vectors.read()) == []
 
 
+@pytest.mark.slow
 def test_a_changed_digit_is_reported_with_its_motion_and_number(tmp_path):
     text = vectors.VECTORS.read_text(encoding='ascii')
     name = 'group one log, auto, 4'
@@ -49,6 +51,7 @@ def test_a_changed_digit_is_reported_with_its_motion_and_number(tmp_path):
         f'{name}, computed with its group: angular velocity z at 333333333 ns']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('line', 'without', 'reported'), [
     ('state', ' [^ ]+$', [': state at 333333333 ns: expected 6 numbers, found 7',
                           ', computed with its group: state at 333333333 ns: expected 6 numbers, '
@@ -69,6 +72,7 @@ def test_what_the_file_lacks_is_a_difference(tmp_path, line, without, reported):
     assert found == [name + one for one in reported]
 
 
+@pytest.mark.slow
 def test_no_motion_and_no_output_is_lost():
     motions = vectors.read()
     assert len({motion.name for motion in motions}) == len(motions) == 250
@@ -88,6 +92,7 @@ def test_a_key_that_the_format_does_not_have_is_an_error(tmp_path):
             vectors.read(file)
 
 
+@pytest.mark.slow
 def test_outputs_are_finite_and_do_not_depend_on_each_other():
     motions = vectors.read()
     assert all(map(math.isfinite, (number for motion in motions for output in motion.outputs
@@ -99,6 +104,7 @@ def test_outputs_are_finite_and_do_not_depend_on_each_other():
                 assert vectors.output(alone, 0, 'state') == output.numbers
 
 
+@pytest.mark.slow
 def test_they_cover_all_solvers_terms_and_interpolations():
     motions = vectors.read()
     problems = [motion.problem for motion in motions]
@@ -120,6 +126,7 @@ def test_they_cover_all_solvers_terms_and_interpolations():
     assert min(groups.values()) > max(LANES.values())
 
 
+@pytest.mark.slow
 def test_directions_and_sums_of_fields_are_those_that_the_page_describes():
     problems = [motion.problem for motion in vectors.read() if motion.problem.fields]
     for problem in problems:

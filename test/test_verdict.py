@@ -177,6 +177,7 @@ def test_the_noise_of_an_autoregression(coefficient, lasting):
     assert abs(np.mean(left[1:] * left[:-1])) < 0.02 * np.mean(left ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
 @pytest.mark.parametrize('lag', [0.02, 0.3])
 def test_each_impulse_of_a_lag_is_exact(lag, interpolation):

@@ -99,6 +99,7 @@ def test_an_old_recording_that_names_a_compiler_and_a_processor_can_be_verified(
     assert result.versions == {}
 
 
+@pytest.mark.slow
 def test_kernels_that_are_not_compiled_have_the_same_fingerprint():
     program = 'from rigid_body_ros.runtime.fingerprint import fingerprint; print(fingerprint())'
     printed = subprocess.run([sys.executable, '-c', program], check=True, capture_output=True,
@@ -107,6 +108,7 @@ def test_kernels_that_are_not_compiled_have_the_same_fingerprint():
     assert ast.literal_eval(printed) == fingerprint()
 
 
+@pytest.mark.slow
 def test_a_fingerprint_that_is_damaged_is_unknown(tmp_path):
     replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
     for text in ['[1, 2]', '3', 'null', '{', '"x"', '[' * 100_000, '']:
@@ -252,6 +254,7 @@ def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
     assert 'early.mcap: /attitude: expected the first state at or after the first torque' in line
 
 
+@pytest.mark.slow
 def test_a_folder_is_what_rosbag2_wants(tmp_path):
     result = replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion')
     assert sorted(path.name for path in tmp_path.rglob('*')) == [

@@ -103,6 +103,7 @@ def test_motions_agree_with_fifty_digits(name, fifty_digits):
         efforts=EffortLog([row[0] for row in rows], [row[1:] for row in rows])), values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('solver', 'wheels'), [
     *product(['auto', 'taylor', 'rk4', 'explicit_euler'], [PYRAMID, LIMITED]), ('auto', SLOWED)])
 @pytest.mark.parametrize('keep', ['rate', 'momentum'])
@@ -537,6 +538,7 @@ def test_rotors_that_do_what_the_wheels_do_move_a_changing_body_alike(monkeypatc
     assert np.array_equal(other.angular_velocity, motion.angular_velocity)
 
 
+@pytest.mark.slow
 def test_an_ensemble_of_a_scene_with_wheels_has_their_motions(tmp_path):
     lines = [f'    {name}: {value}' for name, value in SCENE.items()]
     (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters:\n' + '\n'.join(lines))

@@ -77,6 +77,7 @@ def all_of(motion):
         'attitude', 'angular_velocity', 'rotor_momentum', 'wheel_speeds')], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('timeout', [0.0, 0.04, 0.3])
 @pytest.mark.parametrize(('solver', 'wheels'), [
     ('auto', WHEELS), ('rk4', WHEELS), ('auto', SLOWED)])
