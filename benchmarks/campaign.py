@@ -131,7 +131,7 @@ def is_right(one):
 
 
 def shares(levels, found):
-    """Print the shares of what was hoped for, at each level of noise."""
+    """Print how often the verdict was as it should be, at each level of noise."""
     print('\n| noise | right models explained | their intervals that cover the truth | wrong '
           'models rejected, or at least five of six intervals cover | true cause among the first '
           'two suspects |\n|---|---|---|---|---|')

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-How fast are many runs: `propagate_many` on one core, beside the batch mode of heyoka.
+Time many runs: `propagate_many` on one core, and the batch mode of heyoka.
 
 Run `python benchmarks/many.py`. The runs are those of problem P3 with dispersed bodies and rates.
 The time of a run includes the preparation of the bodies; `propagate` alone does not. Each

@@ -92,7 +92,7 @@ def our_ladder(problem):
 
 
 class Named(Ours):
-    """The package itself, at the end only as the peers, with the name of its setting."""
+    """The package itself, which returns the state at the end as the peers do, with its setting."""
 
     def __init__(self, problem, **options):
         """`options` are those of `propagate`."""

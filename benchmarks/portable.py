@@ -165,7 +165,7 @@ def scene(motion: bits.Motion, solver: str, last_ns: int) -> Iterator[np.ndarray
 
 
 def results(motions: dict[str, dict]) -> dict[str, np.ndarray]:
-    """Return the arrays of all motions in one row each, by 'group/name of the motion'."""
+    """Return one row of arrays for each motion, by 'group/name of the motion'."""
     found = {}
     for name, values in motions.items():
         for group, arrays in groups(values):

@@ -295,8 +295,8 @@ class _Fit:
         """
         Return the errors in standard deviations, of all samples of all sensors.
 
-        They are in the axes of the sensors: there, what a mounting cannot change does not turn the
-        noise either, and an undetermined direction shows as exactly that.
+        They are in the axes of the sensors. There a mounting does not rotate the noise, so a
+        direction that the measurements do not determine is not mistaken for one that they do.
         """
         interrupts.check()
         stamps_ns = np.concatenate([sensor.stamps_ns + round(1e9 * one.clock_offset_s)

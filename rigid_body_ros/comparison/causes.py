@@ -95,7 +95,7 @@ class Cause:
 
 
 class _Tried(NamedTuple):
-    """A cause, the channels that it is judged by, and what it leaves, relative to before."""
+    """A cause, the channels that judge it, and the share of the errors that remains without it."""
 
     cause: Cause
     keys: frozenset[tuple[str, str]]

@@ -127,7 +127,7 @@ def _noise(errors: Floats) -> float:
     """
     Return the noise of errors: the scatter of each sample about the mean of its neighbours.
 
-    So what lasts longer than a sample does not count, as an error of the model does.
+    Errors that last longer than a sample, such as those of the model, do not count.
     """
     if len(errors) < 3:
         return 0.0

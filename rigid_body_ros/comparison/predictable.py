@@ -37,7 +37,7 @@ def predictable_s(problem: Problem, channels: Sequence[Channel]) -> float | None
     """
     Return after which time the uncertainty of the start alone explains an error of 0.1 rad.
 
-    The start is as uncertain as a second of the measurement leaves it.
+    The uncertainty of the start is that of an estimate from one second of the measurement.
 
     Parameters
     ----------

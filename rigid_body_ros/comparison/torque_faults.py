@@ -16,7 +16,8 @@
 Possible faults of torques and body that explain the residual torque.
 
 The residual torque is linear in each of these. A wrong start does not change it, and it does not
-grow, so the rest of it is compared with its own noise, however long the motion.
+grow with time. So the part that a fault leaves is compared with its own noise, however long the
+motion is.
 """
 
 from __future__ import annotations

@@ -70,5 +70,5 @@ def kernels_hash() -> str:
 
 
 def bind(source: Kernel) -> Kernel:
-    """Return a kernel as it is compiled; given is its source."""
+    """Return the compiled kernel of a source."""
     return _KERNELS[source.__name__] if _KERNELS else source

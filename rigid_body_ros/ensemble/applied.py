@@ -140,7 +140,7 @@ def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
 
 def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     """
-    Return tensors with the same principal axes and other moments, which some body has.
+    Return tensors with the same principal axes, and other moments that a body can have.
 
     The second moments of the mass along the axes are multiplied by the exponentials of the numbers
     drawn, shape (n, 3). They stay positive, so the moments satisfy the triangle inequality.

@@ -45,10 +45,9 @@ def effects(ensemble: Ensemble, folder: Folder, quantity: str) -> dict[str, floa
     """
     Return the share of the variance of a quantity that each parameter explains.
 
-    It is the adjusted R^2 of a quadratic in the parameter, fitted to the ranks of the quantity: an
-    effect counts if it is odd in the deviation, such as the effect of a gain on a final rate, and
-    if it is even, such as the effect of an initial rate about zero, whose rank correlation
-    vanishes.
+    It is the adjusted R^2 of a quadratic in the parameter, fitted to the ranks of the quantity. So
+    it finds effects that are odd in the deviation, such as that of a gain on a final rate. It also
+    finds even ones, such as that of an initial rate about zero, whose rank correlation vanishes.
     """
     numbers = final(folder, quantity, _SAMPLE)
     return {name: _explained(deviation[known], numbers[known])

@@ -19,8 +19,8 @@ Runs are computed and written in blocks, each to a file of its own, so that an i
 continues where it stopped. A row depends on the number of its run only, and the rows are put
 together in that order: `runs.parquet` has the same bytes whatever the blocks were.
 
-A folder with `summary.json` is complete. The results of fewer runs are removed before anything
-else changes, `summary.json` first, and it is written last.
+A folder with `summary.json` is complete. Results of fewer runs are removed before anything else
+changes. `summary.json` is the first file to be removed and the last to be written.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class Folder:
 
     def add(self, first: int, stop: int, rows: Mapping[str, NDArray[Any]]) -> None:
         """
-        Write the rows of a block, and its motions before them.
+        Write the motions of a block, then its rows.
 
         Parameters
         ----------

@@ -144,7 +144,7 @@ class _Motion:
 
 
 class _Turned:
-    """A bound on the angle of a body in steps: a body that turns too far would take days."""
+    """A bound on the angle that a body has turned: too large an angle takes days to compute."""
 
     def __init__(self, problem: Problem, step_ns: int) -> None:
         moments = problem.body.principal_moments

@@ -16,8 +16,8 @@
 The motions of an ensemble as Zarr.
 
 The format is version 2, which Zarr 2 and 3 read, and the metadata are those of xarray. A chunk has
-a fixed number of runs, so its bytes depend on their numbers only. It is replaced as a whole when a
-block is written that has some of its runs.
+a fixed number of runs, so its bytes depend on their numbers only. Writing a block that has some of
+its runs replaces the whole chunk.
 """
 
 from __future__ import annotations

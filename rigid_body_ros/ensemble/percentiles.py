@@ -25,7 +25,7 @@ def percentiles(numbers: Floats, wanted: Sequence[int]) -> Floats:
     """
     Return percentiles of numbers, as `numpy.percentile` with the method 'inverted_cdf'.
 
-    NumPy has that method from 1.22 on, and takes several times as long as it takes to sort.
+    NumPy has that method from 1.22 on; it takes several times as long as a sort.
 
     Parameters
     ----------

@@ -104,7 +104,7 @@ class Reach:
             + applied.fields.speed(least, moments.max(-1))
 
     def _seconds(self, applied: Applied) -> Floats:
-        """Return the time that each motion is computed in steps, s, shape (n,)."""
+        """Return how much of each motion is computed in steps, s, shape (n,)."""
         solver = self.problem.options.record
         if solver.fixed_step:
             return np.zeros(len(applied.runs))

@@ -247,7 +247,7 @@ class Ensemble:
 
     def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
                 drawn: Mapping[str, Floats]) -> Applied:
-        """Return what acts with some values; `drawn` has more than numbers by key."""
+        """Return what acts in some runs: `values` by key, and the vectors among those `drawn`."""
         inertia = relative_inertia(self.problem.body, drawn[INERTIA]) if INERTIA in drawn \
             else tensors('inertia.i', values)
         attitude = vectors(ATTITUDE, values, 'xyzw')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The torques in the runs of an ensemble: those recorded, or of a controller, and what differs."""
+"""The torques in the runs of an ensemble, recorded or of a controller, with their dispersions."""
 
 from __future__ import annotations
 

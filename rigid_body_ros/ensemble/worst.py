@@ -80,7 +80,7 @@ def command(ensemble: Ensemble, path: str | Path, run: int) -> str:
 
 
 def _actuated(problem: Problem, scene: Scene, topics: Sequence[str]) -> dict[str, Any]:
-    """Return which topics have the commands of actuators, as parameters of a scene with some."""
+    """Return the topics with commands of actuators, as parameters; none without actuators."""
     if not scene.actuators:
         return {}
     found = [topic for topic, one in zip(topics, problem.actuators) if one]
@@ -90,7 +90,7 @@ def _actuated(problem: Problem, scene: Scene, topics: Sequence[str]) -> dict[str
 
 
 def _turning(problem: Problem) -> dict[str, Any]:
-    """Return the speeds of wheels at the start as parameters, if it states them."""
+    """Return the speeds of wheels at the start as parameters, if the start has them."""
     start, wheels = problem.start, problem.named_wheels
     if not wheels or not len(start.wheel_speeds):
         return {}
@@ -115,7 +115,7 @@ class _Torques:
     later_ns: int
 
     def write(self, problem: Problem, topics: list[str]) -> None:
-        """Write the torques of a problem, on the body to these topics, and the changes of it."""
+        """Write the torques of a problem, those on the body to these topics, and new bodies."""
         # A replay needs torques; one of zero changes nothing.
         none = TorqueLog([problem.start.time_ns], np.zeros((1, 3)))
         for topic, log in zip(topics, problem.logs or (none,)):

@@ -61,7 +61,7 @@ def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> lis
 
 
 def check_delay(physics: Physics) -> None:
-    """Raise InputError if torques act later, or earlier, than windows know of them."""
+    """Raise InputError if torques are shifted by more than the windows allow for."""
     delay = physics.number('torque_delay')
     if abs(delay) > MEMORY:
         raise InputError(f'torque_delay: expected at most {MEMORY:g} s, found {delay:.4g} s; '
@@ -72,8 +72,8 @@ def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
     """
     Return a torque that follows another one with a first-order lag.
 
-    It is held between nodes, at its mean over that time: so each impulse is exact, and a step of
-    the logged torque has several nodes within a lag.
+    Between two nodes it is held at its mean over that time, so each impulse is exact. After a step
+    of the logged torque there are several nodes within a lag.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
     Return the clock offset at which the logged torques explain the measured motion best.
 
     The torque that a motion needs is linear in the entries of the inertia. So each offset has an
-    inertia that explains most, and the guess does not matter.
+    inertia that explains most, and a guess of the inertia is not needed.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ class Linearized:
         return rows[:, :-1], rows[:, -1]
 
     def split(self, columns: Sequence[int], later: Sequence[bool]) -> Floats:
-        """Return columns of the matrix, zero for the windows that are not later."""
+        """Return columns of the matrix, with zeros in the windows that `later` does not mark."""
         return np.concatenate([block[:, columns] * late for block, late
                                in zip(self.blocks, later)])
 
@@ -270,7 +270,7 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
 
 
 def _known(solution: Solution, last: int) -> Floats:
-    """Return a factor of the information of the state of the last window and what is shared."""
+    """Return a factor of the information about the last window's state and shared parameters."""
     problem, blocks = solution.problem, []
     own = len(problem.unknowns[last])
     for k in range(len(problem.windows)):

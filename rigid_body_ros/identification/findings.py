@@ -15,8 +15,8 @@
 """
 Findings about a model from the errors of its fit.
 
-Each test has a probability of a false alarm of 1e-4. A right model meets about forty of them, so
-less than one right model in a hundred is not called explained.
+Each test has a probability of a false alarm of 1e-4. About forty of them apply to a model, so
+fewer than one right model in a hundred is not called explained.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> 
 
 
 def _breaks(solution: Solution) -> Iterator[Score]:
-    """Generate changes of the inertia where outliers begin or end: the other part was fitted."""
+    """Generate changes of the inertia where outliers begin or end: a fit follows one part only."""
     from scipy.special import chdtrc
     for problem, channels, every, errors, sigma in zip(
             solution.problem.setup.problems, solution.problem.setup.channels, solution.inliers,

@@ -28,7 +28,7 @@ from rigid_body_ros.scene.fields import MOMENT, moment_unit
 
 
 class Kind(NamedTuple):
-    """A parameter: its components, their unit, their value without it, and whose it is."""
+    """A parameter: its components, their unit, their value if it is not fitted, and its owner."""
 
     components: tuple[str, ...]
     unit: str

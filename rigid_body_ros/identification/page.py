@@ -126,7 +126,7 @@ def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
 
 
 def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> dict[str, float]:
-    """Return where the validation begins, and from when on its errors are no finding."""
+    """Return when the validation begins, and up to when the motion can be predicted."""
     ahead = [part for part in parts if not part.is_training]
     lines = {}
     if ahead:
@@ -150,7 +150,7 @@ def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:
 
 
 def _correlations(errors: Residuals) -> Iterator[Panel]:
-    """Generate how errors that were fitted depend on those before."""
+    """Generate the autocorrelation of the errors of the fit."""
     if len(errors.stamps_ns) < 4 * _FEWEST or not errors.is_training:
         return
     spacing = 1e-9 * float(np.median(np.diff(errors.stamps_ns)))

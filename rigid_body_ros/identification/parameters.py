@@ -370,7 +370,7 @@ def _possible(moments: Floats) -> Floats:
 
 
 def _with_products(diagonal: Floats, moments: Floats) -> Floats:
-    """Return the Cholesky factor with this diagonal whose tensor has the products of another."""
+    """Return the Cholesky factor with this diagonal, and the products of inertia of another."""
     factor = np.diag(diagonal)
     factor[1, 0] = moments[1, 0] / diagonal[0]
     factor[2, 0] = moments[2, 0] / diagonal[0]

@@ -258,7 +258,7 @@ class LeastSquares:
         return triangle(columns)
 
     def _free(self, k: int) -> int:
-        """Return the number of unknowns of a window whose derivatives need no motion."""
+        """Return the number of unknowns of a window whose derivatives need no propagation."""
         is_in_body = self.windows[k].is_in_body and WEIGHT not in self.parameters.groups
         return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 
@@ -270,7 +270,7 @@ class LeastSquares:
         self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
 
     def _turned(self, k: int, base: list[Floats], attitude: Floats, step: Floats) -> list[Floats]:
-        """Return the slopes by an attitude: without torque in space axes, the motion turns."""
+        """Return the slopes by the initial attitude, with which all torques in body axes turn."""
         space = 2.0 * so3.multiply(attitude[1:] - attitude[0],
                                    so3.conjugate(attitude[0]))[:, None, :3] / step[:, None, None]
         return [so3.rotate(so3.conjugate(one), space) if channel.is_attitude

@@ -65,7 +65,7 @@ def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Flo
 
 
 def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
-    """Return the rotation vector of a sensor, given `mount@TOPIC`, or `mount` of the only one."""
+    """Return the rotation vector of a sensor: `mount@TOPIC`, or `mount` if that applies to it."""
     topic = split_topic(name)[1]
     attitudes = {channel.topic for channel in channels if channel.is_attitude}
     if topic and attitudes and topic not in attitudes and name not in physics.values:

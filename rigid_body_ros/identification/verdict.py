@@ -179,7 +179,7 @@ def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     """
     Return the suspects, the best first: by chi-square of the validation, otherwise by their drop.
 
-    A change of the inertia, which no fit was made with, has its place by the drop.
+    A change of the inertia is ranked by its drop, because no fit includes it.
     """
     ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
                                                -one.chi2_drop))

@@ -153,7 +153,7 @@ class Window:
 
     def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
                 times_ns: NDArray[np.int64]) -> Trajectory:
-        """Return the motion at times, at the beginning for earlier ones."""
+        """Return the motion at times; before the beginning, the state there."""
         momentum = self.problem.start.rotor_momentum + physics.value('rotor_momentum')
         if self.axial is not None:
             momentum = momentum + self.axial @ velocity

@@ -155,7 +155,7 @@ def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
 def make_rows_continuous(angles: Annotated[Floats, 'm 3', WRITTEN], anchor: int,
                          poles: Annotated[Floats, 'm'], proper: bool) -> None:
     """
-    Choose of the triples for each attitude that closest to its neighbour.
+    Choose, for each attitude, the triple that is closest to that of its neighbour.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def exist(fields: Any) -> bool:
 
 @inlined
 def act(fields: NDArray[Any] | None) -> bool:
-    """Return whether there are fields; a scene with lags has a record even without."""
+    """Return whether there are fields; with lags, a scene without fields has a record, too."""
     if fields is None:
         return False
     return fields[0].count > 0 or fields[0].mean_motion != 0.0
@@ -92,7 +92,7 @@ def _vector(values: Any, start: int) -> Vector:
 @inlined
 def angle_at(fields: NDArray[Any] | None, time_ns: int) -> DoubleDouble:
     """
-    Return the angle, rad, by which the orbit has turned since its position is given.
+    Return the angle, rad, by which the orbit has turned since the time of the given position.
 
     After many turns, a rounded angle would shake the orbit: the energy of the body would grow.
     """
@@ -107,7 +107,7 @@ def angle_at(fields: NDArray[Any] | None, time_ns: int) -> DoubleDouble:
 
 @inlined
 def turned_on(angle: DoubleDouble, rate: float, seconds: float) -> DoubleDouble:
-    """Return the angle after some seconds, few enough that the turn in them may be rounded."""
+    """Return the angle after a time, s, so short that the turn in it may be rounded."""
     high, low = two_sum(angle[0], rate * seconds)
     return high, low + angle[1]
 

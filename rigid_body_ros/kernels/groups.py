@@ -15,10 +15,10 @@
 """
 Steps of a group of runs, one in each lane.
 
-A group takes the common part of the loop, in the bits of `loop.run`: steps of the series on the
-grid of a segment and to the outputs in it, and single steps from stamp to stamp, under held
-torques in body axes. It leaves each run at a place from which `loop.run` continues, and that takes
-all other cases.
+A group takes over the common part of the loop, with the bits of `loop.run`: steps of the series on
+the grid of a segment and to the outputs in it, and single steps from stamp to stamp, under held
+torques in body axes. It leaves each run where `loop.run` can continue, which handles all other
+cases.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def fill_slopes(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3']
     """
     Compute the slopes of straight lines through samples, and zero for the last.
 
-    Each line leads from where the rounded slopes before it end, not from the sample there.
+    Each line begins where the line before it ends with its rounded slope, not at the sample.
 
     Parameters
     ----------

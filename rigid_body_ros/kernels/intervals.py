@@ -175,7 +175,7 @@ def torque_of(torques: Floats, row: int) -> vector.Polynomial:
     """
     Return the torque of a row, or zeros before the first.
 
-    It is a tuple, because to make an array takes half the time of a short step.
+    It is a tuple, because making an array takes half the time of a short step.
     """
     none = four.broadcast(0.0)
     if row < 0:

@@ -65,8 +65,8 @@ def optional(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """
     Mark an inlined function for a part that not every scene has.
 
-    If its first argument is None, it returns None. The compiler chooses by type, so it compiles a
-    scene without the part without the code for it.
+    If its first argument is None, it returns None. The compiler chooses by type, so a scene that
+    lacks the part is compiled without its code.
     """
     def choose(first: Any, *rest: Any) -> Any:
         return None if first is None else kernel(first, *rest)

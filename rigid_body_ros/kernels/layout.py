@@ -140,7 +140,7 @@ class LagTerms(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Wheels with friction, see `friction`, with zeros for the missing ones of the last four."""
+    """Wheels with friction, see `friction`, padded with zeros to a multiple of four."""
 
     #: N m: the torque of the motor of each wheel in each row.
     efforts: Annotated[Floats, 'n 4g']

@@ -16,8 +16,8 @@
 The layout of a motion at m times: 7 m doubles.
 
 The block holds m attitudes x y z w, then m angular velocities, rad/s, body axes. It is a single
-block, because the system reclaims the memory of two blocks that are freed together, and the next
-run would take as long to get their pages again as to do its arithmetic.
+block: the system reclaims the memory of two blocks that are freed together. To get their pages
+again would take the next run as long as its arithmetic.
 """
 
 from __future__ import annotations

@@ -22,9 +22,9 @@ the sum of v_k z_k with z_i = 1, and the exact moment is m_i + d, where
     r_jk = v_j . (J v_k - m_k v_k),  g_jk = v_j . v_k.
 
 The residuals r_jk, and g_jk less 1 if j = k, are as small as rounding errors. Only they are
-computed beyond double precision: it suffices for their products. This is the iterative refinement
-of Ogita and Aishima, "Iterative refinement for symmetric eigenvalue decomposition", 2018, carried
-on to convergence.
+computed beyond double precision; doubles suffice for their products. This is the iterative
+refinement of Ogita and Aishima, "Iterative refinement for symmetric eigenvalue decomposition",
+2018, carried on to convergence.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ class Run:
         """
         Apply a torque that arrived at a time, ns; return False if it is rejected.
 
-        Before the next torque, call `commit`, and then `log`, which logs both.
+        Before the next torque, call `commit` and then `log`, which logs the torque and the states.
         """
         epoch = self._present()
         try:

@@ -186,7 +186,7 @@ Field = UniformField | GravityGradient
 
 def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
     """
-    Return fields whose orbit has a time: if it has none, the start of the motion.
+    Return fields whose orbit has a time, by default the start of the motion.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
 
 
 def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
-    """Return fields for the kernels: FIELDS, shape (1,), or None; an orbit has a time."""
+    """Return fields for the kernels: FIELDS, shape (1,), or None; an orbit must have a time."""
     if not fields:
         return None
     result = np.zeros(1, FIELDS)
@@ -236,7 +236,7 @@ def _checked(values: ArrayLike, what: str) -> Floats:
 
 def direction(values: ArrayLike, what: str) -> Floats:
     """
-    Return a unit vector; one that is given, to rounding, keeps its bits, as do quaternions.
+    Return a unit vector; the bits of a vector that is one to rounding stay as they are.
 
     Raises
     ------

@@ -16,8 +16,8 @@
 The errors of an IMU, as functions of a seed and a stamp.
 
 The IMU takes 1000 samples per second of its stamps, and their noise is a function of their number.
-A stamp has the noise of the last sample at or before it, whatever was asked for before, and at
-whatever rate.
+A stamp has the noise of the last sample at or before it, whatever the rate and the earlier
+requests.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class ImuErrors:
 
 def _hats(levels: NDArray[np.int64], samples: NDArray[np.int64]) -> Floats:
     """
-    Return functions of which a Wiener process is the sum, each times a normal number, sqrt(s).
+    Return functions, sqrt(s); a Wiener process is their sum, each times a normal number.
 
     On each level, intervals of 2, 4, 8 ... samples have hats, which are zero at both ends (Lévy
     1948; Karatzas, Shreve 1991, "Brownian motion and stochastic calculus", section 2.3).

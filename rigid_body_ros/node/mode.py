@@ -71,7 +71,7 @@ class Mode:
         self._wake: Callable[[], None] = lambda: None
 
     def connect(self, torques: Mapping[int, Subscription], wake: Callable[[], None]) -> None:
-        """Set the subscriptions to torques by source, and what starts work without a message."""
+        """Set the subscriptions to torques by source, and a function that starts work at once."""
         self._torques, self._wake = torques, wake
 
     @property

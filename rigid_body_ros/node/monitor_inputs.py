@@ -146,8 +146,9 @@ class MonitorInputs:
         """
         Return the subscriptions whose messages `take` takes: no executor need wait for them.
 
-        To wake an executor for each message takes more time than all else. The middleware says
-        when a message arrived, but simulated time has to be read then.
+        Waking an executor for each message takes more time than everything else. The middleware
+        records the wall time at which a message arrives; simulated time has to be read at that
+        moment.
         """
         return [] if self._is_simulated else self.subscriptions
 

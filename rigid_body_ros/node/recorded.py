@@ -56,7 +56,7 @@ class RecordedNode:
     The node of a scene in lockstep, in the domain of the environment; a context manager.
 
     If the scene has several topics of torques, the node begins when each of them has a publisher:
-    it would go on without one that comes later. A checkpoint is neither read nor written.
+    it does not wait for a publisher that comes later. A checkpoint is neither read nor written.
 
     Parameters
     ----------

@@ -295,10 +295,9 @@ class Problem:
 
     def carried(self) -> Problem:
         """
-        Return the problem of bodies whose rotors do what the wheels with names do.
+        Return the same motion as a problem in which rotors replace the wheels with names.
 
-        It is the same motion of bodies without the axial inertia of the wheels; the problem itself
-        if there are no such wheels.
+        Its bodies lack the axial inertia of the wheels. Without such wheels, it is this problem.
 
         Raises
         ------

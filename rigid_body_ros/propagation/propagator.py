@@ -101,7 +101,7 @@ class Propagator:
         return self._history.newest_ns
 
     def held(self, time_ns: int) -> Mapping[int, Sample]:
-        """Return by source the sample in force at a time, also if it has timed out."""
+        """Return the sample of each source in force at a time, even if it has timed out."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
 
     def delay_ns(self, source: int) -> int:

@@ -37,7 +37,7 @@ _CHUNK = 65536
 
 
 class OtherTorques(NamedTuple):
-    """Torques in addition to the logs and the rotors; None for each term that does not."""
+    """Torques in addition to those of the logs and the rotors; None for each that is absent."""
 
     #: The torques that depend on the attitude: FIELDS, shape (1,).
     fields: NDArray[Any] | None = None
@@ -128,7 +128,7 @@ class Timeline:
 
     @cached_property
     def _samples(self) -> NDArray[np.intp] | None:
-        """Return the sample in force in each row, -1 after a timeout; None if it is the row."""
+        """Return the sample in force in each row, -1 after a timeout; None if rows are samples."""
         if self._silent is None:
             return None
         return np.insert(np.arange(len(self._log)), self._silent + 1, -1)

@@ -162,7 +162,7 @@ def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
 
 
 def without_wheels(start: State) -> State:
-    """Return a start of rotors without names, which have the momentum of all of its wheels."""
+    """Return a start without named wheels, whose rotors have the momentum of all wheels."""
     if start._axial is None:
         return start
     return State(start.time_ns, start.attitude, start.angular_velocity, start.rotor_momentum)
@@ -209,7 +209,7 @@ def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, state: State,
     """
     Return what wheels do from a state on, under the commands in force then.
 
-    Commands that were in force before have begun to act, or not, and go on as they are.
+    A command from before has already begun to act or was refused; that does not change.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ class Topics:
         return self._beside(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
 
     def _beside(self, name: str, recorded: Sequence[str]) -> str | None:
-        """Return the topic of the scene with a name; of torques that a node logs, its own log."""
+        """Return the topic of the scene with a name, or its log by the node that logs torques."""
         logs = [topic for topic in recorded if topic.endswith(f'/accepted_{name}')]
         nodes = {topic.rpartition('/')[0] for topic in self.torques if _ACCEPTED.fullmatch(topic)}
         if nodes:
@@ -159,8 +159,8 @@ class Topics:
         """
         Return the actuator of each topic of torques, or None if the scene has none.
 
-        A topic has the actuator of the topic of the scene with its name, or of the topic whose
-        torques a node has logged on it; a single topic has the actuator of the single topic of the
+        A topic has the actuator that the scene gives to its name. A log of a node has the actuator
+        of the topic whose torques it holds, and a single topic that of the single topic of the
         scene.
         """
         found, names = scene.actuators, [absolute(name) for name in scene.torque_topics]

@@ -15,7 +15,7 @@
 """
 A node in a process of its own.
 
-A process can be ended whatever its node does: threads of the middleware can block each other.
+A process can be killed even if threads of the middleware block each other for ever.
 """
 
 from __future__ import annotations

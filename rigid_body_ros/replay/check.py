@@ -159,9 +159,9 @@ def _integrals(problem: Problem, trajectory: Trajectory) -> str:
     Return the relative changes, as text, of the constants of the motion under fields alone.
 
     The energy, the potential included, under uniform fields; with it the momentum about their
-    direction if all are parallel (Lagrange). In orbit Jacobi's integral: the energy less the
+    direction if all are parallel (Lagrange). In orbit, Jacobi's integral: the energy less the
     momentum about the normal of the orbit times the mean motion. Empty for an orbit and uniform
-    fields together, under which nothing is.
+    fields together, under which nothing is conserved.
     """
     start, body, fields = problem.start, problem.body, problem.fields
     times_ns = np.append(start.time_ns, trajectory.times_ns)
@@ -192,7 +192,7 @@ def _change(terms: Sequence[Floats]) -> float:
 
 
 def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
-    """Return the largest error of the momentum under torques in space axes, relative to it."""
+    """Return the largest error of the momentum under torques in space axes, over the momentum."""
     start, body = problem.start, problem.body
     momentum = start_momentum = so3.rotate(
         start.attitude, body.angular_momentum(start.angular_velocity) + start.rotor_momentum)

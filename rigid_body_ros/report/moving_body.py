@@ -99,8 +99,7 @@ def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:
     """
     Return between which neighbours, shape (n - 1,), the page may interpolate.
 
-    The interpolation from one neighbour of a sample to the other, twice as far, must meet the
-    sample itself.
+    An interpolation between the two neighbours of a sample must meet the sample.
     """
     states = rows[:, ATTITUDE], rows[:, RATE]
     if len(seconds) < 3:

@@ -88,7 +88,7 @@ def check() -> None:
 
 
 def abandon_threads() -> None:
-    """Let `end` not wait for threads: nothing stops one in compiled code."""
+    """Make `end` not wait for threads: nothing stops a thread in compiled code."""
     _abandoned.set()
 
 

@@ -95,9 +95,9 @@ def resembled(name: str, known: Collection[str]) -> str | None:
     """
     Return the known name that another name, probably misspelt, resembles most, or None.
 
-    They differ in capitals, in one letter, in the order of two letters, or in two missing or
-    additional letters; short ones in capitals alone. Names with different digits, such as those of
-    two topics, never resemble each other.
+    Such names differ in capitals, in one letter, in the order of two letters, or in two missing or
+    additional letters. Short names differ in capitals alone. Names with different digits, such as
+    those of two topics, never resemble each other.
     """
     one, edits = name.lower(), {}
     for candidate in known:

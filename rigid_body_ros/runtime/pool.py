@@ -137,7 +137,7 @@ class Processes(Workers):
         super().__exit__(None)
 
     def ahead(self) -> int:
-        """Return the number of items to submit: one that waits would have a process of its own."""
+        """Return the number of items to submit: each gets a process at once, so none can wait."""
         return self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:

@@ -170,7 +170,7 @@ def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
     """
     Return the position on the orbit, by key, of a motion that starts at another time.
 
-    Nothing is returned if there is no orbit, or if the position is that at the start anyway.
+    The result is empty without an orbit, and if the given position is that at the start.
     """
     begin_ns = values['start_time']
     orbits = [one for one in fields_of(values) if isinstance(one, GravityGradient)]

@@ -16,8 +16,8 @@
 The prediction of a model over a window of a measured motion, and the measurement at its end.
 
 The measurements in the first fifth of the window give the state at its begin, which is propagated
-under the logged torques. The samples in the last fifth correct it. That correction, at the end of
-the window, is the error. Its covariance is that of both estimates; the constant torque that
+under the logged torques. The samples in the last fifth correct it. The correction at the end of
+the window is the error. Its covariance is that of both estimates; the constant torque that
 explains it best is the residual torque.
 """
 

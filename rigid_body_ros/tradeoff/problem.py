@@ -103,7 +103,7 @@ class Case:
         return self.problem.solved_by(**options).propagate(at=self.times_ns)
 
     def in_principal_axes(self, max_step: float) -> Floats:
-        """Return attitudes computed by the series in principal axes, without such terms."""
+        """Return attitudes computed by the series in principal axes, without linear terms."""
         axes, given = PrincipalAxes(self.problem.body), self.problem
         # A limit is along the axes of the body; a lag is the same along any.
         lags = [each and each.lag for each in given.actuators]

@@ -104,7 +104,7 @@ class Tradeoff:
 
     def dominant(self, target: float, held: bool = False) -> str:
         """
-        Return the largest source of error; without a recommendation, of the best setting.
+        Return the largest source of error of the recommended setting, or else of the best one.
 
         A torque that is held between its samples has no error of the interpolation.
         """
