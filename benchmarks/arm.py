@@ -69,7 +69,7 @@ def motions(count):
 
 
 def plain_scene(scene):
-    """Return a scene of the tests, with its end and ever shorter times before it."""
+    """Return a scene of the tests, with its end and times before it in ever shorter steps."""
     end = int(scene.times_ns[-1])
     at = np.unique([*scene.times_ns, *(end >> np.arange(40))])
     steps_end = int(end * min(1.0, LONGEST / max(scene.phase, 1.0)))

@@ -77,7 +77,7 @@ class Channel:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Return what identifies it: topic and quantity."""
+        """Return what identifies the channel: topic and quantity."""
         return self.topic, self.kind
 
     @cached_property

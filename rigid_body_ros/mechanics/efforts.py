@@ -26,8 +26,8 @@ class EffortLog:
     """
     The commands of wheels with names: the torques of their motors, held.
 
-    Before its first command a wheel has none. With a timeout, all commands end together: that long
-    after the last of them, whichever wheel it was for.
+    Before its first command a wheel has no effort. With a timeout, all commands end together: that
+    long after the last of them, whichever wheel it was for.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ class Commands(NamedTuple):
 
     @property
     def log(self) -> EffortLog:
-        """Return them as a log."""
+        """Return the commands as a log."""
         rows = np.where(np.eye(len(self.efforts), dtype=bool), self.efforts, np.nan)
         given = np.array(self.stamps_ns) > -NEVER_NS
         return EffortLog(np.array(self.stamps_ns)[given], rows[given])

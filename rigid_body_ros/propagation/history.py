@@ -95,7 +95,7 @@ class History:
         """
         Return the index of the change that a stamp makes after a delay, or None if it is too old.
 
-        If there is no change yet, it is inserted.
+        The change is inserted unless there is one already.
         """
         if self.newest_ns is not None and self.newest_ns - time_ns >= self._history_ns:
             return None

@@ -73,8 +73,8 @@ class UlogFile(File):
 
     The body axes are front, right, down, and the space axes are north, east, down: an attitude q
     rotates the former to the latter, and only the order of its components, w x y z, is changed. A
-    torque is normalized, not in N m. Times are those since boot. The stamp of a measurement is
-    the time at which it was sampled, and that of a torque the time at which it was published.
+    torque is normalized, not in N m. Times count from boot. The stamp of a measurement is the time
+    at which it was sampled, and that of a torque the time at which it was published.
     """
 
     def __init__(self, path: Path) -> None:
