@@ -117,7 +117,7 @@ def _part(ensemble: Ensemble, part: Part) -> tuple[Span, Block]:
 
 
 def _parts(spans: list[Span], workers: Workers) -> Iterator[Part]:
-    """Generate blocks; parts of them once there are fewer blocks than the workers can begin."""
+    """Generate blocks, divided into parts once fewer blocks are left than workers are free."""
     for left, span in zip(range(len(spans), 0, -1), spans):
         parts = min(math.ceil(workers.ahead() / left), _PARTS)
         size = math.ceil((span[1] - span[0]) / parts)

@@ -16,8 +16,8 @@
 A fit close to its solution: the changes if other parameters were also estimated.
 
 The derivatives by all parameters, those that were estimated and those that were not, make a linear
-problem of a few rows. A *score test* asks how much of the errors a parameter that was not
-estimated would explain (Rao 1948). Without an effect, that is distributed as chi-square.
+problem of a few rows. A *score test* tells how much of the errors another parameter would explain
+(Rao 1948). If the parameter has no effect, the result is distributed as chi-square.
 """
 
 from __future__ import annotations
