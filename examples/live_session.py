@@ -20,6 +20,7 @@ No packet leaves the machine, and other ROS domains are not disturbed.
 
 from __future__ import annotations
 
+from contextlib import suppress
 import os
 from pathlib import Path
 import signal
@@ -139,6 +140,10 @@ class LiveSession:
             self.wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
 
     def __exit__(self, kind, error, trace):
+        if kind is KeyboardInterrupt:  # Fast DDS may crash if a process is killed as it ends
+            self.process.send_signal(signal.SIGINT)
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(timeout=5.0)
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
