@@ -101,6 +101,7 @@ def test_the_node_may_start_first(tmp_path, domain, first_step, attempt):
             ended(tmp_path, live, process)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('first_step', ['0', *at_night('0.6', str(HEARTBEAT))])
 @pytest.mark.parametrize('attempt', [1, *at_night(2)])
 def test_the_controller_may_start_first(tmp_path, domain, first_step, attempt):

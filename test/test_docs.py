@@ -131,7 +131,7 @@ def test_a_printed_page_is_what_the_code_declares(name, arguments):
     assert (ROOT / 'docs' / f'{name}.md').read_text(encoding='utf-8') == printed.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
     for module in ('myst_parser', 'latex2mathml'):
         pytest.importorskip(module, reason='the extra "docs" is not installed')

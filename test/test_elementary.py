@@ -20,6 +20,7 @@ import os
 import subprocess
 import sys
 
+from conftest import at_night
 import mpmath
 from mpmath import mp, mpf
 import numpy as np
@@ -245,7 +246,7 @@ def test_tables_hold_32_digits():
 
 @pytest.mark.slow
 @pytest.mark.parametrize('kernels', [
-    *LEVELS, pytest.param('python', marks=pytest.mark.slow)])
+    *LEVELS, *at_night('python')])
 def test_results_have_the_same_bits_everywhere(kernels):
     result = subprocess.run([sys.executable, '-c', SCRIPT], capture_output=True, text=True,
                             check=True, env={**os.environ, 'RIGID_BODY_ROS_KERNELS': kernels})

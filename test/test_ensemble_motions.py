@@ -86,7 +86,7 @@ def test_xarray_opens_the_motions_with_their_coordinates(inputs):
         assert ends.sel(component=name).values.tolist() == table[name].to_pylist()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures('small_chunks')
 def test_workers_extension_and_lost_files_give_the_same_bytes(inputs):
     run(inputs, 'one', 58, '--times', HZ, '--workers', 1)
@@ -159,8 +159,8 @@ def test_times_start_at_the_start_and_include_the_end(end_ns, rate, expected):
 @pytest.mark.usefixtures('small_chunks')
 @pytest.mark.parametrize('change', [
     lambda chunk, other: chunk.write_bytes(chunk.read_bytes()[:-9]),
-    lambda chunk, other: shutil.copy(other, chunk),
-    lambda chunk, other: chunk.write_bytes(b''),
+    *at_night(lambda chunk, other: shutil.copy(other, chunk),
+              lambda chunk, other: chunk.write_bytes(b'')),
 ], ids=['short', 'of other runs', 'empty'])
 def test_a_chunk_that_does_not_fit_is_computed_again(inputs, capsys, change):
     run(inputs, 'whole', 60, '--times', HZ)
@@ -177,7 +177,7 @@ def test_a_chunk_that_does_not_fit_is_computed_again(inputs, capsys, change):
     assert contents(inputs / 'out') == expected
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize('kills', [1, *at_night(3)])
 def test_kills_and_resumes_give_the_same_bytes(inputs, kills):
     run(inputs, 'whole', 4000, '--times', HZ)

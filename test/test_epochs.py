@@ -463,7 +463,8 @@ def test_measurements_of_other_epochs_are_left_out(two, tmp_path, start, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', COMMANDS)
+@pytest.mark.parametrize('name', [
+    *(name for name in COMMANDS if name != 'tradeoff'), *at_night('tradeoff')])
 def test_every_command_takes_an_epoch_without_torques(run, tmp_path, capsys, name):
     log = save(tmp_path / 'log.mcap', epoch(run, FIRST, {ACCEPTED: []}))
     status = called(tmp_path, name, log)

@@ -34,6 +34,9 @@ from rigid_body_ros.sensing.recorded import Reading
 NODES = 'node', 'lifecycle', 'controller', 'monitor'
 COMMANDS = sorted(path.name for path in (ROOT / 'scripts').iterdir()
                   if path.name.split('_')[1] not in NODES)
+#: Commands whose examples take a quarter of a minute.
+SLOWEST = {'attitude_regress': [pytest.mark.ros, pytest.mark.nightly],
+           'attitude_tradeoff': pytest.mark.nightly}
 
 
 def printed(capsys, name, option):
@@ -45,8 +48,7 @@ def printed(capsys, name, option):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', [
-    pytest.param(name, marks=pytest.mark.ros) if name == 'attitude_regress' else name
-    for name in COMMANDS])
+    pytest.param(name, marks=SLOWEST.get(name, ())) for name in COMMANDS])
 def test_the_examples_of_the_help_run(name, capsys, tmp_path, monkeypatch):
     if name == 'attitude_regress':  # it starts another of the commands
         pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')

@@ -291,7 +291,7 @@ def weighed(folder, moment, fields=PIVOT):
     return truth
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_moment_of_a_weight_from_a_recording_to_an_ensemble(tmp_path, capsys):
     moment = (0.002, 0.0, -0.02)
     truth = weighed(tmp_path, moment)

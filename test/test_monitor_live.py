@@ -103,6 +103,7 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
         assert session.stop() == 0
 
 
+@pytest.mark.nightly
 def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path, domain):
     wrong = stream(60, **campaign.ERRORS['torque of 1 mN m about x'])
     with Session(tmp_path / 'scene.yaml', domain) as session:
@@ -166,6 +167,7 @@ def test_lost_torques_are_no_error_of_the_model(tmp_path, domain):
         assert session.stop() == 0
 
 
+@pytest.mark.nightly
 def test_after_a_jump_of_simulated_time_the_check_begins_again(tmp_path, domain):
     found = stream(20)
     with Session(tmp_path / 'scene.yaml', domain, on_time_jump='reset') as session:

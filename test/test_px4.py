@@ -129,7 +129,7 @@ def test_a_log_without_its_reader_is_one_line(tmp_path, capsys, monkeypatch):
         'run python3 -m pip install pyulog')
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_gains_of_normalized_torques(tmp_path, capsys):
     path = logged(tmp_path / 'log.ulg', Truth(), GAINS)
     out, arguments = tmp_path / 'out.json', [str(path), '--scene', str(scene_of(

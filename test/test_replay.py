@@ -653,7 +653,8 @@ def test_gaps_do_not_depend_on_the_pieces(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('outputs', [
-    ['-o', 'm.mcap'], ['-o', 'm'], ['--plot', 'm.png'], ['--report', 'm.html']], ids=' '.join)
+    ['-o', 'm.mcap'], ['-o', 'm'], ['--report', 'm.html'], *at_night(['--plot', 'm.png'])],
+                         ids=' '.join)
 def test_a_disk_that_is_full_at_any_write_leaves_no_incomplete_output(tmp_path, monkeypatch,
                                                                       capsys, outputs):
     monkeypatch.chdir(tmp_path)
@@ -680,7 +681,7 @@ def test_a_disk_that_is_full_at_any_write_leaves_no_incomplete_output(tmp_path, 
             path.unlink()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_home_time_zone_and_assertions_have_no_effect(tmp_path):
     def run(folder, python, **environment):
         folder.mkdir()

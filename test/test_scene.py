@@ -357,7 +357,7 @@ def test_a_missing_file_is_named(tmp_path):
         scene.load(tmp_path / 'none.yaml')
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_mypy_finds_a_misspelt_parameter(tmp_path):
     module = tmp_path / 'module.py'
     module.write_text('from rigid_body_ros.scene import Scene\n\n\n'

@@ -14,6 +14,7 @@
 
 """Parameter files that several nodes share: keys of other nodes, and misspelt ones."""
 
+from conftest import at_night
 import pytest
 from rigid_body_ros import scene
 from rigid_body_ros.commands import main
@@ -78,7 +79,7 @@ def test_a_misspelt_key_is_an_error_in_every_section(tmp_path, section):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('command', ['replay', 'tradeoff'])
+@pytest.mark.parametrize('command', ['replay', *at_night('tradeoff')])
 def test_every_command_notes_keys_of_other_nodes_once(tmp_path, capsys, command):
     path, recording = tmp_path / 'shared.yaml', tmp_path / 'torques.csv'
     path.write_text(SHARED)

@@ -74,6 +74,7 @@ def run_controller(live, *arguments):
                           check=False)
 
 
+@pytest.mark.nightly
 def test_the_controller_logs_parameters_of_other_nodes_once(tmp_path, domain):
     parameters = tmp_path / 'shared.yaml'
     parameters.write_text(SHARED)

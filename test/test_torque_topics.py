@@ -263,6 +263,7 @@ def with_fields(path):
     return path
 
 
+@pytest.mark.nightly
 def test_fields_act_alike_live_and_in_a_replay_of_each_epoch(tmp_path, domain):
     random, given = np.random.default_rng(36), with_fields(tmp_path / 'scene.yaml')
     with Sources(given, domain, *SOURCES, *LOCKSTEP) as live:

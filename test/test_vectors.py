@@ -21,7 +21,7 @@ import re
 import subprocess
 import sys
 
-from conftest import ROOT
+from conftest import at_night, ROOT
 import numpy as np
 import pytest
 from rigid_body_ros import GravityGradient, UniformField
@@ -161,7 +161,7 @@ def length(vector):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('kernels', 'every', 'count'), [
-    *((level, 1, 250) for level in LEVELS[1:]), ('python', 20, 13)])
+    *((level, 1, 250) for level in LEVELS[1:]), ('python', 100, 3), *at_night(('python', 20, 13))])
 def test_every_level_and_plain_python_give_the_same_bits(kernels, every, count):
     result = subprocess.run(
         [sys.executable, ROOT / 'benchmarks' / 'vectors.py', '--every', str(every)],
