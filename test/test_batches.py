@@ -122,8 +122,8 @@ def test_the_end_of_a_piece_may_be_asked_for_more_than_once(zero):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
-@pytest.mark.parametrize('options', [{}, {'rate': 37.0}, {'until': 7.3}, {'until': 900.0}],
-                         ids=str)
+@pytest.mark.parametrize('options', [{}, {'rate': 37.0}, {'until': 7.3}, *at_night(
+    {'until': 900.0})], ids=str)
 @pytest.mark.parametrize('fields', [{}, {
     'fields': ['pivot'], 'pivot.moment.z': -0.02, 'pivot.field.z': -9.81,
     'orbit.mean_motion': 0.4}], ids=['plain', 'fields'])

@@ -269,9 +269,9 @@ def small_disk(path, size):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('share', 'more'), [
-    (0.5, []), (0.85, ['--times', 7]),
-    *at_night(*((float(share), more) for more in ([], ['--times', 7])
-                for share in np.random.default_rng(3).uniform(0.0, 1.0, 15).round(3)))])
+    (0.5, []), *at_night((0.85, ['--times', 7]), *(
+        (float(share), more) for more in ([], ['--times', 7])
+        for share in np.random.default_rng(3).uniform(0.0, 1.0, 15).round(3)))])
 def test_a_full_disk_is_one_line_and_the_folder_is_resumed(inputs, capsys, share, more):
     run(inputs, 'whole', 3000, *more)
     size = sum(-(-path.stat().st_size // 4096) * 4096 for path in (inputs / 'whole').rglob('*'))

@@ -181,7 +181,7 @@ def test_what_is_quoted_of_a_scene_is_short(tmp_path, text, message):
     assert re.search(message, found)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize('name', [
     '\\e[2J', *at_night('torqe_timeu', 'initial_angular_velosyti.')])
 def test_many_keys_of_other_nodes_are_read_in_bounded_time(tmp_path, name):

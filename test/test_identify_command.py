@@ -201,7 +201,7 @@ def test_a_late_clock_and_a_turned_sensor(tumble):
     np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_recordings(tumble):
     truth = measurements.truth(seed=2)
     record(tumble / 'other.mcap', truth, truth.measured(2e-3, 5e-3, seed=1))
@@ -324,7 +324,7 @@ def test_the_moment_of_a_weight_from_a_recording_to_an_ensemble(tmp_path, capsys
     assert np.std(rows['pivot.moment.z'].to_numpy()) == pytest.approx(sigma, rel=0.6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
     moment = (0.002, 0.0, -0.02)
     dipole = '    fields: [dipole]\n    dipole: {moment: {x: 1.0e-9}, field: {y: 1.0}}\n'

@@ -31,8 +31,8 @@ PYTHON = ['benchmarks', 'build_kernels', 'docs', 'examples', 'launch', 'rigid_bo
 @pytest.mark.filterwarnings('ignore')  # those about the linters themselves
 @pytest.mark.parametrize(('linter', 'paths'), [
     ('ament_copyright', [*PYTHON, 'CONTRIBUTING.md', 'LICENSE']),
-    *at_night(('ament_flake8', PYTHON)),  # a minute; ruff checks most of it
-    ('ament_pep257', PYTHON),
+    # These take a minute, and ruff checks most of what they do.
+    *at_night(('ament_flake8', PYTHON), ('ament_pep257', PYTHON)),
     ('ament_xmllint', ['package.xml', 'policies'])])
 def test_the_linters_of_ros_find_no_problem(linter, paths):
     pytest.importorskip(f'{linter}.main', reason=f'{linter} is not installed as a whole')

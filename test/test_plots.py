@@ -79,7 +79,7 @@ def inside(figure):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('scale', [1e-7, 1.0, *at_night(1e-3, 1e5)])
+@pytest.mark.parametrize('scale', [1e-7, *at_night(1.0, 1e-3, 1e5)])
 def test_small_numbers_have_a_unit_with_a_prefix(panels, scale):
     stamps = np.arange(11) * 10 ** 9
     log = TorqueLog(stamps, scale * np.outer(np.arange(11) % 3 - 1, [0.2, 0.5, -0.3]))

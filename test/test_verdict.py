@@ -39,7 +39,8 @@ def covered(result):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', ['noise AR 0.8', '3 % outliers', 'lag, estimated', *at_night(
+@pytest.mark.parametrize('name', ['noise AR 0.8', *at_night(
+                                      '3 % outliers', 'lag, estimated',
                                       'attitude at 20 Hz', 'weight, estimated', 'all well',
                                       'gyro alone', 'weak torque', 'unequal axes',
                                       'delay, estimated', 'gyro scale, estimated')])
@@ -128,7 +129,7 @@ def test_a_bad_prediction_is_a_finding():
     assert any('validation' in reason for reason in result.verdict.reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize('guess', [(0.02, 0.03, 0.05), *at_night(
     ((0.05, 0.02, 0.03),), ((0.0005, 0.04, 0.04),))])
 def test_a_fit_can_leave_a_guess_of_a_plate_or_a_rod(guess):
@@ -144,7 +145,7 @@ def test_a_plate_is_called_one():
     assert identified('all well', inertia=np.diag([0.02, 0.03, 0.05])).is_flat
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_noise_that_lasts_widens_the_intervals_as_its_long_run_variance():
     white, coloured = identified('all well'), identified('all well', colour=0.8, gyro_colour=0.8)
     for name in TRUE:
