@@ -16,8 +16,8 @@
 
 import re
 
-import mpmath
 from conftest import at_night
+import mpmath
 import numpy as np
 import pytest
 from rigid_body_ros import (
