@@ -36,17 +36,16 @@ _NOTHING = np.full((1, 3), -0.0)
 _NO_MARKS = np.empty(0, np.int64)
 
 
-def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum: Floats,
-           timeout_ns: int, marks_ns: NDArray[np.int64] | None = None) -> Sums:
+def summed(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int,
+           marks_ns: NDArray[np.int64] | None = None) -> Sums:
     """
     Return the sum of torque logs and the momentum of the rotors.
 
     Parameters
     ----------
-    logs : sequence of TorqueLog
-        Torques on the body, none of them empty.
-    wheels : TorqueLog
-        Torque on the rotors, body axes; may be empty.
+    sources : sequence of TorqueLog
+        Torques on the body, none of them empty, and last the torque on the rotors, body axes,
+        which may be empty.
     start_ns : int
         Start of the motion.
     momentum : array, shape (2, 3), N m s
@@ -62,10 +61,11 @@ def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum
         The first time is the start.
 
     """
+    *logs, wheels = sources
     motors = [wheels] if len(wheels) else []
     if timeout_ns == 0 and marks_ns is None and _change_together([*logs, *motors], start_ns):
         return _summed_together(logs, motors, start_ns, momentum)
-    return _merged([*logs, wheels], start_ns, momentum, timeout_ns,
+    return _merged(sources, start_ns, momentum, timeout_ns,
                    _NO_MARKS if marks_ns is None else marks_ns)
 
 

@@ -100,9 +100,10 @@ class Timeline:
         is_summed = (wheels is not None or fields is not None or lagging is not None
                      or named is not None)
         if is_summed or is_damped or momentum is not None:
-            self._set_terms(wheels, is_damped, momentum, others)
+            self._has_motors = wheels is not None and bool(wheels.torques.any())
+            self._set_terms(is_damped, momentum, others)
         if is_summed or len(logs) > 1:
-            self._summed = self._sum(logs, wheels or _NO_LOG, start_ns)
+            self._summed = self._sum([*logs, wheels or _NO_LOG], start_ns)
             self.times_ns = self._summed.times_ns
             return
         self._log = logs[0] if logs else _NO_LOG
@@ -112,10 +113,8 @@ class Timeline:
             self.times_ns = np.insert(stamps_ns, self._silent + 1,
                                       stamps_ns[self._silent] + timeout_ns)
 
-    def _set_terms(self, wheels: TorqueLog | None, is_damped: bool, momentum: Floats | None,
-                   others: OtherTorques) -> None:
+    def _set_terms(self, is_damped: bool, momentum: Floats | None, others: OtherTorques) -> None:
         self._fields, self._lagging, self._named = others
-        self._has_motors = wheels is not None and bool(wheels.torques.any())
         self.has_rotors = momentum is not None or self._has_motors
         self._always_acts = momentum is not None or is_damped or self._fields is not None
         self.has_terms = self._always_acts or self._has_motors
@@ -133,13 +132,13 @@ class Timeline:
             return None
         return np.insert(np.arange(len(self._log)), self._silent + 1, -1)
 
-    def _sum(self, logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int) -> Rows:
+    def _sum(self, sources: Sequence[TorqueLog], start_ns: int) -> Rows:
         momentum = self._terms.momentum[0] if self._terms else _NO_MOMENTUM
         marks_ns = [each.marks_ns for each in (self._lagging, self._named) if each]
-        sums = summation.summed(logs, wheels, start_ns, momentum, self._timeout_ns,
+        sums = summation.summed(sources, start_ns, momentum, self._timeout_ns,
                                 reduce(np.union1d, marks_ns) if marks_ns else None)
         times_ns = sums.times_ns
-        axes = [log.in_space for log in (*logs, wheels) if len(log)]
+        axes = [log.in_space for log in sources if len(log)]
         in_two = any(each.any() for each in axes) and not all(each.all() for each in axes)
         spans = _NO_SPANS
         if sums.torques.shape[1] > 1:
