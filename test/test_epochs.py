@@ -315,6 +315,22 @@ def test_what_a_node_has_logged_is_found_beside_its_torques(tmp_path, torque, ra
     assert len(problem.logs) == 1
 
 
+@pytest.mark.parametrize('torques', [(), ('/a/accepted_torque', '/b/accepted_torque')])
+def test_of_two_nodes_that_logged_an_inertia_neither_is_taken_in_silence(tmp_path, torques):
+    run, path = scene.load(CONFIG / 'tumbler.yaml'), tmp_path / 'log.mcap'
+    run = scene.Scene.from_values({**run.values, 'inertia_topic': True})
+    with recording.Writer(path) as writer:
+        for node in 'ab':
+            for name, kind in (('torque', messages.WRENCH), ('inertia', messages.INERTIA)):
+                writer.add_topic(f'/{node}/accepted_{name}', kind)
+                writer.write(f'/{node}/accepted_{name}', FIRST.time_ns,
+                             messages.epoch_marker(FIRST, kind))
+    with pytest.raises(InputError, match='^expected the inertia of one node, found '
+                       '/a/accepted_inertia, /b/accepted_inertia; choose one with --inertia$'):
+        read(path, run, topic=torques)
+    assert read(path, run, topic='/b/accepted_torque').start.time_ns == FIRST.time_ns
+
+
 @pytest.mark.parametrize('killed', [1, 2])
 def test_a_process_may_be_killed_before_it_marks_inertia_and_wheels(tmp_path, killed):
     run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')

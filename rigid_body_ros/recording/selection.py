@@ -143,9 +143,13 @@ class Topics:
         nodes = {topic.rpartition('/')[0] for topic in self.torques if _ACCEPTED.fullmatch(topic)}
         if nodes:
             logs = [topic for topic in logs if topic.rpartition('/')[0] in nodes]
-            return logs[0] if logs else None
+        elif found := _match(name, recorded):
+            return found
+        if len(logs) > 1:
+            raise InputError(f'expected the {name} of one node, found {listed(logs)}; choose one '
+                             f'with --{name.replace("_", "-")}')
         # Without it a motion would lack what the node took; with other torques it is refused.
-        return _match(name, recorded) or (logs[0] if len(logs) == 1 else None)
+        return logs[0] if logs else None
 
     def check(self, scene: Scene) -> None:
         """Raise InputError if rotors, wheels or inertia have a topic, but not in the scene."""
