@@ -38,7 +38,7 @@ MOST = 100
 
 def generate_launch_description():
     return LaunchDescription([GroupAction([
-        DeclareLaunchArgument('scene', description='parameter file, or the name of an example: '
+        DeclareLaunchArgument('scene', description='parameter file, or the name of an example, '
                               'such as tumbler'),
         DeclareLaunchArgument('bodies', default_value='8', description='number of bodies'),
         OpaqueFunction(function=_fleet)])])
