@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 
-from conftest import at_night, ROOT
+from conftest import ROOT
 import psutil
 import pytest
 from rigid_body_ros.commands import main
@@ -96,8 +96,8 @@ def begun(inputs, scheduler, *more):
         yield process
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('more', [['--times', 5], *at_night([])], ids=['motions', 'final'])
+@pytest.mark.nightly
+@pytest.mark.parametrize('more', [['--times', 5], []], ids=['motions', 'final'])
 def test_a_worker_that_is_killed_changes_no_byte(inputs, started_cluster, more):
     scheduler, parent = started_cluster
     run(inputs, 'here', RUNS, *more)
@@ -109,7 +109,7 @@ def test_a_worker_that_is_killed_changes_no_byte(inputs, started_cluster, more):
     assert contents(inputs / 'out') == contents(inputs / 'here')
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_interrupt_leaves_no_task_and_a_folder_that_is_resumed(inputs, scheduler):
     run(inputs, 'here', RUNS)
     with begun(inputs, scheduler) as process:

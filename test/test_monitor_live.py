@@ -126,6 +126,7 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
         assert session.stop() == 0
 
 
+@pytest.mark.nightly
 def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domain):
     found = stream(60)
     with Session(tmp_path / 'scene.yaml', domain) as session:

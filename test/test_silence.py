@@ -110,6 +110,7 @@ def test_an_ordinary_reset_is_no_error(domain):
     assert WARN in found
 
 
+@pytest.mark.nightly
 def test_outputs_go_on_while_torques_wait(domain):
     count, sent_at = 6000, {ACCEPTED: [], ATTITUDE: []}
     with LiveSession(TUMBLER, domain, *RELIABLE, '-p',
