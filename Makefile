@@ -5,9 +5,7 @@ BIN := $(VENV)/bin
 JAZZY := .venv-jazzy
 # Tests of the node mostly wait, so there are more processes than processors. With worksteal, the
 # tests of a file stay in one process, which shares its fixtures, until another is idle.
-PARALLEL := --numprocesses 3 --dist worksteal
-# The tests on Jazzy are those of the node only.
-MORE := --numprocesses 4 --dist worksteal
+PARALLEL := --numprocesses 4 --dist worksteal
 # Threads of linear algebra in several processes wait for each other, which takes processor time.
 export OPENBLAS_NUM_THREADS := 1
 # Every process would rewrite the asserts of all tests, which takes four seconds.
@@ -24,7 +22,7 @@ demo: $(VENV)/demo ## replay a recording, and run the node on one over DDS
 
 test: $(VENV)/done $(JAZZY)/done lint ## before a push: the tests of every behaviour, a few of the node on Jazzy
 	$(BIN)/python -m pytest $(PARALLEL) -m "not nightly"
-	$(JAZZY)/bin/python -m pytest $(MORE) -m "ros and not nightly" $(SMOKE)
+	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m "ros and not nightly" $(SMOKE)
 
 check: $(VENV)/done lint ## while you work: the fast tests, without ROS
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not ros and not slow and not nightly"
