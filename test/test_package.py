@@ -140,7 +140,7 @@ def test_the_node_says_what_it_needs_where_ros_is_not():
     assert result.returncode == 2
     line, = result.stderr.splitlines()
     assert line.startswith('attitude_node: error: attitude_node needs ROS 2')
-    assert 'pip install "rigid_body_ros[ros]"' in line
+    assert "pip install '.[ros]' in a clone of rigid_body_ros" in line
 
 
 @pytest.mark.slow

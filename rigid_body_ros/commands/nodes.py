@@ -32,8 +32,8 @@ def imported(command: str, module: str) -> ModuleType:
     except ModuleNotFoundError as error:
         raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
-                         'pip install "rigid_body_ros[ros]"') from error
-    interrupts.check()  # the import takes long
+                         "pip install '.[ros]' in a clone of rigid_body_ros") from error
+    interrupts.check()  # the import is slow
     return found
 
 
