@@ -110,14 +110,15 @@ def fitted_urdf(scene: Scene, fit: Identification) -> str:
     """
     Return a URDF with the inertia of the fitted body; other estimates are in comments.
 
-    The link is that of the robot_description of the scene, or has the name of the body frame.
+    The name of the link is the parameter `link` of the scene or, if that is empty, `body_frame`
+    without `frame_prefix`.
     """
     about = 'the pivot' if any(one.name == WEIGHT for one in _uniform(fit)) else \
         'the centre of mass'
     others = [name for name in fit.estimates if _group(name) != 'inertia']
     comments = [*_comments(fit, others),
                 f'inertia about {about}; mass: not known from a rotation, replace it']
-    return robot(fit.body.inertia, scene.values['link'] or scene.body_frame, comments)
+    return robot(fit.body.inertia, scene.values['link'] or scene.values['body_frame'], comments)
 
 
 def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
