@@ -89,7 +89,10 @@ def attitude_node(context: LaunchContext, more: Mapping[str, Any] | None = None)
 
 
 def attitude_monitor(context: LaunchContext) -> Node:
-    """Return the action that starts the live check; see `attitude_node`."""
+    """Return the action that starts the node `attitude_monitor`; see `attitude_node`."""
+    if context.launch_configurations['lifecycle'] == 'true':
+        raise RuntimeError('lifecycle: expected false, because attitude_monitor has no life '
+                           "cycle, found 'true'")
     return _node(context, 'attitude_monitor', {})
 
 

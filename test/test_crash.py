@@ -171,8 +171,8 @@ def test_a_node_goes_on_from_its_checkpoint_and_says_how_long_it_was_away(tmp_pa
     np.testing.assert_array_equal(first.values, last.values)
     assert words.splitlines()[0].split(': ', 1)[1].startswith(
         f'starts at {last.stamp_ns} ns from the checkpoint {file}: attitude')
-    assert re.search(rf'WARN.* goes on from the checkpoint {file}, after it was away for '
-                     r'[0-9.]+ s: the motion in between is that without torques', words)
+    assert re.search(rf'WARN.* continues from the checkpoint {file}, after it was down for '
+                     r'[0-9.]+ s: no torque acts in between', words)
 
 
 def test_a_checkpoint_from_the_future_ends_the_node_and_stays(tmp_path, domain):

@@ -230,6 +230,8 @@ def test_the_node_alone_uses_its_arguments(listener):
     ('attitude_node', ('autostart:=false',),
      'autostart: expected no value without lifecycle:=true, because a plain node always starts by '
      "itself, found 'false'"),
+    ('monitor', ('lifecycle:=true',),
+     "lifecycle: expected false, because attitude_monitor has no life cycle, found 'true'"),
     ('closed_loop', ('mode:=realtime',), "mode: expected 'lockstep' or no value, because the "
      "controller waits for the reply to each torque, found 'realtime'"),
     *(('fleet', (f'bodies:={bodies}',),

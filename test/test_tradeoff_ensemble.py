@@ -78,8 +78,8 @@ def test_the_runs_end_there_within_a_tenth_of_their_spread_with_the_setting(spre
     assert advice['target_rad'] == data['target_rad'] == 0.1 * median
     saved = 40 * (advice['run_default_s'] - advice['run_s'])
     assert advice['saved_s'] == pytest.approx(max(saved, 0.0))
-    line = f'40 runs end {median:.3g} rad from the nominal one (median); '
-    assert f'\nensemble          {line}a tenth of it is the target {0.1 * median:.3g} rad\n' \
+    line = f'40 runs end {median:.3g} rad from the nominal run (median); '
+    assert f'\nensemble          {line}the target is a tenth of this: {0.1 * median:.3g} rad\n' \
         in printed
     assert line in (tmp_path / 'o.html').read_text(encoding='utf-8')
     scene = tmp_path / 'scene.yaml'

@@ -173,7 +173,8 @@ class Comparison:
             yield f'after {horizon.seconds:g} s', text
         if self.predictable_s is not None:
             yield 'predictable', f'for {self.predictable_s:.4g} s from the start; later ' \
-                                 'errors say nothing about the model, those after horizons do'
+                                 'errors say nothing about the model, but the errors ' \
+                                 'after horizons do'
         torque = self.residual_torque
         if torque:
             yield from _errors('residual torque', 1.0, 'N m', torque.torques)

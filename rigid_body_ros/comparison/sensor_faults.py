@@ -197,7 +197,7 @@ def slope(x: Floats, y: Floats) -> float:
 def _clock_text(alignment: Alignment) -> str:
     offset = alignment.clock_offset_s
     late = 'early' if offset > 0.0 else 'late'
-    return f'the measured stamps are {abs(offset):.4g} s too {late} for the torques; ' \
+    return f'the measured stamps are {abs(offset):.4g} s too {late} relative to the torques; ' \
            '--align clock corrects that'
 
 

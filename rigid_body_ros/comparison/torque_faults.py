@@ -210,7 +210,7 @@ def _of_inertia(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
     words = 'ixx iyy izz ixy ixz iyz = {} kg m^2'
     found, left = windows.fitted(columns @ turn)
     if _is_possible(problem.body, turn @ found):
-        yield 'inertia', f'the inertia is off: add {words.format(written(turn @ found))}; ' \
+        yield 'inertia', f'the inertia is wrong: add {words.format(written(turn @ found))}; ' \
             'attitude_identify fits it', left, len(found)
     best = None
     for time in np.linspace(windows.seconds[0], windows.seconds[-1], _PIECES + 1)[2:-2]:

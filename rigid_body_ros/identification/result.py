@@ -254,8 +254,8 @@ class Identification:
                              'uncertainty: the intervals reach beyond possible bodies'
         if self.holds_for_exact_torque:
             yield 'note', 'the intervals hold for an exactly known torque: an error of its gain ' \
-                          'is one of the inertia (--estimate torque_gain, with --prior ' \
-                          'torque_gain=SIGMA)'
+                          'changes the inertia by the same factor (--estimate torque_gain, ' \
+                          'with --prior torque_gain=SIGMA)'
         state = 'converged' if self.converged else 'did not converge'
         yield 'fit', f'{state} after {self.evaluations} evaluations, in windows of ' \
                      f'{self.window_s:.4g} s'

@@ -44,8 +44,8 @@ from rigid_body_ros.sensing.noise import ALARM
 ACCEPT = 0.05
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
 _MEANINGS = {
-    EXPLAINED: 'nothing speaks against the model',
-    APPROXIMATE: 'the model lacks something; the intervals are wider by what that may change',
+    EXPLAINED: 'no test rejects the model',
+    APPROXIMATE: 'the model lacks something; the intervals are wider to cover its effect',
     REJECTED: 'the model does not explain the measurements; do not use the estimates'}
 #: Suspects that are tried by a fit, and those that are listed.
 _TRIED, _LISTED = 5, 3

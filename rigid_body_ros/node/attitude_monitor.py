@@ -41,7 +41,7 @@ from rigid_body_ros.sensing.alarms import ERROR, Judgement, WARN
 NAME = 'attitude_monitor'
 #: s; period of the search for windows that are over, and period of diagnostics.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
-_SEVERAL = 'messages of several publishers of one topic are taken as those of one sensor'
+_SEVERAL = 'messages of several publishers on one topic are treated as those of one sensor'
 
 
 class AttitudeMonitor(Node):
@@ -156,7 +156,7 @@ def _described(judgement: Judgement) -> str:
     if judgement.level not in (WARN, ERROR):
         return f'the model explains the measurements ({judgement.sigma:.1f} sigma at most)'
     return (f'the model does not explain the measurements: {judgement.sigma:.1f} sigma in '
-            f'{windows}, since {judgement.since_ns} ns; {judgement.axis} is off most')
+            f'{windows}, since {judgement.since_ns} ns; largest error: {judgement.axis}')
 
 
 def _check(scene: Scene) -> None:

@@ -153,5 +153,5 @@ class Mode:
     def _warn_away(self, seconds: float) -> None:
         """Warn of the time between the last life of the node and this one."""
         self._node.get_logger().warning(
-            f'the node goes on from the checkpoint {self._checkpoint}, after it was away for '
-            f'{seconds:.3g} s: the motion in between is that without torques')
+            f'the node continues from the checkpoint {self._checkpoint}, after it was down for '
+            f'{seconds:.3g} s: no torque acts in between')

@@ -307,8 +307,9 @@ class MonitorInputs:
         """Count messages, and reject those that do not fit, because they are too late."""
         for stamp_ns in stamps_ns[~fits].tolist():
             self.diagnostics.reject(RejectedError(
-                LATE, f'stamped {stamp_ns} ns, in a window that was judged when a message was '
-                f'newer than its end by history ({self._scene.history:g} s)'), source)
+                LATE, f'stamped {stamp_ns} ns, in a window that has been judged: a window is '
+                'judged when a message is newer than its end by history '
+                f'({self._scene.history:g} s)'), source)
         if fits.any():
             newest_ns = int(stamps_ns[fits].max())
             self._newest_ns[source] = max(self._newest_ns.get(source, 0), newest_ns)

@@ -147,8 +147,8 @@ def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
     """Return the facts of the earlier epochs, if there are any, a line for each."""
     if not result.earlier:
         return []
-    return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows after '
-                       'these, plots and pages are of the last one'),
+    return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows '
+                       'below, plots and pages describe the last one'),
             *((f'  epoch {number}', f'from {one.start.time_ns} ns on, over {_span(one):.9g} s, to '
                f'attitude {numbers(one.last.attitude, digits)} (x y z w) and body rates '
                f'{numbers(one.last.angular_velocity, digits)} rad/s')

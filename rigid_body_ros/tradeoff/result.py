@@ -298,11 +298,11 @@ def _ensemble(result: Tradeoff) -> list[tuple[str, str]]:
     if advice is None:
         return []
     spread = advice.spread
-    rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal one '
-                         f'(median); a tenth of it is the target {spread.target:.3g} rad')]
+    rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal run '
+                         f'(median); the target is a tenth of this: {spread.target:.3g} rad')]
     if advice.seconds is not None:
-        rows.append(('', f'with its setting a run takes {advice.seconds:.3g} s, with the default '
-                         f'{advice.default_seconds:.3g} s; all runs save '
+        rows.append(('', f'a run takes {advice.seconds:.3g} s with the setting for this target, '
+                         f'{advice.default_seconds:.3g} s with the default; all runs save '
                          f'{advice.saved_seconds:.3g} s on one core'))
     return rows
 
