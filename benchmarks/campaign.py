@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-How often the verdict of `identify` is right: recordings of 20 right and of 40 wrong models.
+Measure how often the verdict of `identify` is right, for 20 right and 40 wrong models.
 
-Run `python benchmarks/campaign.py [--seeds N] [--levels 0.1,1,10] [--kind NAME]`. Each line is one
-recording of `simulated.py`, which shares no code with the package. Then come the tables of
-`docs/campaign.md`.
+Run `python benchmarks/campaign.py [--seeds N] [--levels 0.1,1,10] [--kind NAME]`. It prints one
+line for each recording of `simulated.py`, which shares no code with the package, and then the
+tables of `docs/campaign.md`.
 """
 
 import argparse
@@ -40,10 +40,10 @@ from rigid_body_ros import (  # noqa: E402
 )
 from simulated import INERTIA, named, recordings, RIGHT, WRONG  # noqa: E402
 
-#: The truth by component name.
+#: The true inertia by component name.
 TRUE = {f'inertia.i{name}': float(INERTIA['xyz'.index(name[0]), 'xyz'.index(name[1])])
         for name in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')}
-#: Fewest of the six intervals that have to cover the truth.
+#: Minimum number of the six intervals that must cover the truth.
 ENOUGH = 5
 
 
@@ -61,7 +61,7 @@ def fit(kind, recording, **options):
 
 
 class Outcome(NamedTuple):
-    """What became of one recording; `cover` is the number of intervals that cover the truth."""
+    """The outcome for one recording; `cover` is the number of intervals that cover the truth."""
 
     name: str
     level: float
@@ -73,17 +73,17 @@ class Outcome(NamedTuple):
 
     @property
     def is_good(self):
-        """Return whether a wrong model is rejected, or its intervals cover the truth."""
+        """Return whether the model is rejected, or its intervals cover the truth."""
         return self.verdict == 'rejected' or self.cover >= ENOUGH
 
     @property
     def is_named(self):
-        """Return whether the cause is among the first two suspects."""
+        """Return whether the true cause is among the first two suspects."""
         return bool({*self.suspects[:2]} & {*named(self.name).causes})
 
 
 def outcome(job):
-    """Return the outcome of one recording."""
+    """Fit one recording, and return the outcome."""
     name, level, seed, validate = job
     kind = named(name)
     recording, = recordings(kind, [seed], level)
@@ -131,10 +131,10 @@ def is_right(one):
 
 
 def shares(levels, found):
-    """Print how often the verdict was as it should be, at each level of noise."""
-    print('\n| noise | right models explained | their intervals that cover the truth | wrong '
-          'models rejected, or at least five of six intervals cover | true cause among the first '
-          'two suspects |\n|---|---|---|---|---|')
+    """Print how often the verdict is right, at each level of noise."""
+    print('\n| noise | right models called explained | intervals of right models that cover the '
+          'truth | harmless wrong models | wrong models with the true cause among the first two '
+          'suspects |\n|---|---|---|---|---|')
     for level in levels:
         right = [one for one in found if one.level == level and is_right(one)]
         wrong = [one for one in found if one.level == level and not is_right(one)]
@@ -146,13 +146,13 @@ def shares(levels, found):
 
 
 def share(values):
-    """Return the part of values that are true, in words."""
+    """Return text with the fraction of values that are true."""
     return f'{100.0 * sum(values) / len(values):.1f} % ({sum(values)} of {len(values)})' \
         if values else 'none'
 
 
 def table(title, kinds, levels, found):
-    """Print what became of each kind at each level of noise."""
+    """Print the outcomes of each kind at each level of noise."""
     if not kinds:
         return
     print(f'\n### {title}\n\n| kind | {" | ".join(f"noise {level:g}" for level in levels)} |\n'
@@ -164,7 +164,7 @@ def table(title, kinds, levels, found):
 
 
 def cell(outcomes):
-    """Return the verdicts, the intervals that cover, and the most frequent first suspect."""
+    """Return text with the verdicts, the covering intervals, and the most frequent suspect."""
     verdicts = Counter(one.verdict for one in outcomes)
     words = [name if len(outcomes) == 1 else f'{name} {count}'
              for name, count in verdicts.most_common()]
@@ -174,7 +174,7 @@ def cell(outcomes):
 
 
 def misses(found):
-    """Print which recordings were judged wrongly."""
+    """Print the recordings with a wrong verdict."""
     wrong = [one for one in found if not is_right(one)]
     for text, missed in (
             ('right models not called explained', [one for one in found if is_right(one)

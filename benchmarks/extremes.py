@@ -17,7 +17,7 @@ Print the error of each solver for extreme bodies and motions, as in docs/extrem
 
     python benchmarks/extremes.py [--page docs/extremes.md]
 
-With --page, replace everything after the line `MARK` of that page. It takes two minutes.
+With --page, replace everything after the line `MARK` of the page. The script takes two minutes.
 """
 
 import argparse
@@ -33,47 +33,55 @@ from known import KNOWN, lost_momentum, ODE_LOSSES  # noqa: E402, I100
 from scenes import FIXED_STEP, SCENES  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/extremes.py -->'
-#: Limit for a fixed-step solver; more steps take too long for a table.
+#: Maximum number of steps of a fixed-step solver; more would take too long for a table.
 MOST_STEPS = 3e6
 REMARKS = {
     'Rods, plates, near-spheres':
-        "No ratio of moments makes Euler's equations stiff. But for a rod, `(J w) x w` is the "
-        'difference of terms a million times larger. It is therefore computed from differences of '
-        'moments, which are evaluated beyond double precision, however small they are. With a '
-        'full tensor the terms of `J^-1 tau` cancel as much, so the series sums them in twice the '
-        'working precision. Under torque, the *last-digit '
-        'effect* is the change of the true motion if every entry of tensor, rates and torques '
-        'changes by one unit in the last place. For a rod with a full tensor it is far larger '
-        'than the error of `auto`, which takes all digits as exact.',
+        "No ratio of moments makes Euler's equations stiff. For a rod, however, `(J w) x w` is a "
+        'small difference of terms that are a million times larger than this difference. The '
+        'solvers therefore compute `(J w) x w` from the differences of the moments, and compute '
+        'even the smallest difference with more than double precision. For a rod with a full '
+        'tensor, the terms of `J^-1 tau` cancel in the same way. The Taylor series therefore '
+        'sums these terms in twice the working precision. Under torque, the *last-digit effect* '
+        'is the change of the true motion if every entry of the tensor, the rates and the '
+        'torques changes by one unit in the last place. For a rod with a full tensor, this '
+        'effect is far larger than the error of `auto`, which treats all digits as exact. In '
+        'this column, a cell is empty if the motion does not magnify rounding errors.',
     'Large and small numbers':
-        'Only torque over inertia, and rate times time, matter. `taylor` loses digits of the '
-        'rates at random, and the attitude integrates them: its error grows with the power 3/2 '
-        'of the angle turned, and beyond some 1e4 rad it exceeds 1e-15 per radian. The same holds '
-        'for `auto` while a torque acts.',
+        'A motion depends only on the ratio of torque to inertia and on the product of rate and '
+        'time. With `taylor`, the rates accumulate random rounding errors, and the attitude is '
+        'the integral of the rates. The error of the attitude therefore grows with the power 3/2 '
+        'of the angle turned. Beyond about 1e4 rad, this error exceeds 1e-15 rad per radian. The '
+        'same is true of `auto` while a torque acts.',
     'Short and long times':
-        'Times are integer nanoseconds, so a short step loses no digits in a long run or at a '
-        'late epoch. The closed form is evaluated once from the start of a coast, with constants '
-        'of 32 digits, so a million turns cost no accuracy.',
+        'Times are integer nanoseconds, so a short step does not lose digits late in a long run '
+        'or at large time stamps. In a coast, a span without torque, the closed form computes '
+        'each state directly from the start of the coast, with constants of 32 digits. A million '
+        'turns therefore cost no accuracy.',
     'Separatrix and intermediate axis':
-        'Here the motion itself magnifies small errors. The *last-digit effect* is the largest '
-        'change of the true final attitude if the angular velocity changes by 2.2e-16 of its size '
-        'at one of five instants. No solver that steps in doubles can guarantee a smaller error. '
-        'The closed form does not step, and stays exact as close to the separatrix as doubles '
-        'allow.',
+        'The separatrix is the boundary between motions around the axis of the largest moment '
+        'and motions around the axis of the smallest moment. Near the separatrix, the motion '
+        'itself magnifies small errors. The *last-digit effect* is the largest change of the '
+        'true final attitude if the angular velocity changes by 2.2e-16 of its size at one of '
+        'five instants. In this column, a cell is empty if the motion does not magnify rounding '
+        'errors. No solver that computes with doubles step by step can guarantee an error below '
+        'the last-digit effect. The closed form needs no steps, and is exact to rounding even '
+        'next to the separatrix.',
     'Where others broke':
-        "With MuJoCo's stick, `implicitfast` failed at step 4294 of 1 ms (the rates here are our "
-        'own). Avian clamped the momentum, so that every body ended up turning about its '
-        "intermediate axis. SciPy's `ellipj` has an error of 2 for a modulus near 1.",
+        "MuJoCo's integrator `implicitfast` failed on the stick at step 4294, with steps of 1 "
+        'ms; the table uses different initial rates. Avian clamped the momentum, so every body '
+        "ended up turning about its intermediate axis. SciPy's `ellipj` has an error of 2 for a "
+        'modulus near 1.',
 }
 
 
 def errors(scene):
-    """Return the error of each solver, rad, as text."""
+    """Return the error, rad, of each solver as text."""
     return [error_of(scene, solver) for solver in SOLVERS]
 
 
 def error_of(scene, solver):
-    """Return the largest error of a solver, or the reason for its absence, as text."""
+    """Return the largest error of a solver as text, or the reason why there is none."""
     if solver not in scene.solvers:
         return '-'
     if solver in FIXED_STEP and scene.steps > MOST_STEPS:
@@ -86,12 +94,12 @@ def error_of(scene, solver):
 
 
 def rejected(error):
-    """Return a short reason."""
+    """Return a short reason for a rejection."""
     return f'rejected: {"step too long" if "may be too long" in str(error) else error}'
 
 
 def number(value):
-    """Return a number with two digits."""
+    """Return a number as text with two digits."""
     return f'{value:.1e}' if value > 1e-30 else '0'
 
 
@@ -106,7 +114,7 @@ def header(*cells):
 
 
 def group_lines(group):
-    """Return heading, remark and table for a group of scenes."""
+    """Return the lines of the heading, the remark and the table of a group of scenes."""
     scenes = [scene for scene in SCENES if scene.group == group]
     grows = any(scene.amplifies for scene in scenes)
     more = ('last-digit effect',) if grows else ()
@@ -121,13 +129,15 @@ def group_lines(group):
 
 
 def momentum_lines():
-    """Return the table for Gazebo's boxes."""
+    """Return the lines of the section on the loss of momentum of Gazebo's boxes."""
     lines = ["## Gazebo's boxes: loss of momentum", '',
-             'The largest relative change of the angular momentum in 10 s: published for ODE '
-             '(github.com/scpeters/benchmark, BENCHMARK_boxes_dt.csv), and computed here. '
-             '`explicit_euler` differs from ODE by 3 % because ODE rotates the attitude with the '
-             'rates after the step.', '',
-             *header('step, s', 'ODE', *reversed(FIXED_STEP), 'auto')]
+             'The table lists the largest relative change of the angular momentum in 10 s. The '
+             'column *ODE* (Open Dynamics Engine) contains published values from '
+             'BENCHMARK_boxes_dt.csv in github.com/scpeters/benchmark; this package computed the '
+             'other columns. `explicit_euler` differs from ODE by up to 3 %, because ODE rotates '
+             'the attitude with the rates after the step, and `explicit_euler` rotates it with '
+             'the rates before the step.',
+             '', *header('step, s', 'ODE', *reversed(FIXED_STEP), 'auto')]
     for step, published in ODE_LOSSES.items():
         losses = [number(lost_momentum(solver, step)) for solver in (*FIXED_STEP[::-1], 'auto')]
         lines.append(row(f'{step:g}', f'{published:.1e}', *losses))
@@ -135,13 +145,18 @@ def momentum_lines():
 
 
 def known_lines():
-    """Return the table of known results."""
+    """Return the lines of the section on known results."""
     lines = ['## Known results', '',
-             'Computed by `auto`. Periods are 4 K / lambda, measured over a million periods. '
-             'Escape times are K / lambda, so they grow with the logarithm of the offset. '
-             "The exact result for Landau and Zener's sweep of a sphere under constant torque "
-             "uses parabolic cylinder functions; that for Boedewadt's symmetric body under a "
-             'torque in body axes is an integral.',
+             'The column *computed* uses `exact` for the periods, and `auto` for all other rows. '
+             'In the [closed form](theory.md#motion-without-torque-in-closed-form), the period '
+             'of the rates is 4 K / lambda; the computed period is an average over a million '
+             'periods. The escape time is K / lambda, the time until the rate about the '
+             'intermediate axis is zero; the escape time grows with the logarithm of 1 / offset. '
+             "In Landau and Zener's sweep, a constant torque accelerates a sphere; the exact "
+             "result uses parabolic cylinder functions. In Boedewadt's problem, a torque held in "
+             'body axes acts on a symmetric body; the exact result is an integral. In the last '
+             'row, a constant torque accelerates a spin about a principal axis from -1e4 to '
+             'about 1.5e4 rad/s.',
              '', *header('quantity', 'exact', 'computed', 'relative error')]
     for name, (quantity, _) in KNOWN.items():
         exact, found = quantity()
@@ -151,7 +166,7 @@ def known_lines():
 
 
 def rejections():
-    """Generate invalid inputs: a description, and a function that raises the error."""
+    """Generate invalid inputs, each as a description and a function that raises the error."""
     def spun_by(torque):
         return propagate(RigidBody.from_moments(1.0, 2.0, 2.5), State(), at=[10 ** 9],
                          log=TorqueLog([0], [torque]))
@@ -164,8 +179,8 @@ def rejections():
 
 
 def rejection_lines():
-    """Return the table of invalid inputs."""
-    lines = ['## Invalid input', '', 'Each raises a `ValueError`:', '',
+    """Return the lines of the section on invalid input."""
+    lines = ['## Invalid input', '', 'Each of these inputs raises a `ValueError`:', '',
              *header('input', 'message')]
     for what, attempt in rejections():
         try:

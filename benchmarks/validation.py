@@ -17,8 +17,8 @@ Print the tables of docs/validation.md: published values, computed values and th
 
     python benchmarks/validation.py [--page docs/validation.md]
 
-With --page the tables are written into that file, between its lines `MARK` and `END`. This needs
-NASA's check-case data: set the environment variable NESC_DATA to their folder.
+With --page, replace everything between the lines `MARK` and `END` of the page. The option needs
+NASA's check-case data: set the environment variable NESC_DATA to the folder of the data.
 """
 
 import argparse
@@ -33,78 +33,91 @@ from published import DataNotHereError, ROWS  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/validation.py -->'
 END = '<!-- end of what is printed by benchmarks/validation.py -->'
-#: By source: heading, reference, and remarks.
+#: For each source: its heading, then the reference and the remarks.
 TEXTS = {
     'jeod': ("The Space Station of NASA's JEOD", [
-        'NASA, JSC Engineering Orbital Dynamics (JEOD), github.com/nasa/jeod at commit 6550cf4e: '
-        '`verif/SIM_dyncomp/SET_test_val/RUN_9B/log_state_ASCII.csv`, with the inertia of '
-        '`verif/SIM_dyncomp/Modified_data/mass.py`.',
+        "The reference is a log of NASA's JSC Engineering Orbital Dynamics (JEOD), in "
+        'github.com/nasa/jeod at commit 6550cf4e: '
+        '`verif/SIM_dyncomp/SET_test_val/RUN_9B/log_state_ASCII.csv`. The inertia is from '
+        '`verif/SIM_dyncomp/Modified_data/mass.py` in the same repository.',
         'The inertia is a full tensor. The run lasts eight hours, with a torque of 10 N m about '
-        'body x from 1000 s to 2000 s; the jumps of the logged acceleration show these times. The '
-        'rows *against 32 digits* compare with a Taylor series of 32 digits from the same initial '
-        'state. The last row compares JEOD with that series: it shows that the difference at the '
-        'end of the run comes from JEOD.']),
+        'body x from 1000 s to 2000 s. The start and the end of the torque follow from the jumps '
+        'of the logged acceleration. In the rows *against 32 digits*, the reference is a Taylor '
+        'series with 32 digits from the same initial state. The last row compares JEOD with this '
+        'series, and shows that the difference between JEOD and this package at the end of the '
+        'run is an error of JEOD.']),
     'nesc': ("The tumbling brick of NASA's check-cases", [
+        'The reference is simulation 4 of atmospheric case 3, the tumbling brick with damping, in '
         'Murri, Jackson and Shelton, Check-cases for verification of 6-degree-of-freedom flight '
-        'vehicle simulations, NASA/TM-2015-218675: atmospheric case 3, tumbling brick with '
-        'damping, simulation 4. Also in github.com/nasa/simupy-flight: '
+        'vehicle simulations, NASA/TM-2015-218675. The data are also in '
+        'github.com/nasa/simupy-flight: '
         '`NESC_data/Atmospheric_checkcases/Atmos_03_TumblingBrickDamping/Atmos_03_sim_04.csv`.',
-        'The logged moments are replayed with cubic interpolation. The last row fits the inertia '
-        'to the logged moments, attitudes and rates, with a sphere as the guess; the reference is '
-        'the inertia of the check-case, slug ft^2. The data are not part of this project. To '
+        'For the first two rows, the package replays the logged moments (torques) with cubic '
+        'interpolation. For the last row, the package fits the inertia to the logged moments, '
+        'attitudes and rates, with a sphere as the initial guess. The reference of this row is '
+        'the inertia of the check-case, in slug ft^2. The data are not part of this project. To '
         'repeat the comparison, set `NESC_DATA` to the folder that contains '
-        '`atmos_03_sim_04.csv`; otherwise the test is skipped.']),
+        '`atmos_03_sim_04.csv`. If `NESC_DATA` is not set, the test is skipped.']),
     'toutatis': ('The asteroid Toutatis', [
-        'Moments, initial state and radar observations: Takahashi, Busch and Scheeres, Spin state '
-        'and moment of inertia characterization of 4179 Toutatis, Astronomical Journal 146:95, '
-        '2013, as in github.com/mockingbirdnest/Principia at commit f6bc70e5, '
-        '`physics/euler_solver_test.cpp`, test `Toutatis`, which also states the deviation of '
-        "Principia's own solution from radar. Periods: Zhao, Hu and Ji, Revisit of rotational "
-        "dynamics of asteroid 4179 Toutatis from Chang'e-2's flyby, IAU Symposium 318, 156-159, "
-        '2016 (arXiv:1511.04357): 5.38 +- 0.03 and 7.40 +- 0.03 days.',
-        'The prediction starts on 1992-11-09 and is free of torque. The bounds of the periods are '
-        'their published errors. The principal axes, numbered from the smallest moment to the '
-        'largest, deviate from the radar observations by several degrees. Those of Principia '
-        'deviate by the same angles, to all the digits that its test states. The rows compare '
-        'these angles at the first and the last observation of 1992.']),
+        'The moments, the initial state and the radar observations are from Takahashi, Busch and '
+        'Scheeres, Spin state and moment of inertia characterization of 4179 Toutatis, '
+        'Astronomical Journal 146:95, 2013. The numbers are those in the test `Toutatis` in '
+        '`physics/euler_solver_test.cpp` of github.com/mockingbirdnest/Principia at commit '
+        "f6bc70e5. This test also lists the deviation of Principia's solution from the radar "
+        'observations. The published periods are 5.38 +- 0.03 and 7.40 +- 0.03 days, from Zhao, '
+        "Hu and Ji, Revisit of rotational dynamics of asteroid 4179 Toutatis from Chang'e-2's "
+        'flyby, IAU Symposium 318, 156-159, 2016 (arXiv:1511.04357).',
+        'The prediction starts on 1992-11-09 and is free of torque. The bound of each period is '
+        'the published error of this period. The predicted principal axes, numbered from the '
+        'smallest moment to the largest, deviate from the radar observations by several degrees. '
+        'The axes that Principia predicts deviate by the same angles, to all digits that '
+        "Principia's test lists. The last two rows compare these angles of Principia (reference) "
+        'and of this package (computed), at the first and the last observation of 1992.']),
     'tops': ('Bodies without torque from the literature', [
-        'Bodies and initial states: Hairer and Vilmart, Preprocessed discrete Moser-Veselov '
-        'algorithm for the full dynamics of a rigid body, J. Phys. A 39, 13225, 2006; van Zon and '
-        'Schofield, Numerical implementation of the exact dynamics of free rigid bodies, J. '
-        'Comput. Phys. 225, 145, 2007, in github.com/JSBSim-Team/jsbsim: '
-        '`check_cases/notebooks/rotation/Rotations.ipynb`; the boxes of '
-        'github.com/scpeters/benchmark.',
-        'No published states with enough digits were available. The references come from a Taylor '
-        'series of 34 digits, which agrees with the closed form and starts from the decimals of '
-        'the literature. This package starts from the same decimals rounded to doubles. The '
-        'period of the rates, 4 K / lambda, is measured over a million periods; a body that flips '
-        'does so once every half period.']),
+        'The bodies and the initial states are from three sources: Hairer and Vilmart, '
+        'Preprocessed discrete Moser-Veselov algorithm for the full dynamics of a rigid body, J. '
+        'Phys. A 39, 13225, 2006; van Zon and Schofield, Numerical implementation of the exact '
+        'dynamics of free rigid bodies, J. Comput. Phys. 225, 145, 2007, as in '
+        '`check_cases/notebooks/rotation/Rotations.ipynb` of github.com/JSBSim-Team/jsbsim; and '
+        'the boxes in github.com/scpeters/benchmark.',
+        'The sources do not list final states with enough digits. The reference states are '
+        'therefore from a Taylor series with 34 digits, which agrees with the closed form. The '
+        'series starts from the decimal numbers in the literature; this package starts from the '
+        'same numbers rounded to doubles. The [period of the '
+        'rates](theory.md#motion-without-torque-in-closed-form) is 4 K / lambda; the computed '
+        'period is an average over a million periods. A body that flips turns over once in each '
+        'half period.']),
     'sweep': ('The sweep of Landau and Zener', [
-        'Zener, Non-adiabatic crossing of energy levels, Proc. R. Soc. Lond. A 137, 696, 1932.',
-        'For a sphere under a constant torque, with w = (1, 0, t), the attitude is known in '
-        'closed form. Over a finite time R33, the last entry of the rotation matrix, is given by '
-        'parabolic cylinder functions. Over an infinite time it is 2 exp(-pi / 2) - 1. The '
-        'difference in the last row comes from the finite time, not from rounding. That row '
-        'compares the cosine of the angle between the final and the reversed initial angular '
-        'velocity, in space axes, because it approaches the limit faster than R33.']),
+        'The source is Zener, Non-adiabatic crossing of energy levels, Proc. R. Soc. Lond. A 137, '
+        '696, 1932.',
+        'For a sphere under a constant torque, with the angular velocity w = (1, 0, t), the '
+        'attitude is known in closed form. R33 is the last entry of the rotation matrix. Over a '
+        'finite time, parabolic cylinder functions give R33; over an infinite time, R33 is 2 '
+        'exp(-pi / 2) - 1. The last row compares the motion with this limit. In place of R33, '
+        'this row uses the cosine of the angle between the final angular velocity and the '
+        'reversed initial angular velocity, in space axes, because this cosine approaches the '
+        'limit faster than R33. The difference in this row comes from the finite duration of the '
+        'motion, not from rounding.']),
     'gyrostat': ('Rotors and damping', [
-        'Symmetric gyrostat: Hughes, Spacecraft Attitude Dynamics, 1986. Dual spin: Schaub and '
-        'Junkins, Analytical Mechanics of Space Systems, 2nd edition, 2009, chapter 4; Likins, '
-        'Attitude stability criteria for dual spin spacecraft, J. Spacecraft Rockets 4, 1638, '
-        '1967.',
-        'A symmetric body with a rotor on its axis precesses: w1 + i w2 turns at the rate '
-        '((I3 - I1) w3 + h) / I1. A sphere with the damping d slows down as exp(-d t / I) about a '
-        'fixed axis. Wheels turn a satellite but leave its momentum in space as it was. A spin '
-        'about the intermediate axis is stable if a rotor on that axis is fast enough: for '
-        'moments of 1, 2 and 3 kg m^2 and a spin of 1 rad/s, if |h| exceeds 1 N m s. A spin about '
-        'axis 1, that of the smallest moment, is unstable if h is between 1 and 2 N m s, and '
-        'stable for any other h, so these rows depend on the sign of h. A deviation of 1e-8 rad/s '
-        'grows or swings at rates known to first order in the deviation.']),
+        'The symmetric gyrostat follows Hughes, Spacecraft Attitude Dynamics, 1986. The dual spin '
+        'follows Schaub and Junkins, Analytical Mechanics of Space Systems, 2nd edition, 2009, '
+        'chapter 4, and Likins, Attitude stability criteria for dual spin spacecraft, J. '
+        'Spacecraft Rockets 4, 1638, 1967.',
+        'A symmetric body with a rotor of momentum h on its axis precesses: w1 + i w2 turns at '
+        'the rate ((I3 - I1) w3 + h) / I1. A sphere with the damping d turns about a fixed axis, '
+        'and its rate decays as exp(-d t / I). The wheels of a satellite turn the satellite, but '
+        'do not change the total momentum in space. A spin about the intermediate axis is stable '
+        'if a rotor on that axis is fast enough. For moments of 1, 2 and 3 kg m^2 and a spin of 1 '
+        'rad/s, the spin is stable if |h| exceeds 1 N m s. A spin about axis 1, the axis of the '
+        'smallest moment, is unstable if h is between 1 and 2 N m s, and stable for any other h. '
+        'The stability of a spin about axis 1 therefore depends on the sign of h. In the last '
+        'four rows, the spin starts with a deviation of 1e-8 rad/s. The rate at which the '
+        'deviation grows or oscillates is known to first order in the deviation.']),
 }
 
 
 def cells(name, compare, bound):
-    """Return the cells of a row of a table."""
+    """Return the cells of a table row."""
     try:
         reference, ours, apart = compare()
     except DataNotHereError as error:
@@ -113,7 +126,7 @@ def cells(name, compare, bound):
 
 
 def source_lines(source):
-    """Return the heading, reference, remarks, command and table of a source."""
+    """Return the lines of a section: heading, reference, remarks, command and table."""
     title, paragraphs = TEXTS[source]
     lines = [f'## {title}', '']
     for paragraph in paragraphs:
@@ -125,7 +138,7 @@ def source_lines(source):
 
 
 def tables():
-    """Return the text of all sources."""
+    """Return the text of the sections of all sources."""
     return '\n'.join(line for source in ROWS for line in source_lines(source))
 
 

@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Print docs/nodes.md, the node with its topics and parameters, or docs/commands.md.
+Print docs/nodes.md (topics and parameters of the node) or docs/commands.md (options).
 
     python docs/nodes.py > docs/nodes.md
     python docs/nodes.py commands > docs/commands.md
 
-Parameters and options are those that the code declares; a test compares the topics with those of a
-running node.
+The parameters and options are read from the code. The topics are listed in this file, and a test
+compares them with the topics of a running node.
 """
 
 import argparse
@@ -55,130 +55,156 @@ class Topic(NamedTuple):
 
 SUBSCRIBED = [
     Topic('torque', WRENCH, TORQUE,
-          'The default of `torque_topics`; every topic listed there is read in the same way. '
-          'Torque, N m, and force, N, that act from its stamp on. `header.frame_id` empty or the '
-          'body frame: body axes; the space frame: space axes; a link that fixed joints of '
-          '`robot_description` connect to the body: its axes and origin; the child link of a '
-          'continuous joint: the same, along the axis of the joint; any other is rejected. '
-          'Stamp 0: acts on arrival. A force without a lever arm is ignored, counted, and logged '
-          'once.'),
+          'A torque, N m, and a force, N. Both take effect at the stamp of the message. In '
+          '`realtime`, a message with the stamp 0 acts from its arrival on. `header.frame_id` '
+          'selects the axes. An empty text or the body frame selects the body axes, and the '
+          'space frame selects the space axes. A link that fixed joints of `robot_description` '
+          'connect to the body selects the axes of this link; the force then acts at the origin '
+          'of the link. The node treats the child link of a continuous joint in the same way, but '
+          'force and torque must be along the axis of the joint. The node rejects a message in '
+          'any other frame. The node ignores a force that has '
+          '[no lever arm](conventions.md#force) about the centre of mass; it counts such forces, '
+          'and logs the first. The topic `torque` is the default of `torque_topics`. The node '
+          'reads every topic of `torque_topics` in the same way.'),
     Topic('initial_state', ODOMETRY, STATE,
-          'Attitude and body rates at its stamp, from which a new epoch begins. Position and '
-          'linear velocity are ignored. The rotors keep the momentum that they have at that '
-          'time, and wheels with names their speeds.'),
+          'A message begins a new epoch: the motion starts again at the stamp of the message, '
+          'with the attitude and the angular velocity in the message. The node ignores the '
+          'position and the linear velocity. The momentum of the rotors and the speeds of named '
+          'wheels do not change at the start of the epoch.'),
 ]
 SUBSCRIBED_IF_ENABLED = [
     Topic('wheel_torque', WRENCH, TORQUE,
-          'If `wheels` is true: torque of the motors on the rotors, N m, body axes, that acts '
-          'from its stamp on; the body feels the opposite torque. `header.frame_id` empty or the '
-          'body frame; any other is rejected. If `wheels` is false, the node does not subscribe '
-          'to it.'),
+          'Subscribed if `wheels` is true: the torque of the motors on the rotors, N m, body '
+          'axes. The torque acts from its stamp on, and the opposite torque acts on the body. '
+          '`header.frame_id` must be empty or the body frame; otherwise the node rejects the '
+          'message.'),
     Topic('wheel_command', JOINTS, TORQUE,
-          'If there are `wheel_names`: efforts, N m, of the wheels that `name` lists, each held '
-          'until the next one of its wheel; others keep theirs. `header.frame_id`, positions and '
-          'velocities have no meaning. A message with an unknown or repeated name, or without a '
-          'finite effort for each, is rejected as a whole.'),
+          'Subscribed if the scene sets `wheel_names`: the efforts, N m, of the wheels that '
+          '`name` lists. A wheel keeps its effort until a message lists this wheel again. The '
+          'node ignores `header.frame_id`, positions and velocities. The node rejects the '
+          'message if a name in it is unknown or repeated, or if an effort is missing or not '
+          'finite.'),
     Topic('inertia', INERTIA, 'reliable, keep last 1000',
-          'If `inertia_topic` is true: inertia about the centre of mass, kg m^2, body axes, of '
-          'the body from its stamp on. The mass and `com` are ignored, logged once. '
-          '`header.frame_id` empty or the body frame; any other is rejected. The damping stays '
-          'that of the scene. `inertia_change` says what goes on.'),
+          'Subscribed if `inertia_topic` is true: the inertia of the body from the stamp of the '
+          'message on, about the centre of mass, kg m^2, body axes. The node ignores the fields '
+          '`m` and `com`, and logs once that it does. `header.frame_id` must be empty or the '
+          'body frame; otherwise the node rejects the message. The damping of the scene does '
+          'not change. The parameter `inertia_change` selects whether the angular velocity or '
+          'the angular momentum stays the same.'),
     Topic('robot_description', 'std_msgs/msg/String', 'reliable, transient local, keep last 1',
-          'If the parameters have neither an inertia nor a URDF: the URDF, of which the first is '
-          'used.'),
+          'Subscribed if the parameters contain neither an inertia nor a URDF: the text of the '
+          'URDF. The node uses only the first message.'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', 'best effort, keep last 1',
-          'If `use_sim_time` is true: the time.'),
+          'Subscribed if `use_sim_time` is true: the time that the node follows.'),
 ]
 PUBLISHED = [
     Topic('attitude', 'geometry_msgs/msg/QuaternionStamped', STATE,
-          'x y z w, body to space; in the space frame.'),
+          'Quaternion x y z w, body to space. `frame_id` is the space frame.'),
     Topic('euler_angles', VECTOR3, STATE,
-          'rad; x, y, z are the three angles in the order of `euler_sequence`; in the space '
-          'frame.'),
-    Topic('angular_velocity', VECTOR3, STATE, 'rad/s, body axes; in the body frame.'),
+          'Euler angles, rad. The fields x, y and z are the first, second and third angle of '
+          '`euler_sequence`. `frame_id` is the space frame.'),
+    Topic('angular_velocity', VECTOR3, STATE,
+          'Angular velocity, rad/s, body axes. `frame_id` is the body frame.'),
     Topic('imu/data', 'sensor_msgs/msg/Imu', STATE,
-          'Attitude and angular velocity with one stamp, with the errors that `imu.*` states; no '
-          'acceleration (`linear_acceleration_covariance[0]` is -1); in the body frame.'),
+          'Attitude and angular velocity with the errors that the parameters `imu.*` set. The '
+          'message contains no acceleration (`linear_acceleration_covariance[0]` is -1). '
+          '`frame_id` is the body frame.'),
     Topic('odometry', ODOMETRY, STATE,
-          'Attitude and angular velocity, at position zero, for rviz and controllers, with the '
-          'covariances that `odometry.*` states; space frame to body frame.'),
+          'Attitude and angular velocity, for rviz and controllers, with the covariances from '
+          'the parameters `odometry.*`. The position is zero. `frame_id` is the space frame, and '
+          '`child_frame_id` is the body frame.'),
     Topic('~/accepted_torque', WRENCH, LOG,
-          'Every accepted torque, about the centre of mass, with the stamp from which it acts. '
-          'Together with the scene it is the log of the run. Each epoch, the first of a process '
-          'included, begins with a marker: a wrench of zeros whose `frame_id` has the numbers of '
-          'the start state.'),
+          'Every accepted torque, about the centre of mass, with its own stamp or with the '
+          'stamp that the node gave it on arrival. The scene and these messages together form the '
+          'complete log of the run. Each epoch, including the first after the node starts, begins '
+          'with a marker: a wrench of zeros whose `frame_id` contains the start state as text.'),
     Topic('~/committed', ODOMETRY, LOG,
-          'The start state of every epoch, then the final state at each stamp of an accepted '
-          'torque, once for all topics: when the stamp is older than `history`, or at the end of '
-          'the epoch.'),
+          'The start state of every epoch, and the final state at each stamp of an accepted '
+          'torque. A state is final when its stamp is behind the newest stamp by `history`, or '
+          'when the epoch ends. If torques on several topics have the same stamp, there is one '
+          'state for all of them.'),
     Topic('~/initial_state_result', 'diagnostic_msgs/msg/DiagnosticStatus',
           'reliable, transient local, keep last 10',
-          'The result of each message on `initial_state`: level OK and when the new epoch begins, '
-          'or level ERROR and why the state is rejected. `values` has the `stamp` of the message, '
-          'ns.'),
+          'The result of each message on `initial_state`. If the node accepts the state, the '
+          'level is OK, and the text says when the new epoch begins. If the node rejects the '
+          'state, the level is ERROR, and the text gives the reason. `values` contains the '
+          '`stamp` of the message on `initial_state`, ns.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
-          'Once a second, and when a source falls silent or sends again: counts of torques '
-          'received, applied, waiting, lost, and rejected by cause; the age of the newest torque '
-          'of each source; which nodes are not connected, and why. Names and hardware_id have '
-          'the name of the node with its namespace.'),
+          'The [statuses](node_behaviour.md#what-does-diagnostics-report) of the sources and of '
+          'the motion, published once a second, and when a source falls silent or sends again. A '
+          'status counts the torques that were received, applied, lost or rejected (by cause), '
+          'and those that wait. It also reports the age of the newest torque of the source, and '
+          'which nodes are not connected, with the reason. `hardware_id` is the name of the node '
+          'with its namespace. The name of each status begins with `hardware_id`.'),
 ]
 OPTIONAL = [
     Topic('rotor_momentum', VECTOR3, STATE,
-          'If `wheels` is true: N m s, body axes, momentum of the rotors relative to the body; in '
-          'the body frame.'),
+          'Published if `wheels` is true: the momentum of the rotors relative to the body, '
+          'N m s, body axes. `frame_id` is the body frame.'),
     Topic('applied_torque', WRENCH, STATE,
-          'If `actuator.topics` is not empty: N m, the sum of the torques that act, after delay, '
-          'limit and lag; in the body frame.'),
+          'Published if `actuator.topics` is not empty: the sum of the torques that act on the '
+          'body, N m, after delay, limit and lag. `frame_id` is the body frame.'),
     Topic('wheel_states', JOINTS, STATE,
-          'If there are `wheel_names`: the speed of each wheel relative to the body, rad/s, and '
-          'the effort that acts on it, N m; no positions.'),
+          'Published if the scene sets `wheel_names`: the speed of each wheel relative to the '
+          'body, rad/s, and the effort that acts on this wheel, N m. The message contains no '
+          'positions.'),
     Topic('~/accepted_torque_1', WRENCH, LOG,
-          'As `~/accepted_torque`, for the second topic of `torque_topics`; `_2` for the third, '
-          'and so on.'),
+          'The same as `~/accepted_torque`, for the second topic of `torque_topics`. The log of '
+          'the third topic is `~/accepted_torque_2`, and so on.'),
     Topic('~/accepted_wheel_torque', WRENCH, LOG,
-          'If `wheels` is true: every accepted torque on the rotors.'),
+          'Published if `wheels` is true: every accepted torque on the rotors, and the markers '
+          'of epochs.'),
     Topic('~/accepted_wheel_command', JOINTS, LOG,
-          'If there are `wheel_names`: every accepted command, not clipped, with the markers of '
-          'epochs.'),
+          'Published if the scene sets `wheel_names`: every accepted command with the efforts '
+          'that were sent (not clipped), and the markers of epochs.'),
     Topic('~/accepted_inertia', INERTIA, LOG,
-          'If `inertia_topic` is true: every accepted inertia, with the markers of epochs.'),
+          'Published if `inertia_topic` is true: every accepted inertia, and the markers of '
+          'epochs.'),
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
-          'Space frame to body frame, if `publish_tf` is true (needs tf2_msgs).'),
+          'Published if `publish_tf` is true, which needs the package tf2_msgs: the transform '
+          'from the space frame to the body frame, with a translation of zero.'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
-          'In lockstep, if `publish_clock` is true: the time of each response.'),
+          'Published in lockstep if `publish_clock` is true: the stamp of each response.'),
 ]
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
-    'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid; on `wheel_command`: '
-                 'a name is unknown or repeated, there is none, or an effort is missing or not '
-                 'finite.',
-    'unknown frame': '`header.frame_id` is neither empty nor the body frame (`frame_prefix` and '
-                     '`body_frame`) nor `space_frame`, nor a link fixed to the body or turned by '
-                     'a continuous joint; or the wrench is not along the axis of that joint; on '
-                     '`wheel_torque`: neither empty nor the body frame; on `wheel_command`: the '
-                     'marker of an epoch.',
+    'malformed': 'The bytes are not a message of the type of the topic, or the stamp is invalid. '
+                 'A message on `wheel_command` is also malformed if it contains no name, if a '
+                 'name is unknown or repeated, or if an effort is missing or not finite.',
+    'unknown frame': 'The node accepts an empty `header.frame_id`, the body frame '
+                     '(`frame_prefix` followed by `body_frame`), `space_frame`, a link fixed to '
+                     'the body, and a link turned by a continuous joint; in the last case, the '
+                     'wrench must be along the axis of the joint. On `wheel_torque` and '
+                     '`inertia`, the node accepts only an empty frame and the body frame. On '
+                     '`wheel_command`, the cause means that the message is the marker of an '
+                     'epoch.',
     'not finite': 'A component of the torque is NaN or infinite.',
-    'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
-    'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
-    'future': 'The stamp is ahead of the clock by more than `max_future`; in lockstep: the '
-              'stamp of the response, later by `step`, would not be valid.',
-    'late': 'The stamp is older than the newest torque by `history` or more, or more than an hour '
-            'behind the clock.',
-    'overload': 'Too many torques wait.',
-    'state not computable': 'The body is too fast for the state at the stamp to be computed.',
+    'too large': 'The torque would accelerate a body of this inertia by more than 1e9 rad/s^2.',
+    'no clock': 'With `use_sim_time`, the node has not received a message on `/clock` yet.',
+    'future': 'In `realtime`, the stamp is ahead of the clock by more than `max_future`. In '
+              '`lockstep`, the stamp of the response, which is later by `step`, would exceed the '
+              'largest possible stamp.',
+    'late': 'The stamp is behind the newest stamp by `history` or more, or behind the clock by '
+            'more than an hour.',
+    'overload': 'Too many torques [wait](node_behaviour.md#what-happens-to-a-torque).',
+    'state not computable': 'The state at the stamp cannot be computed, because the body turns '
+                            'too fast.',
     'epoch ended': 'A new epoch began before the torque was applied.',
-    'duplicate, differs (same stamp)': 'In lockstep: a different torque was accepted before for '
-                                       'the same state.',
-    'before the reset': 'In lockstep: the torque responds to a state from before the reset.',
-    'no body has this inertia': 'The tensor on `inertia` is not finite, not that of a body, or '
-                                'less than that of the wheels with names.',
+    'duplicate, differs (same stamp)': 'In `lockstep`, the node accepted a different torque for '
+                                       'the same state before.',
+    'before the reset': 'In `lockstep`, the torque responds to a state published before the '
+                        'reset.',
+    'no body has this inertia': 'The tensor on `inertia` is not finite, is not the inertia of any '
+                                'rigid body, or is less than the inertia of the named wheels.',
 }
 PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Node reference: topics, services, parameters
 
-This page lists what there is. [Node behaviour](node_behaviour.md) explains it, and [node
-how-tos](node_howto.md) has tasks. To print the page again: `python docs/nodes.py > docs/nodes.md`.
+This page lists the topics, services and parameters of the node. [Node
+behaviour](node_behaviour.md) explains how the node handles torques, restarts and clocks, and [node
+how-tos](node_howto.md) describes tasks. To print this page again, run
+`python docs/nodes.py > docs/nodes.md`.
 
 ## attitude_node
 
@@ -187,13 +213,15 @@ how-tos](node_howto.md) has tasks. To print the page again: `python docs/nodes.p
 ros2 run rigid_body_ros attitude_node --ros-args --params-file config/tumbler.yaml
 ```
 
-Without the `ros2` command, as after `pip install '.[ros]'`, type
+If you have no `ros2` command, for example after `pip install '.[ros]'`, run
 `attitude_node --ros-args --params-file config/tumbler.yaml`. `attitude_lifecycle_node` is
-[the same as a managed node](node_howto.md#attitude_lifecycle_node).
+[the same node with a managed lifecycle](node_howto.md#attitude_lifecycle_node).
 
-Names without a leading slash are relative: they take the namespace of the node, and can be
-remapped (`-r torque:=/wrench`). History, depth and reliability of the torques and the states can
-be overridden, under the full name of the topic: `qos_overrides./torque.subscription.depth`.
+Names of topics without a leading slash are relative to the namespace of the node. You can remap
+topics (`-r torque:=/wrench`). To override the history, depth or reliability of an input, a state
+or a log, set a parameter whose name contains the full name of the topic, such as
+`qos_overrides./torque.subscription.depth`: see [quality of
+service](robot_stack.md#how-do-i-change-the-quality-of-service).
 
 ### Subscribes
 
@@ -207,8 +235,8 @@ be overridden, under the full name of the topic: `qos_overrides./torque.subscrip
 
 {published}
 
-All outputs for one instant carry that instant as their stamp. Values are always finite: NaN and
-infinity are never published.
+The stamp of a message about a state is the time of this state. Values are always finite: the node
+never publishes NaN or infinity.
 
 ### Publishes if enabled
 
@@ -216,45 +244,47 @@ infinity are never published.
 
 ### Services
 
-`~/reset` (std_srvs/srv/Trigger): begins a new epoch with the initial state of the scene, its
-`initial_rotor_momentum` included. In `realtime` the torques that act at that time continue to act.
+`~/reset` (std_srvs/srv/Trigger) begins a new epoch with the initial state of the scene, including
+`initial_rotor_momentum`. In `realtime`, torques that act when the epoch begins continue to act.
 
-`~/pause` (std_srvs/srv/SetBool), in `lockstep` only: after `data: true` torques wait, so that the
-loop stands still, and with `publish_clock` everything that follows its clock; after `data: false`
-it continues. The responses have the bits that they would have without the pause. In `realtime` the
-motion is a function of the clock and pauses exactly when the clock does: with `use_sim_time`,
-pause the program that publishes `/clock`.
+`~/pause` (std_srvs/srv/SetBool) exists only in `lockstep`. After a call with `data: true`, torques
+wait, so the loop stands still. With `publish_clock`, every program that follows this clock stands
+still, too. After a call with `data: false`, the loop continues. A pause does not change a single
+bit of the responses. In `realtime`, the motion follows the clock: to pause it, set `use_sim_time`
+and pause the program that publishes `/clock`.
 
 ### Why is a torque rejected?
 
-The log names the cause, what was expected and what was found. `/diagnostics` counts each cause
-under the key `rejected: CAUSE`.
+The log names the cause, and says what the node expected and what it found. `/diagnostics` counts
+each cause under the key `rejected: CAUSE`.
 
 {causes}
 
 ## Parameters
 
-The node and every command (`--scene`) read the same file. In a running node all parameters but
-`publish_rate` are read-only. [The scene file](scene.md) describes how it is read. Parameters of
-ROS are not listed: `use_sim_time`, `qos_overrides`, and `autostart` of `attitude_lifecycle_node`.
+The node and every command (`--scene`) read the same scene file; [The scene file](scene.md)
+describes its format. In a running node, all parameters except `publish_rate` are read-only. The
+table does not list `use_sim_time` and `qos_overrides`, which are parameters of ROS, and
+`autostart`, which is a parameter of `attitude_lifecycle_node`.
 
 {parameters}
 
-Either the three moments or a `robot_description` are required, but a node can
-[wait for the latter](node_howto.md#inertia-from-robot_state_publisher). The inertia is checked as
-one tensor: positive definite, no principal moment greater than the sum of the other two by more
-than 3 %. The damping is checked as one tensor, too: no negative eigenvalue. `torque_topics` names
-at least one topic, each of them once. The solvers `exact` and `strang` take neither rotors nor
-damping, and `exact` takes no fields.
+A scene needs either the three moments of inertia or a `robot_description`. If a scene contains
+neither, the node [waits for a URDF](node_howto.md#inertia-from-robot_state_publisher). The inertia
+tensor must be positive definite, and no principal moment may exceed the sum of the other two by
+more than 3 %. The damping tensor must not have a negative eigenvalue. `torque_topics` must name at
+least one topic, and each topic only once. The solvers `exact` and `strang` support neither rotors
+nor damping; `exact` also supports neither torques nor fields. If the parameters are not a valid
+scene, `attitude_node` prints one line that names the wrong parameter, and ends with exit status 2.
 """
 COMMANDS = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Commands: options and exit status
 
-The commands read and write files and need no ROS, except `attitude_regress`. Each `--help` ends
-with two examples that run in a clone of the repository. [The scene file](scene.md) says which
-command takes which scene. To print this page again:
-`python docs/nodes.py commands > docs/commands.md`.
+The commands read and write files. Only `attitude_regress` needs ROS. The help text of each command
+(`--help`) ends with two examples that run in a clone of the repository. [The scene
+file](scene.md#which-command-takes-which-scene) says which commands accept which scenes. To print
+this page again, run `python docs/nodes.py commands > docs/commands.md`.
 
 ## attitude_replay
 
@@ -284,7 +314,7 @@ usage: attitude_tradeoff --scene FILE
 
 {tradeoff}
 
-[What does an error cost?](tradeoff.md) explains the results and how they are measured.
+[What does an error cost?](tradeoff.md) explains the results, and how the command measures them.
 
 ## attitude_identify
 
@@ -294,7 +324,7 @@ usage: attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPI
 
 {identify}
 
-[Which inertia does my vehicle have?](identify.md) is a tutorial, and describes the results.
+[Which inertia does my vehicle have?](identify.md) is a tutorial that also explains the results.
 
 ## attitude_ensemble
 
@@ -315,32 +345,33 @@ usage: attitude_regress REFERENCE --scene FILE [--update] -- COMMAND [ARGUMENT .
 
 {regress}
 
-[Has my controller changed?](regress.md) explains the results, and has a workflow to copy.
+[Has my controller changed?](regress.md) explains the results, and contains a workflow to copy.
 
 ## Exit status
 
 {exits}
 
-While Python itself starts, for about 0.1 s, a signal ends a command as it ends any Python
-program.
+During the first 0.1 s, while Python starts, a signal ends a command in the same way as any other
+Python program.
 """
 
 #: Exit statuses and their meanings.
 EXITS = [
-    ('0', 'success'),
-    ('1', '`--verify` found states whose bits differ; the summary has the difference in radians. '
-          '`attitude_regress`: the closed loops differ'),
-    ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
-          'one line names it. `attitude_ensemble`: all '
-          'runs failed, too. `attitude_regress`: the controller died, sent no torques, or took '
-          'too long'),
-    ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
-          'converge; no scene was written, unless with `--force`'),
-    ('4', '`attitude_identify`: the fit is rejected; no scene was written, unless with '
-          '`--force`. `attitude_compare --check`: the model does not explain the measurements'),
-    ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '
-                'ends with 0 once it has started); 141, without a message, if the reader of the '
-                'output has ended, as in `attitude_replay ... | head`'),
+    ('0', 'The command succeeded.'),
+    ('1', 'With `attitude_replay --verify`, the bits of some states differ; the summary gives the '
+          'difference in radians. With `attitude_regress`, the closed loops differ.'),
+    ('2', 'An argument is wrong, an input cannot be read, or an output cannot be written. A '
+          'message of one line names the argument or the file. `attitude_ensemble` also exits '
+          'with 2 if all runs failed. `attitude_regress` also exits with 2 if the controller '
+          'ended too early, sent no torques, or took too long.'),
+    ('3', 'With `attitude_identify`, the data does not determine all estimates, or the fit did '
+          'not converge. Without `--force`, the command wrote no scene.'),
+    ('4', 'With `attitude_identify`, the fit is rejected; without `--force`, the command wrote no '
+          'scene. With `attitude_compare --check`, the model does not explain the measurements.'),
+    ('128 + n', 'Signal n ended the command. The status is 130 after Ctrl-C, and 143 after '
+                'SIGTERM. However, once `attitude_node` has started, it exits with 0 after these '
+                'two signals. The status 141, without a message, means that the program that '
+                'reads the output has ended, as in `attitude_replay ... | head`.'),
 ]
 
 
@@ -375,7 +406,7 @@ def commands():
 
 
 def parameters():
-    """Return the parameters; those of a uniform field or wheel follow the one that names it."""
+    """Return all parameters; those of a field or wheel follow the parameter with its name."""
     named = {fields.FIELDS: fields.of_names(['NAME']), wheels.WHEEL_NAMES: wheels.of_names(
         ['NAME'])}
     return [one for parameter in scene.PARAMETERS.values() for one in (
@@ -383,20 +414,20 @@ def parameters():
 
 
 def topics(listed):
-    """Return topics as a table in Markdown."""
+    """Return a table of topics in Markdown."""
     return table(('topic', 'type', 'quality of service', 'meaning'), [
         (f'`{topic.name}`', topic.kind.replace('/msg/', '/'), topic.qos, topic.meaning)
         for topic in listed])
 
 
 def options(parser):
-    """Return the arguments of a command as a table in Markdown."""
+    """Return a table of the arguments of a command in Markdown."""
     return table(('argument', 'meaning'), [
         (argument(action), action.help) for action in parser._actions if action.dest != 'help'])
 
 
 def argument(action):
-    """Return the names of an argument, and the form of its value."""
+    """Return the names of an argument and a placeholder for its value."""
     names = ', '.join(f'`{name}`' for name in action.option_strings)
     if action.nargs == 0:
         return names
@@ -407,7 +438,7 @@ def argument(action):
 
 
 def default(parameter):
-    """Return the default of a parameter as in YAML."""
+    """Return the default of a parameter as it is written in YAML."""
     if parameter.default is None:
         return 'none'
     if isinstance(parameter.default, bool):

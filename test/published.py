@@ -45,11 +45,11 @@ from rigid_body_ros.replay import replay
 
 
 class DataNotHereError(Exception):
-    """The published data are neither part of the project nor on this machine."""
+    """The published data are not part of the project, and not on this machine."""
 
 
 def attitudes(right, found):
-    """Return both scalar parts, and the angle between the attitudes, rad; -q is not q here."""
+    """Return both scalar parts, and the angle between the attitudes, rad; q and -q differ."""
     return f'{right[3]:.16f}', f'{found[3]:.16f}', float(chord(right, found))
 
 
@@ -60,13 +60,13 @@ def rates(right, found):
 
 
 def numbers(right, found):
-    """Return both in 16 digits, and the difference."""
+    """Return both numbers with 16 digits, and their difference."""
     return f'{right:.16g}', f'{found:.16g}', abs(found - right)
 
 
 # The Space Station of NASA's JEOD.
 
-#: Its attitude and rates, rad/s, after 28 800 s, from a series of 32 digits.
+#: Attitude and rates, rad/s, after 28 800 s, from a series with 32 digits.
 STATION_ATTITUDE = (0.58661706554081749108, -0.37694328926934867502, -0.64288757685711177322,
                     -0.31700116500397213347)
 STATION_RATES = (-7.2821872205668973925e-4, -8.3323846270873258681e-4, -2.4249250448404216832e-4)
@@ -128,7 +128,8 @@ def brick_log():
         names = [next(name for name in rows[0] if name.endswith(ending)) for ending in endings]
         return np.array([[float(row[name]) for name in names] for row in rows])
     times = EPOCH_NS + np.round(columns('time')[:, 0] * 10).astype(np.int64) * (SECOND // 10)
-    # The north-east-down frame rotates about its north axis with the Earth and the longitude.
+    # The north-east-down frame rotates about its north axis as the Earth turns and the longitude
+    # changes.
     local = euler.to_quaternion(np.radians(columns('deg_Yaw', 'deg_Pitch', 'deg_Roll')), 'ZYX')
     turned = (7.292115e-5 * (times - times[0]) * 1e-9
               + np.radians(columns('longitude_deg')[:, 0]))
@@ -149,7 +150,7 @@ def brick():
 
 
 def brick_inertia():
-    """Return moment of the long axis, logged and identified, and the error of the tensor."""
+    """Return the moment about the long axis, published and identified, and the largest error."""
     times, moments, attitude, spin = brick_log()
     start = State(int(times[0]), attitude[0], spin[0])
     measured = Measured('/brick', times[1:], attitude[1:], spin[1:])
@@ -179,7 +180,7 @@ def brick_rows():
     cells = 'logged at 10 Hz', 'replayed'
     yield 'attitude, largest in 30 s, degrees', lambda: (*cells, brick()[0]), 1e-5
     yield 'rates, largest in 30 s, degrees/s', lambda: (*cells, brick()[1]), 1e-6
-    yield 'inertia identified from these, relative to the largest moment', brick_inertia, 2e-8
+    yield 'inertia fitted to the log, relative to the largest moment', brick_inertia, 2e-8
 
 
 # The asteroid Toutatis.
@@ -190,7 +191,7 @@ TOUTATIS_EPOCH = np.datetime64('1992-11-09T17:49:47')
 TOUTATIS_START = State(0, euler.to_quaternion(np.radians((145.498, 65.865, 241.524)), 'ZXZ'),
                        np.radians((14.51, 33.529, -98.709)) / DAY)
 #: For the first and the last of 17 radar observations in 1992: the Euler angles 3-1-3, degrees,
-#: and the errors of Principia's principal axes, degrees, from the axis of the smallest moment on.
+#: and the errors of Principia's principal axes, degrees, in order of increasing moments.
 TOUTATIS_SEEN = {
     '1992-12-02T21:40': ((122.2, 86.5, 107.0), (7.9, 5.4, 5.9)),
     '1992-12-18T07:09': ((91.6, 81.6, 142.4), (5.6, 6.3, 4.1)),
@@ -234,7 +235,7 @@ def toutatis_axes(seen):
 
 def toutatis_rows():
     yield 'period of rotation about the long axis, days', lambda: toutatis_period(0, 5.38), 0.03
-    yield 'period of precession of that axis, days', lambda: toutatis_period(1, 7.40), 0.03
+    yield 'period of precession of the long axis, days', lambda: toutatis_period(1, 7.40), 0.03
     for seen in TOUTATIS_SEEN:
         yield (f'axes 1, 2, 3 against radar on {seen[:10]}, degrees',
                lambda seen=seen: toutatis_axes(seen), 0.1)
@@ -242,8 +243,9 @@ def toutatis_rows():
 
 # Bodies without torque from the literature.
 
-#: Attitude and rates, rad/s, of `TOPS` after 10 s, from the identity, by a series of 34 digits.
-#: The series starts from the decimals of the literature, which doubles only approximate.
+#: Attitude and rates, rad/s, of `TOPS` after 10 s, starting at the identity, from a series with 34
+#: digits. The series starts from the decimal numbers in the literature, which doubles only
+#: approximate.
 STATES = {
     'Hairer and Vilmart': (
         (-0.57078695124035073, -0.29938857183079009, -0.20683908610467319, -0.73606136416079394),
@@ -284,7 +286,7 @@ def sweep():
     """
     Return the limit 2 exp(-pi / 2) - 1, and the cosine that approaches it.
 
-    The cosine is that between the final and the reversed initial rates, in space axes, because
+    The cosine is the one between the final and the reversed initial rates, in space axes, because
     R33 of `landau_zener` approaches the limit only as 1 / T.
     """
     half_time = 200
@@ -306,7 +308,7 @@ def sweep_rows():
 
 
 def wheel_slew():
-    """Return the momentum in space before and after 1000 s with 500 torques of the wheels."""
+    """Return the momentum in space axes before and after 1000 s with 500 torques of wheels."""
     random = np.random.default_rng(5)
     wheels = TorqueLog(np.arange(500) * 2 * SECOND, random.normal(scale=0.05, size=(500, 3)))
     start = State(0, (0.1, -0.3, 0.2, 0.9), (0.05, -0.1, 0.2), (0.5, -1.0, 0.3))
@@ -329,7 +331,7 @@ def gyrostat_rows():
                lambda axis=axis, rotors=rotors: numbers(*dual_spin(axis, rotors)), 1e-14)
 
 
-#: By source and quantity (with its unit): the function that compares, and the bound.
+#: The function that compares, and the bound, by source and quantity (with its unit).
 ROWS = {source: {name: (compare, bound) for name, compare, bound in rows()}
         for source, rows in {'jeod': station_rows, 'nesc': brick_rows, 'toutatis': toutatis_rows,
                              'tops': top_rows, 'sweep': sweep_rows,

@@ -13,12 +13,10 @@
 # limitations under the License.
 
 """
-Extreme motions of bodies, each with its exact result.
+Extreme motions of bodies, each with an exact result of 50 digits, or of 25 under torque.
 
-It has 50 digits, or 25 under torque.
-
-`test_extremes.py` checks every solver against them, `benchmarks/extremes.py` prints what each one
-gave.
+`test_extremes.py` checks every solver against these results, and `benchmarks/extremes.py` prints
+the error of each solver.
 """
 
 from dataclasses import dataclass
@@ -34,9 +32,9 @@ import truth
 SECOND = 10 ** 9
 FIXED_STEP = ('rk4', 'strang', 'explicit_euler')
 ULP = 2.0 ** -52
-#: Rounding error of the steps for a turn of one radian: the errors are random, so the error of the
-#: rates grows with the root of the angle, and the error of the attitude, which adds them up, with
-#: its power 3/2 (Brouwer, "On the accumulation of errors in numerical integration", 1937).
+#: Rounding error of the steps for a turn of one radian. The errors are random, so the error of the
+#: rates grows with the root of the angle. The error of the attitude, their sum, grows with the
+#: power 3/2 (Brouwer, "On the accumulation of errors in numerical integration", 1937).
 LOSS = 5e-17
 
 
@@ -52,13 +50,13 @@ class Scene:
         Principal moments, or the whole tensor.
     rates : (float, float, float), rad/s, body axes
     seconds : float
-        How long it lasts; without meaning where there are torques.
+        Duration of the motion; ignored if there are torques.
     torques : [(duration_ns, torque, in_space)]
-        Samples, and the time from each to the next; the last is held.
+        Samples, each with the time to the next. The last sample is held.
     interpolation : str
-        Between the samples.
+        Interpolation between the samples.
     amplifies : bool
-        Whether the motion itself makes much of a rounding error.
+        Whether the motion itself amplifies rounding errors.
 
     """
 
@@ -82,7 +80,7 @@ class Scene:
 
     @cached_property
     def times_ns(self):
-        """When it is compared with the truth."""
+        """Return the times at which the motion is compared with the truth."""
         if self.torques:
             return np.cumsum([duration for duration, _, _ in self.torques])
         end = round(self.seconds * SECOND)
@@ -98,7 +96,7 @@ class Scene:
 
     @cached_property
     def solvers(self):
-        """Solvers that can compute it."""
+        """Return the solvers that can compute the motion."""
         return tuple(solver for solver in SOLVERS if solver != 'exact' or not self.torques)
 
     def propagate(self, solver, at=None, **options):
@@ -108,7 +106,7 @@ class Scene:
 
     @cached_property
     def truth(self):
-        """Return the attitudes and the rates at its times."""
+        """Return the true attitudes and rates at `times_ns`."""
         tensor, attitude = self.body.inertia, self.start.attitude
         if self.torques:
             return list(zip(*self._series(tensor, self.rates, self.log.torques)))
@@ -135,7 +133,7 @@ class Scene:
 
     @cached_property
     def phase(self):
-        """Return the integral of |w| dt, rad; of a long motion from a sample of it."""
+        """Return the integral of |w| dt, rad; for a long motion, estimated from samples."""
         return self._speeds.mean() * int(self.times_ns[-1]) * 1e-9
 
     @cached_property
@@ -150,7 +148,7 @@ class Scene:
 
     @property
     def steps(self):
-        """How many of them there are."""
+        """Return the number of these steps."""
         return int(self.times_ns[-1]) * 1e-9 / self.step
 
     @cached_property
@@ -159,7 +157,7 @@ class Scene:
         return 1e-15 * (10.0 + self.phase)
 
     def bound(self, solver):
-        """Return the error, rad, that a solver may have: more if it steps into the unknown."""
+        """Return the bound on the error of a solver, rad; larger for the Taylor series."""
         if self.torques:
             return min(10.0 * self.bar, self.growth) if self.amplifies else self.bar
         if solver != 'taylor':
@@ -169,9 +167,9 @@ class Scene:
     @cached_property
     def growth(self):
         """
-        Return the effect of a change of the last digit, rad.
+        Return the effect, rad, of a change of the last digits.
 
-        Of the rates, or, under torque, of inertia, rates and torques.
+        The changed numbers are the rates and, under torque, also the inertia and the torques.
         """
         return self._growth_under_torque() if self.torques else self._growth_of_rates()
 
@@ -181,7 +179,7 @@ class Scene:
         def moved(values):
             return np.nextafter(values, random.choice([-np.inf, np.inf], np.shape(values)))
         upper = np.triu(moved(self.body.inertia))
-        # Eight digits are enough for a difference.
+        # Eight digits suffice for a difference.
         states = self._series(upper + np.triu(upper, 1).T, moved(self.rates),
                               moved(self.log.torques), digits=8)
         return max(truth.chord(there, here.astype(float))
@@ -201,19 +199,19 @@ class Scene:
         return max(moved)
 
 
-#: Of the principal axes of a full tensor.
+#: Rotation of the principal axes of a full tensor.
 TURN = (0.3, -0.1, 0.7, 0.4)
 
 
 def turned(moments, rates):
-    """Return the tensor and the rates of a body whose principal axes are not those of the body."""
+    """Return the tensor and the rates of a body whose principal axes are not the body axes."""
     rotation = so3.matrix(so3.normalize(TURN))
     tensor = rotation @ np.diag(moments) @ rotation.T
     return 0.5 * (tensor + tensor.T), tuple(rotation @ rates)
 
 
 def gusts(count, seconds, sizes, *, in_space=False, seed=0):
-    """Return random torques of some sizes along the axes of `turned`, or along those of space."""
+    """Return random torques with given sizes along the axes of `turned`, or the space axes."""
     axes = np.eye(3) if in_space else so3.matrix(so3.normalize(TURN))
     random = np.random.default_rng(seed)
     return tuple(held(seconds, *(axes @ (sizes * random.normal(size=3))), in_space=in_space)
@@ -233,12 +231,12 @@ FULL_RATES = (0.5, -0.7, 0.9)
 def bodies():
     group = 'Rods, plates, near-spheres'
     yield Scene(group, 'rod, 1e-6 : 1 : 1 + 5e-7', ROD, ROD_RATES, 10.0)
-    yield Scene(group, 'the same rod, full tensor', *turned(ROD, ROD_RATES), 10.0)
+    yield Scene(group, 'rod, 1e-6 : 1 : 1 + 5e-7, full tensor', *turned(ROD, ROD_RATES), 10.0)
     yield Scene(group, 'rod, 1e-6 : 1 : 1', (1e-6, 1.0, 1.0), ROD_RATES, 10.0)
     yield Scene(group, 'ruler, I1 + I2 = I3, 1e-6 : 1 : 1 + 1e-6', (1e-6, 1.0, 1.000001),
                 ROD_RATES, 10.0)
     yield Scene(group, 'plate, I1 + I2 = I3', PLATE, FREE_RATES, 100.0)
-    yield Scene(group, 'the same plate, full tensor', *turned(PLATE, FREE_RATES), 100.0)
+    yield Scene(group, 'plate, I1 + I2 = I3, full tensor', *turned(PLATE, FREE_RATES), 100.0)
     yield Scene(group, 'plate of rounded digits, I3 > I1 + I2', (1.0, 2.0, 3.05), FREE_RATES,
                 100.0)
     yield Scene(group, 'disc, 1 : 1 : 2', (1.0, 1.0, 2.0), FREE_RATES, 100.0)
@@ -260,8 +258,8 @@ def under_torque(group):
         (PLATE, (1.0, 2.0, 3.0))))
     yield Scene(group, 'rod 1e-6, full tensor, body torques', *rod, torques=gusts(4, 1.0, across),
                 amplifies=True)
-    yield Scene(group, 'the same, linear between them', *rod, torques=gusts(4, 1.0, across),
-                interpolation='linear', amplifies=True)
+    yield Scene(group, 'rod 1e-6, full tensor, linear body torque', *rod,
+                torques=gusts(4, 1.0, across), interpolation='linear', amplifies=True)
     yield Scene(group, 'rod 1e-4, full tensor, space torques', *wide,
                 torques=gusts(4, 1.5, 0.01 * np.ones(3), in_space=True), amplifies=True)
     yield Scene(group, 'ruler 1e-6, full tensor, cubic body torque', *ruler,
@@ -276,7 +274,8 @@ def sizes():
     group = 'Large and small numbers'
     yield Scene(group, 'an ordinary body, full tensor', FULL, FULL_RATES, 100.0)
     for scale in (1e12, 1e-12, 1e30, 1e-30):
-        yield Scene(group, f'its tensor times {scale:.0e}', scale * FULL, FULL_RATES, 100.0)
+        yield Scene(group, f'tensor of the ordinary body times {scale:.0e}', scale * FULL,
+                    FULL_RATES, 100.0)
     yield Scene(group, 'spin of 1e4 rad/s', FULL, (1e4, 1.0, -1.0), 1.0)
     yield Scene(group, 'tumbling at 1e4 rad/s', FULL, (5e3, -7e3, 6e3), 1.0)
     yield Scene(group, 'tumbling at 1e8 rad/s', FULL, (5e7, -7e7, 6e7), 1e-4)
@@ -284,7 +283,7 @@ def sizes():
     yield Scene(group, 'rates of 1e-200 rad/s, a day', FULL, (5e-201, -7e-201, 6e-201), 86400.0)
     yield Scene(group, 'torque over inertia of 1e8, from rest', FULL, (0.0, 0.0, 0.0),
                 torques=(held(3e-4, 1e8, -2e8, 1e8),))
-    yield Scene(group, 'the same in space axes', FULL, (0.0, 0.0, 0.0),
+    yield Scene(group, 'torque over inertia of 1e8, from rest, space axes', FULL, (0.0, 0.0, 0.0),
                 torques=(held(3e-4, 1e8, -2e8, 1e8, in_space=True),))
     yield Scene(group, 'rod under torque across, 1e8 along', ROD, (0.0, 0.0, 0.0),
                 torques=(held(3e-4, 100.0, 1e3, -1e3),))
@@ -307,19 +306,20 @@ def times():
 
 def unstable():
     group = 'Separatrix and intermediate axis'
-    # I1 (I2 - I1) w1^2 = I3 (I3 - I2) w3^2 where w1 = 3 w3: exactly on it, in doubles too.
+    # I1 (I2 - I1) w1^2 = I3 (I3 - I2) w3^2 where w1 = 3 w3: exactly on the separatrix, even in
+    # doubles.
     moments = (4.0, 5.0, 9.0)
     yield Scene(group, 'on the separatrix', moments, (3.0, 0.5, 1.0), 30.0, amplifies=True)
     for offset in (1e-3, 1e-6, 1e-9, 1e-12):
         for sign in (1.0, -1.0):
-            yield Scene(group, f'off it by {sign * offset:+.0e}', moments,
+            yield Scene(group, f'off the separatrix by {sign * offset:+.0e}', moments,
                         (3.0, 0.5, 1.0 + sign * offset), 30.0, amplifies=True)
     yield Scene(group, 'about the intermediate axis', PLATE, (0.0, 1.0, 0.0), 1000.0)
-    yield Scene(group, 'about it, full tensor', *turned(PLATE, (0.0, 1.0, 0.0)), 50.0,
-                amplifies=True)
+    yield Scene(group, 'about the intermediate axis, full tensor',
+                *turned(PLATE, (0.0, 1.0, 0.0)), 50.0, amplifies=True)
     for offset in (1e-3, 1e-8, 1e-15):
-        yield Scene(group, f'off that axis by {offset:.0e}', PLATE, (offset, 1.0, 0.0), 100.0,
-                    amplifies=True)
+        yield Scene(group, f'off the intermediate axis by {offset:.0e}', PLATE,
+                    (offset, 1.0, 0.0), 100.0, amplifies=True)
 
 
 def published():
@@ -329,7 +329,7 @@ def published():
     yield Scene(group, "Gazebo's boxes", (0.80833, 0.68333, 0.14167), (0.1, 5.0, 0.1), 10.0,
                 amplifies=True)
     yield Scene(group, 'Avian #993, about the largest moment', PLATE, (0.01, 0.01, 5.0), 1e4)
-    yield Scene(group, 'Avian #993, about the smallest', PLATE, (5.0, 0.01, 0.01), 1e4)
+    yield Scene(group, 'Avian #993, about the smallest moment', PLATE, (5.0, 0.01, 0.01), 1e4)
     yield Scene(group, "van Zon's top", (10.0, 20.0, 26.0), (1.0, 15.0, 1.0), 10.0,
                 amplifies=True)
     # m_c = 9e-11, where SciPy's `ellipj` is off by 2.

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""In extreme scenes every solver is right to rounding, or reports that it is not."""
+"""In extreme scenes, every solver is accurate to rounding, or reports that it is not."""
 
 import itertools
 
@@ -28,13 +28,13 @@ from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
 
 pytestmark = pytest.mark.slow
 
-#: Limits of what a test may cost: rad for a solver that steps, and steps of fixed length.
+#: Limits of the cost of a test: angle, rad, for a solver with steps, and number of fixed steps.
 LONGEST_PHASE, MOST_STEPS = 2e5, 1e5
 TO_ROUNDING = ('auto', 'taylor', 'exact')
 
 scenes = pytest.mark.parametrize('scene', SCENES, ids=lambda scene: scene.name)
 #: Scenes whose truth takes seconds; `make test` runs only the rod with body torques.
-LONG = ('the same, linear between them', 'rod 1e-4, full tensor, space torques',
+LONG = ('rod 1e-6, full tensor, linear body torque', 'rod 1e-4, full tensor, space torques',
         'ruler 1e-6, full tensor, cubic body torque', 'plate, full tensor, body torques',
         'plate, full tensor, linear space torque')
 free_scenes = pytest.mark.parametrize('scene', [scene for scene in SCENES if not scene.torques],
@@ -62,7 +62,7 @@ def test_motion_is_that_of_fifty_digits(scene):
 
 
 def check_estimates(scene):
-    """Check the estimates of a trade-off, here because the truth of these scenes takes seconds."""
+    """Check the estimates of a trade-off; done here because the truth takes seconds to compute."""
     problem = Problem(scene.body, scene.start, scene.log)
     reference = Reference.of(Case(problem, scene.times_ns))
     apart, _ = scene.errors(reference.trajectory)
@@ -74,7 +74,7 @@ def check_estimates(scene):
 
 @free_scenes
 def test_free_motion_keeps_energy_and_momentum(scene):
-    # Being finite is not enough: mujoco_warp's joints were at 1e12 rad/s.
+    # Finite values are not enough: joints in mujoco_warp once reached 1e12 rad/s.
     times = np.linspace(0, int(scene.times_ns[-1]), 50).astype(np.int64)
     for solver in affordable(scene):
         motion = scene.propagate(solver, at=times)
@@ -116,21 +116,21 @@ def test_escape_takes_as_long_as_the_logarithm_of_the_offset():
 @pytest.mark.parametrize('solver', SOLVERS)
 @pytest.mark.parametrize('axis', [0, 1, 2])
 def test_rotation_about_a_principal_axis_stays_there(axis, solver):
-    # About the middle one as well: nothing pushes the body off it, not even rounding.
+    # This includes the middle axis: nothing pushes the body off it, not even rounding.
     rates = 3.0 * np.eye(3)[axis]
     motion = propagate(RigidBody.from_moments(1.0, 2.0, 3.0), State(0, angular_velocity=rates),
                        at=np.arange(0, 1000, 7) * SECOND, solver=solver,
                        max_step=0.1 if solver in FIXED_STEP else None)
     apart = np.abs(motion.angular_velocity - rates)
     assert not np.delete(apart, axis, axis=1).any()
-    assert apart.max() <= 1e-12  # `strang` divides what it multiplied
+    assert apart.max() <= 1e-12  # `strang` divides by what it multiplied with
 
 
 @pytest.mark.parametrize('order', list(itertools.permutations(range(3))))
 @pytest.mark.parametrize('torque', [(0.0, 0.0, 0.0), (0.2, -0.1, 0.3)])
 @pytest.mark.parametrize('solver', ['auto', 'taylor'])
 def test_names_of_axes_do_not_matter(order, torque, solver):
-    # An odd permutation is made a rotation by turning one axis round.
+    # Reversing one axis turns an odd permutation into a rotation.
     matrix = np.eye(3)[list(order)]
     matrix[0] *= np.linalg.det(matrix)
     renamed = RigidBody(matrix @ FULL @ matrix.T)
@@ -147,7 +147,7 @@ def test_names_of_axes_do_not_matter(order, torque, solver):
 @pytest.mark.parametrize('solver', ['auto', 'taylor', 'exact'])
 @pytest.mark.parametrize('seconds', [1, 10, 1000])
 def test_time_runs_backwards(solver, seconds):
-    # From the end, with the rates reversed, a body returns to its start.
+    # From the end, with reversed rates, a body returns to its start.
     body, start = RigidBody(FULL), State(0, (0.1, -0.3, 0.2, 0.9), FULL_RATES)
     there = propagate(body, start, at=[seconds * SECOND], solver=solver)
     back = propagate(body, State(0, there.attitude[0], -there.angular_velocity[0]),
