@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node alone: torques from a topic in, attitude out."""
+"""Start the node alone; it subscribes to torques and publishes the motion."""
 
 from launch import LaunchDescription
 from rigid_body_ros import launching

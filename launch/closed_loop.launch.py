@@ -13,9 +13,10 @@
 # limitations under the License.
 
 """
-The node in lockstep with a controller: a maneuver as fast as both can run, with equal results.
+Start the node in lockstep with the example controller; the loop runs as fast as possible.
 
-The node ends with the controller. `mode` and `step` of the scene are ignored.
+Every run gives the same result. The node ends when the controller ends. The launch file ignores
+`mode` and `step` of the scene.
 """
 
 from launch import LaunchDescription
@@ -27,7 +28,7 @@ from rigid_body_ros import launching
 def generate_launch_description():
     return LaunchDescription([launching.scoped(
         DeclareLaunchArgument('stop_after', default_value='60.0',
-                              description='duration of the maneuver in its own time, s'),
+                              description='duration of the loop, measured by its stamps, s'),
         _closed_loop)])
 
 

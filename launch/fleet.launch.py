@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Several bodies, each with a node in a namespace of its own: body_1, body_2 and so on.
+Start several bodies, each with a node in a separate namespace: body_1, body_2 and so on.
 
-An example of a launch file that includes another one several times. Every body here is the same;
-for different ones give each its own scene.
+This is an example of a launch file that includes another launch file several times. Here all
+bodies have the same scene; for different bodies, pass a different scene to each node.
 """
 
 from launch import LaunchDescription
@@ -32,7 +32,7 @@ from launch_ros.substitutions import FindPackageShare
 
 ATTITUDE_NODE = PathJoinSubstitution(
     [FindPackageShare('rigid_body_ros'), 'launch', 'attitude_node.launch.py'])
-#: DDS has ports for about this number of processes in a domain on one machine.
+#: On one machine, DDS has ports for about this many processes in a domain.
 MOST = 100
 
 
@@ -56,7 +56,7 @@ def _fleet(context):
 
 
 def _body(namespace):
-    # In a group, because the arguments of an included file otherwise remain set.
+    # Without the group, the arguments of an included launch file would remain set.
     return GroupAction([IncludeLaunchDescription(
         PythonLaunchDescriptionSource(ATTITUDE_NODE),
         launch_arguments={'scene': LaunchConfiguration('scene'),

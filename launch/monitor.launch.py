@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A live check of the model, beside `attitude_node` or a real robot."""
+"""Start `attitude_monitor`, which checks the model while `attitude_node` or a robot runs."""
 
 from launch import LaunchDescription
 from rigid_body_ros import launching

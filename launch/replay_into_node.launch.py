@@ -13,9 +13,10 @@
 # limitations under the License.
 
 """
-The torques of a bag into the node, with the clock of the bag.
+Start the node, and play the torques of a bag to it, with a clock.
 
-The bag starts when the node responds, so that no torque is lost. The node ends with the bag.
+Playback starts when the node responds, so the node does not miss the first torques. The node ends
+when the bag ends.
 """
 
 from launch import LaunchDescription
@@ -29,8 +30,8 @@ def generate_launch_description():
     return LaunchDescription([launching.scoped(
         DeclareLaunchArgument('bag', description='folder or file for `ros2 bag play`'),
         DeclareLaunchArgument('rate', default_value='1.0',
-                              description='speed relative to real time'),
-        LogInfo(msg=['ros2 bag is in ', FindPackagePrefix('ros2bag')]),  # fails without it
+                              description='speed of the playback, relative to real time'),
+        LogInfo(msg=['ros2 bag is in ', FindPackagePrefix('ros2bag')]),  # fails if not installed
         _replay,
         torque='/torque', use_sim_time='true')])
 
@@ -46,7 +47,7 @@ def _replay(context):
     resume = _call('resume', '/rosbag2_player/resume', 'rosbag2_interfaces/srv/Resume')
 
     def wait(event, context):
-        # With the name that the node has in the namespaces of the launch files around this one.
+        # node_name includes the namespaces of the launch files that include this one.
         ready = _call('ready', f'{node.node_name}/get_parameters',
                       'rcl_interfaces/srv/GetParameters')
         return [_then(ready, resume, bag, node), launching.ending(node, bag, ready), ready]
@@ -60,7 +61,7 @@ def _call(name, service, kind):
 
 
 def _then(process, following, *others):
-    """Return a handler that starts an action when a process succeeded, or ends the others."""
+    """Return a handler: if a process succeeds, start an action, otherwise end other processes."""
     def start(event, context):
         return following if event.returncode == 0 else launching.end(*others)
     return RegisterEventHandler(OnProcessExit(target_action=process, on_exit=start))

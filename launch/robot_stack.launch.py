@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The node of config/robot_stack.yaml, which goes on from its checkpoint after a restart.
+Start the node with config/robot_stack.yaml; after a restart, it continues from its checkpoint.
 
 Copy this file and the scene into the folders launch and config of your package.
 """
@@ -23,7 +23,7 @@ from pathlib import Path
 from launch import LaunchDescription
 from rigid_body_ros import launching
 
-#: Found beside this file, so that a copy starts with the scene of its own package.
+#: Relative to this file, so that a copy of this file uses the scene beside the copy.
 SCENE = Path(__file__).absolute().parents[1] / 'config' / 'robot_stack.yaml'
 CHECKPOINT = Path.home() / '.ros' / 'robot_stack.json'
 

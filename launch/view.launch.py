@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node, with rviz2 and the Foxglove bridge if they are installed."""
+"""Start the node, with rviz2 and the Foxglove bridge if they are installed."""
 
 from ament_index_python.packages import get_packages_with_prefixes
 from launch import LaunchDescription
@@ -30,7 +30,7 @@ def generate_launch_description():
     publishes_tf = {'publish_tf': True} if 'tf2_msgs' in installed else {}
     return LaunchDescription([launching.scoped(
         DeclareLaunchArgument('space_frame', default_value='world',
-                              description='fixed frame of rviz; use the space_frame of the scene'),
+                              description='fixed frame of rviz2: the space_frame of the scene'),
         lambda context: [launching.attitude_node(context, publishes_tf)],
         *(LogInfo(msg=f'{package} is not installed: {without}')
           for package, without in (('tf2_msgs', 'no /tf'), ('rviz2', 'no window'),

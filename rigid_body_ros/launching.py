@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The node for launch files: its arguments, and the action that starts it.
+Launch arguments of the node, and the action that starts the node.
 
-A launch file declares the arguments in a scoped group, so that it can be included several times
-and leaves no value to the file that includes it.
+A launch file declares the arguments in a scoped group. Therefore another launch file can include
+this launch file several times, and the argument values do not leak into the including file.
 """
 
 from __future__ import annotations
@@ -41,25 +41,27 @@ from launch.events.process import ShutdownProcess
 from launch_ros.actions import Node
 
 NAME = 'rigid_body_ros'
-#: As in a stack with several robots: every robot has its own /tf, in its namespace.
+#: Remappings that give each robot its own /tf in its namespace, as is usual for several robots.
 RELATIVE_TF = (('/tf', 'tf'), ('/tf_static', 'tf_static'))
 _FLAG = ('false', 'true')
-#: Default of an argument that is not given: the scene decides.
+#: Default of the arguments that override the scene. If an argument is empty, the value of the
+#: scene applies.
 _AS_IN_SCENE = ''
-#: Arguments that are parameters of the node with a text, and with a flag.
+#: The arguments that set text parameters of the node, and the arguments that set flags.
 _TEXTS, _FLAGS = ('frame_prefix', 'mode', 'checkpoint'), ('use_sim_time', 'autostart')
 
 
 def scoped(*entities: Any, **defaults: str) -> GroupAction:
     """
-    Return entities that can use the arguments of the node, in a scope of their own.
+    Return a scoped group that declares the arguments of the node.
 
     Parameters
     ----------
     *entities : DeclareLaunchArgument, action or callable
-        Further arguments, actions, and functions that receive the context and return actions.
+        The contents of the group, which can use the arguments of the node. A callable receives the
+        context and returns actions.
     **defaults : str
-        Defaults of arguments of the node that are not the usual ones.
+        Defaults that replace the usual defaults, keyed by the name of the argument.
 
     """
     return GroupAction([*_arguments(defaults), *(
@@ -68,7 +70,7 @@ def scoped(*entities: Any, **defaults: str) -> GroupAction:
 
 def attitude_node(context: LaunchContext, more: Mapping[str, Any] | None = None) -> Node:
     """
-    Return the action that starts the node as the arguments say.
+    Return the action that starts the node with the values of the arguments.
 
     Parameters
     ----------
@@ -108,7 +110,7 @@ def _node(context: LaunchContext, executable: str, more: Mapping[str, Any]) -> N
 
 
 def scene(name: str) -> Path:
-    """Return the parameter file of a scene: a file, or an example of the package."""
+    """Return the path of a scene file, given this path or the name of an example."""
     examples = Path(get_package_share_directory(NAME), 'config')
     example, file = examples / f'{name}.yaml', Path(name).expanduser()
     if Path(name).name == name and example.is_file():
@@ -121,7 +123,7 @@ def scene(name: str) -> Path:
 
 
 def remappings(given: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return the remappings of the topics: of the torques, and those of the user."""
+    """Return the topic remappings: that of the torque topic, and those that the user gives."""
     rules = [rule.partition(':=') for rule in given['remappings'].split()]
     for name, sign, target in rules:
         if not (name and sign and target):
@@ -131,7 +133,7 @@ def remappings(given: Mapping[str, str]) -> list[tuple[str, str]]:
 
 
 def _parameters(given: Mapping[str, str]) -> dict[str, Any]:
-    """Return the parameters of the node that the arguments set."""
+    """Return the node parameters that the arguments set."""
     if given['autostart'] and given['lifecycle'] == 'false':
         raise RuntimeError('autostart: expected no value without lifecycle:=true, because a plain '
                            f'node always starts by itself, found {given["autostart"]!r}')
@@ -149,13 +151,13 @@ def _rate(text: str) -> float:
 
 
 def end(*processes: ExecuteLocal) -> list[EmitEvent]:
-    """Return actions that end processes, as Ctrl-C does; those that have ended are ignored."""
+    """Return actions that end processes as Ctrl-C does, and ignore processes that have ended."""
     return [EmitEvent(event=ShutdownProcess(process_matcher=matches_action(process)))
             for process in processes]
 
 
 def ending(ended: ExecuteLocal, *others: ExecuteLocal) -> RegisterEventHandler:
-    """Return a handler that ends other processes when one has ended."""
+    """Return a handler that ends the other processes as soon as the first one has ended."""
     return RegisterEventHandler(OnProcessExit(target_action=ended, on_exit=end(*others)))
 
 
@@ -171,23 +173,26 @@ def _arguments(defaults: Mapping[str, str]) -> list[DeclareLaunchArgument]:
         argument('name', 'attitude_node', 'name of the node'),
         argument('torque', 'torque', 'topic of the torques (geometry_msgs/WrenchStamped)'),
         argument('remappings', '', 'further remappings, such as "odometry:=odom imu/data:=imu"'),
-        argument('frame_prefix', _AS_IN_SCENE, 'text before the frame_ids of the body and of the '
+        argument('frame_prefix', _AS_IN_SCENE, 'prefix of the frame_ids of the body and of the '
                  'links of robot_description (default: as in the scene)'),
-        argument('use_sim_time', _AS_IN_SCENE, 'whether to follow /clock (default: as the scene '
-                 'or the including launch file says)', (_AS_IN_SCENE, *_FLAG)),
-        argument('mode', _AS_IN_SCENE, 'whether to publish the motion in real time, or to reply '
-                 'to each torque (default: as in the scene)',
-                 (_AS_IN_SCENE, 'realtime', 'lockstep')),
-        argument('publish_rate', _AS_IN_SCENE, 'rate at which the motion is published, Hz '
-                 '(default: as in the scene)'),
-        argument('checkpoint', _AS_IN_SCENE, 'parameter checkpoint of the node, a file of its own '
-                 '(default: as in the scene)'),
-        argument('lifecycle', 'false', 'whether to start attitude_lifecycle_node, whose life a '
-                 'manager controls', _FLAG),
-        argument('autostart', _AS_IN_SCENE, 'with lifecycle: whether the node configures and '
-                 'activates itself, without a manager (default: as in the scene, otherwise false)',
+        argument('use_sim_time', _AS_IN_SCENE, 'whether the time of the node follows /clock '
+                 '(default: as in the scene or in the launch file that includes this one)',
                  (_AS_IN_SCENE, *_FLAG)),
-        argument('log_level', 'info', 'the least severe messages to log',
+        argument('mode', _AS_IN_SCENE, 'realtime, to publish the motion in real time, or '
+                 'lockstep, to reply to each torque (default: as in the scene)',
+                 (_AS_IN_SCENE, 'realtime', 'lockstep')),
+        argument('publish_rate', _AS_IN_SCENE, 'rate at which the node publishes the motion, '
+                 'Hz (default: as in the scene)'),
+        argument('checkpoint', _AS_IN_SCENE, 'parameter checkpoint of the node: a file that no '
+                 'other node uses (default: as in the scene)'),
+        argument('lifecycle', 'false', 'whether to start attitude_lifecycle_node, whose lifecycle '
+                 'a manager controls', _FLAG),
+        argument('autostart', _AS_IN_SCENE, 'with lifecycle:=true, whether the node configures '
+                 'and activates itself, without a manager (default: as in the scene; false if the '
+                 'scene does not set it)',
+                 (_AS_IN_SCENE, *_FLAG)),
+        argument('log_level', 'info', 'lowest severity of the messages that the node logs',
                  ('debug', 'info', 'warn', 'error', 'fatal')),
-        argument('respawn', 'false', 'whether to start the node again 1 s after it ended', _FLAG),
+        argument('respawn', 'false', 'whether launch starts the node again 1 s after it ends',
+                 _FLAG),
     ]

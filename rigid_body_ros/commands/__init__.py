@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands: arguments, work, exit status."""
+"""The commands: their arguments, their work and their exit statuses."""

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 
 def load_scene(options: argparse.Namespace) -> Scene:
-    """Return the scene of the options, and report its notes and warnings."""
+    """Load the scene that the options name, and report its notes and warnings."""
     from rigid_body_ros.scene import load
-    interrupts.check()  # the import takes long
+    interrupts.check()  # the import is slow
     scene = load(options.scene)
     for text in scene.notes:
         note(options, f'{options.scene}: {text}')
@@ -43,19 +43,19 @@ def load_scene(options: argparse.Namespace) -> Scene:
 
 
 def note(options: argparse.Namespace, text: str) -> None:
-    """Print a note of the command."""
+    """Print a note, preceded by the name of the command."""
     report(f'{options.command}: note: {text}')
 
 
 def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Measured]) -> None:
-    """Warn of measurements in frames other than those of the scene."""
+    """Warn about measurements in frames other than those of the scene."""
     for one in measured:
         if one.frames:
             report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
 
 
 def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
-    """Warn of torques that are not in N m."""
+    """Warn about torques that are not in N m."""
     from rigid_body_ros.recording import is_ulog
     for path in filter(is_ulog, paths):
         report(f'{options.command}: warning: {path}: the torques of a PX4 log are normalized, not '
@@ -64,7 +64,7 @@ def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
 
 
 def topics_of(options: argparse.Namespace) -> Topics:
-    """Return the topics of the torques that are given."""
+    """Return the topics that the options name."""
     from rigid_body_ros import recording
     return recording.Topics.given(options.topic, options.wheel_torque,
                                   options.wheel_momentum, options.inertia,
@@ -72,7 +72,7 @@ def topics_of(options: argparse.Namespace) -> Topics:
 
 
 def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = False) -> Logged:
-    """Return the problem of the recording and a scene, see `recording.chosen`."""
+    """Return the problem that the recording and the scene define; see `recording.chosen`."""
     from rigid_body_ros import recording
     warn_of_units(options, [options.recording])
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
@@ -81,7 +81,7 @@ def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = 
 
 
 def reading_of(options: argparse.Namespace) -> Reading:
-    """Return which torques and measurements to read, and how."""
+    """Return which torques and measurements to read, and with which options."""
     from rigid_body_ros.sensing.recorded import Reading
     return Reading(tuple(options.measured or ()), topics_of(options), options.interpolation,
                    options.time_source, options.frames and tuple(options.frames),

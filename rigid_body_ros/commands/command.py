@@ -35,13 +35,14 @@ class Command:
     ----------
     name, description : str
     examples : sequence of str
-        Arguments to show at the end of the help; the files are those of the repository.
+        Arguments of the examples at the end of the help. The examples use files of the repository.
     add_arguments : callable
         Adds the options of the command to a parser.
     run : callable
-        Runs the command with its options, and returns the exit status.
+        Runs the command with the parsed options, and returns the exit status.
     rest : str
-        Usage of the arguments after '--', which are in `options.rest`; '' if none are allowed.
+        Usage text for the arguments after '--'; '' if no arguments are allowed there. `parsed`
+        stores these arguments in `options.rest`.
 
     """
 
@@ -53,7 +54,7 @@ class Command:
     rest: str = ''
 
     def __call__(self, arguments: Sequence[str] | None) -> int:
-        """Run the command with arguments (default: those of the process)."""
+        """Run the command with the given arguments; None means the arguments of the process."""
         return self.run(self.parsed(arguments))
 
     def parsed(self, arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -77,7 +78,7 @@ class Command:
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that rejects repeated options and adds those that commands share."""
+    """An argument parser that rejects repeated options, and adds options that commands share."""
 
     def __init__(self, command: Command) -> None:
         super().__init__(prog=command.name, description=command.description)
@@ -88,7 +89,7 @@ class Parser(argparse.ArgumentParser):
         self._examples = [f'{command.name} {arguments}' for arguments in command.examples]
 
     def error(self, message: str) -> NoReturn:
-        """Report an error; unlike argparse, escape what a terminal would not print."""
+        """Report an error and exit; unlike argparse, escape nonprintable characters."""
         super().error(printable(message))
 
     def print_help(self, file: Any = None) -> None:
@@ -103,66 +104,66 @@ class Parser(argparse.ArgumentParser):
                           'for attitude_node')
 
     def add_torques(self) -> None:
-        """Add the options for the topics of the torques."""
+        """Add the options for the topics of torques and of a changing inertia."""
         self.add_argument('--topic', action='append',
-                          help='topic of the torques; repeat it for torques that add up (default: '
-                          'the torque_topics of the scene; if scene and recording have one topic '
-                          'each, the names may differ)')
+                          help='topic of the torques; if the option is repeated, the torques of '
+                          'all topics add up (default: the torque_topics of the scene; if both '
+                          'scene and recording have a single topic, the two names may differ)')
         self.add_argument('--wheel-torque', metavar='TOPIC',
-                          help='topic of the torque of the motors on the rotors (default: '
-                          'wheel_torque, if the recording has it); needs a scene with wheels: '
-                          'true')
+                          help='topic of the torques of the motors on the rotors (default: '
+                          'wheel_torque, if the recording contains this topic); needs a scene '
+                          'with wheels: true')
         self.add_argument('--wheel-momentum', metavar='TOPIC',
                           help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
-                          's, body axes), linear between samples; needs a scene with wheels: true')
+                          's, body axes), interpolated linearly; needs a scene with wheels: true')
         self.add_argument('--wheel-command', metavar='TOPIC',
-                          help='topic of the efforts of wheels with names (JointState; default: '
-                          'wheel_command, if the recording has it); needs a scene with '
-                          'wheel_names')
+                          help='topic of the effort commands of named wheels (JointState; '
+                          'default: wheel_command, if the recording contains this topic); '
+                          'needs a scene with wheel_names')
         self.add_argument('--inertia', metavar='TOPIC',
-                          help='topic of the inertia of a body that changes (InertiaStamped; '
-                          'default: inertia, if the recording has it); needs a scene with '
-                          'inertia_topic: true')
+                          help='topic of the changing inertia of the body (InertiaStamped; '
+                          'default: inertia, if the recording contains this topic); needs a '
+                          'scene with inertia_topic: true')
 
     def add_interpolation(self) -> None:
         """Add the option for the interpolation of the torques."""
         self.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
                           help='interpolation of the torques between samples (default: the '
-                          "scene's)")
+                          'interpolation of the scene)')
 
     def add_time_source(self, times: str) -> None:
-        """Add the option for the source of times; the help describes what they are."""
+        """Add the option for the source of times; its help text begins with `times`."""
         self.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
                           help=f'{times} was logged or published (default: header)')
 
     def add_measured(self, topics: str) -> None:
-        """Add the options for torques and measurements; the help describes the measured topics."""
+        """Add the options for torques and measurements; `topics` is the help of --measured."""
         self.add_argument('--measured', action='append', metavar='TOPIC', help=topics)
         self.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
-                          help='the two frames of measured transforms or odometry (default: those '
-                          'of the scene)')
+                          help='parent frame and child frame of measured transforms or odometry '
+                          '(default: the frames of the scene)')
         self.add_torques()
         self.add_interpolation()
-        self.add_time_source('time of torques and measurements: the stamp in the header, or when '
-                             'the message')
+        self.add_time_source('time of a torque or measurement: the stamp in its header, or when '
+                             'its message')
 
     def add_outputs(self, *, report: str, json: str = '', plot: str = '') -> None:
-        """Add the options of the outputs that have a help text, and --overwrite."""
+        """Add an option for each output whose help text is given, and --overwrite."""
         if json:
             self.add_argument('--json', metavar='OUT', help=json)
         if plot:
             self.add_argument('--plot', metavar='PNG', help=plot)
         self.add_argument('--report', metavar='HTML',
-                          help=f'write a page for any browser, without network, that shows '
-                          f'{report}')
+                          help=f'write a page that opens in any browser, without a network, and '
+                          f'shows {report}')
         self.add_argument('--overwrite', action='store_true',
                           help='replace output files that exist; folders are never replaced')
 
     def add_degrees(self) -> None:
         """Add the option for the unit of angles."""
         self.add_argument('--degrees', action='store_true',
-                          help='print angles in degrees, and show them so on the page; JSON, and '
-                          'what the verdict says, stay in radians')
+                          help='show angles in degrees in the summary and on the page; the JSON '
+                          'file and the text of the verdict stay in radians')
 
 
 class _Once(argparse.Action):
@@ -201,13 +202,13 @@ class _Version(argparse.Action):
 def add_scheduler(parser: argparse._ActionsContainer) -> None:
     """Add the option for a Dask scheduler."""
     parser.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
-                        'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that it '
-                        'wrote; it does not change the results')
+                        'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that the '
+                        'scheduler wrote; the option does not change the results')
 
 
 def within(low: float, high: float, what: str = 'a number',
            kind: Callable[[str], Any] = float) -> Callable[[str], Any]:
-    """Return a function that reads a number between limits, as the type of an option."""
+    """Return the type of an option: a function that reads a number within limits."""
     def read(text: str) -> Any:
         try:
             value = kind(text)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 #: Exit status if the model does not explain the measurements.
 REJECTED = 4
-#: Parameters that a check estimates for an alignment, in addition to the start.
+#: For each kind of alignment: the parameter that --check estimates together with the start.
 _FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 
@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
-    """Return whether the model explains the measurements, from some start."""
+    """Return the verdict on whether the model explains the measurements from a fitted start."""
     from rigid_body_ros.comparison.align import is_asked
     from rigid_body_ros.identification.recorded import identified, read_experiment
     experiment = read_experiment(options.recording, scene, reading_of(options))
@@ -92,33 +92,37 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_scene()
     parser.add_measured(
         'measured topic (QuaternionStamped, PoseStamped, PoseWithCovarianceStamped, '
-        'TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped, an angular velocity), or '
-        'the name of a CSV file or of a TUM trajectory; may be repeated (default: the only topic '
-        'of one of these types but the last)')
+        'TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped with an angular velocity), '
+        'or the name of a CSV file or TUM trajectory; may be repeated (default: the topic with '
+        'one of these types except Vector3Stamped, if the recording contains only one such '
+        'topic)')
     parser.add_argument('--motion', metavar='FILE',
-                        help='compare this recorded motion, such as the output of '
-                        'attitude_replay, instead of computing one')
+                        help='compare the measurements with this recorded motion, such as the '
+                        'output of attitude_replay, instead of a computed motion')
     parser.add_argument('--align', type=_names, default=(), metavar='NAMES',
-                        help='fit some of start, clock, mount, separated by commas: the initial '
-                        'attitude and angular velocity, a constant offset of the clock of each '
-                        'sensor, and the constant rotations between the axes of each sensor and '
-                        'the body and between the two space axes; clock@TOPIC and mount@TOPIC are '
-                        'those of one sensor (default: fit nothing)')
+                        help='what to fit, separated by commas (default: nothing): start is the '
+                        'initial attitude and angular velocity; clock is a constant clock offset '
+                        'of each sensor; mount is a constant rotation between the axes of each '
+                        'sensor and the body axes, and one between the space axes of the sensors '
+                        'and the space axes of the model. clock@TOPIC and mount@TOPIC fit only '
+                        'the sensor of this topic')
     parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
-                        help='restart from the measurement every SECONDS and report the error '
-                        'after that time; may be repeated (default: 0.1, 1 and 10, where the '
-                        'measurement is long enough)')
+                        help='restart the model from the measurement every SECONDS, and report '
+                        'the error at the end of each interval; may be repeated (default: 0.1, 1 '
+                        'and 10, if the measurement is long enough)')
     parser.add_argument('--check', action='store_true',
-                        help='test whether the model explains the measurements from some start, '
-                        'as attitude_identify does; if not, the exit status is 4')
+                        help='fit the initial state, and test, as attitude_identify does, whether '
+                        'the model then explains the measurements; if it does not, the exit '
+                        'status is 4')
     parser.add_argument('-o', '--output', metavar='RESIDUALS',
-                        help='write /error/rotation_vector, /error/angular_velocity and '
-                        '/residual_torque to this MCAP file, or, if the name does not end in '
+                        help='write the topics /error/rotation_vector, /error/angular_velocity '
+                        'and /residual_torque to this MCAP file or, if the name does not end in '
                         '.mcap, to a new rosbag2 folder')
     parser.add_degrees()
     parser.add_outputs(
         json='write the result, with units, to this file',
-        plot='plot errors, torque, errors after the horizons and residual torque over time',
+        plot='plot the errors, the torque, the errors after each horizon and the residual torque '
+        'over time',
         report='the measured and the computed motion, the errors and the summary')
 
 
@@ -135,7 +139,7 @@ def _names(text: str) -> tuple[str, ...]:
 attitude_compare = Command(
     'attitude_compare',
     'Compare measured attitudes and angular velocities with the motion under '
-    'recorded torques. Print how large the errors are and what probably causes them.',
+    'recorded torques. Print how large the errors are, and what probably causes them.',
     ('test/recordings/flight.mcap --scene config/tumbler.yaml --horizon 1',
      'test/recordings/flight.mcap --scene config/tumbler.yaml --check '
      '--report errors.html'),

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
 
-#: The value of --times that keeps the final state only.
+#: The value of --times that keeps only the final state.
 FINAL = 'final'
 
 
@@ -85,7 +85,7 @@ def _draw(options: argparse.Namespace, path: Path, found: Mapping[str, Any]) -> 
     if not found['histogram']:
         return  # all runs failed
     try:
-        from rigid_body_ros.report import spread  # matplotlib takes long to load
+        from rigid_body_ros.report import spread  # matplotlib is slow to import
     except ModuleNotFoundError as error:
         package = str(error.name).split('.')[0]
         note(options, f'{path}: not drawn: Python module {package!r} is not installed')
@@ -143,12 +143,12 @@ def _controller(options: argparse.Namespace, scene: Scene, problem: Problem) -> 
         if log.interpolation != 'hold':
             raise InputError(f"{options.scene}: interpolation: expected 'hold', as in lockstep, "
                              f'with a controller, found {log.interpolation!r}')
-    actuator = next(filter(None, scene.actuators or ()), None)  # all topics with one have the same
+    actuator = next(filter(None, scene.actuators or ()), None)  # all topics have the same
     return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')), actuator)
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
-    """Return the nominal motion, and its end, ns."""
+    """Return the problem of the nominal motion, and the time at which this motion ends, ns."""
     problem, end_ns = scene.problem(), None
     if options.recording is not None:
         found = read_torques(options, scene, may_command=True)
@@ -165,42 +165,46 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
 def _add_arguments(parser: Parser) -> None:
     parser.add_scene()
     parser.add_argument('--vary', required=True, metavar='FILE',
-                        help='YAML file with the distribution of each dispersed parameter, or '
-                        'the JSON file of attitude_identify: its estimates then vary jointly')
-    parser.add_argument('--force', action='store_true', help='draw from a fit that '
-                        'attitude_identify rejects, too')
+                        help='YAML file with the distribution of each dispersed parameter, or a '
+                        'JSON file of attitude_identify, whose estimates then vary jointly')
+    parser.add_argument('--force', action='store_true', help='use the JSON file of '
+                        'attitude_identify even if the fit in it is rejected')
     parser.add_argument('--runs', required=True, metavar='N', help='number of runs',
                         type=within(1, 10 ** 9, 'an integer', int))
     parser.add_argument('--recording', metavar='IN',
                         help='recording of torques, as for attitude_replay (default: no torque)')
     parser.add_torques()
     parser.add_argument('--controller', metavar='MODULE:FUNCTION', help='controller in the loop: '
-                        'a Python function of the state and of the time since the start (s) that '
-                        'returns a torque (N m, body axes), called at the step of the scene, or '
-                        'a class whose instances are called so, one for each run')
+                        'a Python function that takes the state and the time since the start (s) '
+                        'and returns a torque (N m, body axes). Each run calls the function at '
+                        'each step of the scene. If FUNCTION is a class, each run creates an '
+                        'instance, and calls the instance in the same way')
     parser.add_argument('--require', action='append', default=[], metavar='EXPRESSION',
-                        help="limit on a number at the end of a run, such as 'rate < 0.05': rate "
-                        '(rad/s), angle from the space axes, or angle_from_nominal (rad). Reports '
-                        'the share of the runs that meet it, the worst ones, each with the '
-                        'command that computes it again, and which parameters matter; may be '
-                        'repeated')
+                        help="limit on the final state of a run, such as 'rate < 0.05', for rate "
+                        '(rad/s), angle (rad, between the body axes and the space axes) or '
+                        'angle_from_nominal (rad, from the final attitude of the nominal run). '
+                        'The command reports the share of runs that meet the limit, and the '
+                        'parameters that matter most. It also lists the worst runs, with commands '
+                        'that compute these runs again. The option may be repeated')
     parser.add_argument('--until', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp); '
                         'required without a recording')
     parser.add_argument('--times', type=_times, default=FINAL, metavar=f'HZ|{FINAL}',
-                        help='states to keep: HZ times a second from the start, and the end, in '
-                        'motion.zarr; or the final state only (default: final)')
+                        help='which states of each run to store: with a number HZ, that many '
+                        'states per second and the final state, in motion.zarr; with final, only '
+                        'the final state (default: final)')
     parser.add_argument('--seed', type=within(0, 2 ** 63 - 1, 'an integer', int), default=0,
                         metavar='S', help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
     pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
-                      help='number of threads, with --controller of processes; it does not change '
-                      'the results (default: one for each processor)')
+                      help='number of threads or, with --controller, of processes; this number '
+                      'does not change the results (default: one for each processor)')
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
-                        help='folder for the results: a new one, or that of the same ensemble')
-    parser.add_outputs(report='the summary, the histogram of the final angles, their percentiles '
-                       'over time, and the rank correlations')
+                        help='folder for the results: a new folder, or one with results of the '
+                        'same ensemble')
+    parser.add_outputs(report='the summary, the histogram of the final angles, the percentiles of '
+                       'the angles over time, and the rank correlations')
 
 
 def _times(text: str) -> float | str:
@@ -213,10 +217,10 @@ def _times(text: str) -> float | str:
 
 attitude_ensemble = Command(
     'attitude_ensemble',
-    'Compute many runs with dispersed parameters. Write a row for each run with '
-    'the values applied and the final state; print how far the runs end from the nominal one, '
-    'and which parameters matter. Started again, it goes on where it stopped; with more runs, '
-    'it adds them.',
+    'Compute many runs with dispersed parameters. Write a row for each run with the applied '
+    'values and the final state. Print how far the runs end from the nominal run, and which '
+    'parameters matter. If the command is started again, it continues where it stopped; with a '
+    'larger --runs, it adds runs.',
     ('--scene config/tumbler.yaml --vary examples/vary.yaml '
      '--recording test/recordings/tumbler.mcap --runs 1000 -o runs',
      '--scene config/tumbler.yaml --vary examples/vary.yaml --until 20 '

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.identification import Experiment, Identification
     from rigid_body_ros.scene import Scene
 
-#: Exit statuses; docs/commands.md has their meaning.
+#: Exit statuses; docs/commands.md explains them.
 OK, PARTIAL, REJECTED = 0, 3, 4
 
 
@@ -49,8 +49,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _status(found: Identification) -> tuple[int, str]:
-    """Return the exit status, and what is wrong."""
-    if found.verdict.level == 'rejected':  # then what the data determines is of no use
+    """Return the exit status, and the problem that it reports; '' if there is no problem."""
+    if found.verdict.level == 'rejected':  # what the data determines is then irrelevant
         return REJECTED, 'the model does not explain the measurements'
     names = [name for name, one in found.estimates.items() if not one.identifiable]
     if names:
@@ -62,7 +62,7 @@ def _status(found: Identification) -> tuple[int, str]:
 
 def _identified(options: argparse.Namespace,
                 scene: Scene) -> tuple[Identification, Experiment]:
-    """Return the result, and the first recording."""
+    """Return the identification from all recordings, and the content of the first recording."""
     from rigid_body_ros.identification.recorded import identified, read_experiments
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
         warn_of_units(options, options.recording)
@@ -79,7 +79,7 @@ def _identified(options: argparse.Namespace,
 
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
            first: Experiment, scene: Scene, is_good: bool) -> list[str]:
-    """Write all outputs, the scene only of a good fit; return what was written."""
+    """Write the outputs (the scene only if `is_good`); return the names of the written files."""
     from rigid_body_ros.identification import plot
     from rigid_body_ros.identification.page import page
     from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
@@ -94,7 +94,7 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
 
 
 def _suffix(output: str | None) -> str:
-    """Return the suffix of the format in which the result is written."""
+    """Return the suffix of the format of an output."""
     return '.urdf' if output and output.lower().endswith('.urdf') else '.yaml'
 
 
@@ -103,28 +103,31 @@ def _add_arguments(parser: Parser) -> None:
     from rigid_body_ros.identification.verdict import ACCEPT
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
-                        'several of the same body are fitted together. The torques of a PX4 log '
-                        '(.ulg) are normalized: estimate torque_gains, with an inertia that is '
-                        'known or has a --prior')
+                        'several recordings of the same body are fitted together. The torques of '
+                        'a PX4 log (.ulg) are normalized, so estimate torque_gains; in this '
+                        'case, the inertia must be known or have a --prior')
     parser.add_scene()
     parser.add_measured('measured topic, as for attitude_compare; may be repeated (default: the '
-                        'only topic of an attitude)')
+                        'only topic with attitudes)')
     parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
-                        help='what to estimate, separated by commas: inertia or inertia_diagonal, '
-                        'start, torque_gain or torque_gains, torque_bias, torque_delay, '
-                        'torque_lag, weight, damping, rotor_momentum, NAME.moment of a field of '
-                        'the scene; clock_offset, clock_drift, mount, gyro_bias and gyro_scale, '
-                        'or, of one sensor, such as clock_offset@TOPIC (default: inertia,start)')
+                        help='what to estimate, separated by commas (default: inertia,start). For '
+                        'the body: inertia or inertia_diagonal, start, weight, damping, '
+                        'rotor_momentum, or NAME.moment of a field of the scene. For the torques: '
+                        'torque_gain or torque_gains, torque_bias, torque_delay or torque_lag. '
+                        'For every sensor: clock_offset, clock_drift, mount, gyro_bias or '
+                        'gyro_scale; for one sensor, add its topic, as in clock_offset@TOPIC')
     parser.add_argument('--prior', type=_prior, action='append', default=[], metavar='NAME=SIGMA',
-                        help='standard deviation with which the guess of a parameter is known '
-                        'beforehand, in its unit, or relative with a percent sign; may be '
-                        'repeated')
+                        help='standard deviation of the guess of a parameter, in the unit of the '
+                        'parameter or, with a percent sign, relative to the guess; the guess is '
+                        'the value in the scene or, for a parameter that no scene has, the value '
+                        'without effect; may be repeated')
     parser.add_argument('--gravity', type=float, nargs=3, default=GRAVITY,
-                        metavar=('X', 'Y', 'Z'), help='the field in which the weight acts, m/s^2, '
-                        'space axes (default: 0 0 -9.80665)')
+                        metavar=('X', 'Y', 'Z'), help='gravity that acts on the estimated weight, '
+                        'm/s^2, space axes (default: 0 0 -9.80665)')
     parser.add_argument('--accept', type=positive, default=ACCEPT, metavar='PART',
-                        help='reject a fit if what the model lacks may move the inertia by more '
-                        f'than this part of the mean moment (default: {ACCEPT:g})')
+                        help='reject a fit if effects that the model lacks may shift an estimate '
+                        'by more than this fraction of the scale of the estimate; the scale of '
+                        f'the inertia is the mean moment of inertia (default: {ACCEPT:g})')
     parser.add_argument('--attitude-noise', type=positive, metavar='RAD',
                         help='standard deviation of each component of a measured attitude '
                         '(default: estimated for each topic)')
@@ -133,18 +136,19 @@ def _add_arguments(parser: Parser) -> None:
                         '(default: estimated for each topic)')
     parser.add_argument('--validate', type=within(0.0, 0.9, 'a fraction'), default=0.0,
                         metavar='FRACTION', help='do not fit this fraction at the end of each '
-                        'recording, but predict it, and report the errors')
+                        'recording, but predict the motion there, and report the errors of the '
+                        'prediction')
     parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
-                        'estimates to this YAML file, or, if its name ends in .urdf, the inertia '
-                        'as a URDF of one link')
+                        'estimates to this YAML file; if the name ends in .urdf, write the '
+                        'inertia as a URDF with one link instead')
     parser.add_argument('--force', action='store_true', help='write the scene even if the data '
-                        'does not determine all estimates, or the fit is rejected')
+                        'does not determine all estimates, or if the fit is rejected')
     parser.add_degrees()
     parser.add_outputs(
         json='write the result to this file',
-        plot='plot the errors of the first recording over time, with its torques',
-        report='the estimates, the measured and the computed motion, the errors that are left and '
-        'the summary')
+        plot='plot the errors and the torques of the first recording over time',
+        report='the estimates, the measured and the computed motion, the remaining errors and the '
+        'summary')
 
 
 def _prior(text: str) -> tuple[str, str]:
@@ -164,11 +168,12 @@ def _names(text: str) -> tuple[str, ...]:
 
 attitude_identify = Command(
     'attitude_identify',
-    'Estimate the inertia of a body, and other parameters, from measured '
-    'attitudes and angular velocities under recorded torques. Print the estimates with their '
-    'uncertainty, and whether the model explains the measurements; write a fitted scene. If '
-    'the data does not determine all estimates, the exit status is 3, and if the model does '
-    'not explain the measurements it is 4; no scene is written then.',
+    'Estimate the inertia of a body, and other parameters, from measured attitudes and angular '
+    'velocities under recorded torques. Print the estimates with their uncertainty, and whether '
+    'the model explains the measurements. Write a fitted scene (-o). If the data does not '
+    'determine all estimates, the exit status is 3; if the model does not explain the '
+    'measurements, the exit status is 4. In both cases, the command writes no scene without '
+    '--force.',
     ('test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
      '-o fitted.yaml',
      'test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '

@@ -16,7 +16,7 @@
 The entry points of the commands: handle signals, run the command, return the exit status.
 
 Importing this module takes a few milliseconds, and importing the commands takes about a second.
-They are therefore imported after signals are handled.
+The commands are therefore imported after the signal handlers are installed.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import report, show
 
-#: Exit status after a mistake of the user; docs/commands.md has the meaning of all.
+#: Exit status after a mistake of the user; docs/commands.md explains all exit statuses.
 USER_ERROR = 2
-#: A command that a signal ended exits with this plus the number of the signal.
+#: If a signal ends a command, the exit status is SIGNALLED plus the number of the signal.
 SIGNALLED = 128
-#: The number of SIGPIPE, which ends other programs when the reader of their output exits.
+#: The number of SIGPIPE, the signal that ends a program when the reader of its output exits.
 _BROKEN_PIPE = 13
 
 
@@ -46,7 +46,7 @@ def _run(module: str, name: str, arguments: Sequence[str] | None = None) -> int:
     def command() -> int:
         import logging
         run = getattr(import_module(f'{__package__}.{module}'), name)
-        # Without a writable home, it warns in two lines that it uses a temporary folder.
+        # Without a writable home folder, matplotlib warns that it uses a temporary one.
         logging.getLogger('matplotlib').setLevel(logging.ERROR)
         interrupts.check()
         return int(run(arguments))
@@ -55,9 +55,9 @@ def _run(module: str, name: str, arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | None) -> int:
-    """Run a command, report errors and signals in one line, and return the exit status."""
+    """Run a command, report an error or a signal in one line, and return the exit status."""
     try:
-        # Without explicit arguments this is the command of the process, which exits afterwards.
+        # Without explicit arguments, the process runs only this command, and exits afterwards.
         with interrupts.deferred(until_exit=arguments is None):
             return _called(command)
     except InputError as error:
@@ -85,17 +85,17 @@ def _called(command: Callable[[], int]) -> int:
         return command()
     except InputError:
         raise
-    except Exception:  # C code that imports a module can raise it in place of KeyboardInterrupt
+    except Exception:  # C code that imports a module may turn KeyboardInterrupt into another error
         interrupts.check()
         raise
-    except SystemExit:  # after --help, whose text may still be in the buffer
+    except SystemExit:  # after --help: its text may still be in the buffer
         if sys.stdout is not None:
             show('', end='')
         raise
 
 
 def __getattr__(name: str) -> Callable[..., int]:
-    """Return the entry point of a command; `attitude_NAME` is in the module of that name."""
+    """Return the entry point of a command; `attitude_NAME` is in the module NAME."""
     module = name.removeprefix('attitude_')
     if module == name or not find_spec(f'{__package__}.{module}'):
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The files that a command writes: checked before the work, and apart from all that it reads."""
+"""Check the output files of a command before the work, so that no output replaces an input."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ _SUFFIXES = {'json': '.json', 'plot': '.png', 'report': '.html'}
 def checked(options: argparse.Namespace,
             *outputs: tuple[str | None, str]) -> Iterator[Outputs]:
     """
-    Check the outputs of a command, and protect its inputs in the context.
+    Check the outputs of a command, and protect its inputs within the context.
 
     Parameters
     ----------
     options : Namespace
-        From `Command.parsed`; the outputs are those of --json, --plot and --report.
+        The options that `Command.parsed` returns; --json, --plot and --report name outputs.
     outputs : tuples of path or None and suffix
-        Others, as for `files.check`.
+        Further outputs; see `files.check`.
 
     Raises
     ------
     InputError
-        As for `files.check`.
+        `files.check` rejects an output.
 
     """
     inputs = *_given(options, *_INPUTS), *_measured_files(options)
@@ -65,12 +65,12 @@ def checked(options: argparse.Namespace,
 
 class Outputs:
     """
-    The outputs of a command that its options name, see `checked`.
+    The outputs that the options of a command name; see `checked`.
 
     Attributes
     ----------
     names : list of str
-        Their paths.
+        The paths of the outputs.
 
     """
 
@@ -84,13 +84,13 @@ class Outputs:
 
     @contextmanager
     def writing(self, name: str | None = None) -> Iterator[None]:
-        """Protect, in the context, all outputs but one, which may replace a file if allowed."""
+        """Within the context, let `name` be written, but protect all other outputs."""
         with protection.protected('output', *(other for other in self.names if other != name)), \
                 files.overwriting(self._options.overwrite):
             yield
 
     def write(self, name: str, write: Callable[[Path], object]) -> None:
-        """Write an output with a function that takes a path."""
+        """Write an output by calling a function with the path to write to."""
         with self.writing(name), files.atomic_output(name, self._suffixes[name]) as path:
             write(path)
 
@@ -107,11 +107,11 @@ class Outputs:
         Parameters
         ----------
         page : callable
-            Returns the page, which has the command line.
+            Takes the command line, and returns the page.
         data : callable
             Returns the result as JSON data.
         draw : callable
-            Draws into a file.
+            Takes a path, and draws the plot into this file.
 
         """
         asked = vars(self._options)
@@ -125,19 +125,19 @@ class Outputs:
                 write(name, page(_command_line(self._options)))
 
     def show(self, summary: str, width: int, names: list[str] | None = None) -> None:
-        """Print a summary, and the names of all or some outputs in a column of the same width."""
+        """Print a summary and the names of the outputs; the first column has the given width."""
         shown = ', '.join(self.names if names is None else names)
         show(summary + (f'\n{"wrote":{width}}{printable(shown)}' if shown else ''))
 
 
 def _given(options: argparse.Namespace, *names: str) -> list[str]:
-    """Return the paths that options name: none, one or several each."""
+    """Return the paths that options name; an option may name no path, one or several."""
     values = [value for name in names if (value := getattr(options, name, None))]
     return [path for value in values for path in (value if isinstance(value, list) else [value])]
 
 
 def _measured_files(options: argparse.Namespace) -> list[str]:
-    """Return the measured topics that are files."""
+    """Return those arguments of --measured that name text files instead of topics."""
     from rigid_body_ros.sensing.text_files import is_text_file
     return [name for name in _given(options, 'measured') if is_text_file(name)]
 

@@ -73,7 +73,7 @@ def _check(options: argparse.Namespace) -> None:
         files.check((options.reference, _SUFFIX))
         if Path(options.reference).exists():
             from rigid_body_ros.regress.loop import committed
-            committed(options.reference)  # nothing but a reference is replaced
+            committed(options.reference)  # only a reference may be replaced
 
 
 def _compared(options: argparse.Namespace, scene: Scene, folder: Path) -> Regression:
@@ -89,15 +89,15 @@ def _compared(options: argparse.Namespace, scene: Scene, folder: Path) -> Regres
 
 
 def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:
-    """Return the node, in the process that runs it."""
+    """Return the node; this function is called in the process that runs the node."""
     try:
         return imported(command, 'rigid_body_ros.node.recorded').RecordedNode(scene, logs)
-    except RuntimeError as error:  # of the middleware
+    except RuntimeError as error:  # from the middleware
         raise InputError(reason(error)) from error
 
 
 def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
-    """Return how long the loop of a new reference runs."""
+    """Return how long the loop has to run to record a new reference."""
     from rigid_body_ros.regress import read, Span
     if options.duration:
         return Span(round(options.duration * 1e9))
@@ -109,27 +109,27 @@ def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
 
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('reference', metavar='REFERENCE',
-                        help='recording of the loop, as --update writes it, or any recording '
-                        'with accepted_torque and committed of a node')
+                        help='recording of the loop: a file that --update has written, or another '
+                        'recording with the topics accepted_torque and committed of a node')
     parser.add_scene()
     parser.add_argument('--tolerance', type=within(0.0, 3.15), metavar='RAD',
-                        help='accept attitudes that differ by this angle at the most, at the same '
+                        help='accept attitudes that differ by at most this angle at the same '
                         'stamps (default: no bit may differ)')
     parser.add_argument('--update', action='store_true',
-                        help='run the controller twice and, if the loops are the same, write the '
-                        'reference, or replace it')
+                        help='run the controller twice and, if both loops are the same, write or '
+                        'replace the reference')
     parser.add_argument('--duration', type=positive, metavar='SECONDS',
-                        help='with --update: how long the loop runs, in its own time (default: as '
-                        'long as the reference)')
+                        help='with --update, how long the loop runs, measured by its stamps '
+                        '(default: as long as the reference)')
     parser.add_argument('--timeout', type=positive, default=60.0, metavar='SECONDS',
-                        help='longest wall time of a loop (default: 60)')
+                        help='longest wall time of one loop (default: 60)')
     parser.add_outputs(json='write the result to this file',
                        report='both loops, their difference, and the moving body')
 
 
 attitude_regress = Command(
     'attitude_regress',
-    'Run a controller and the node in lockstep, in a ROS domain of their own, and '
+    'Run a controller and the node in lockstep, in a ROS domain that no other process uses, and '
     'compare the closed loop with a recorded one, bit for bit.',
     ('examples/slew.mcap --scene examples/slew.yaml -- attitude_controller',
      'mine.mcap --scene examples/slew.yaml --update --duration 2 '

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.report.page import Page
     from rigid_body_ros.scene import Scene
 
-#: Exit statuses; docs/commands.md has their meaning.
+#: Exit statuses; docs/commands.md explains them.
 OK, DIFFERENT = 0, 1
 
 
@@ -71,12 +71,12 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 
 def _collector(scene: Scene) -> PageCollector:
-    from rigid_body_ros.replay.page import PageCollector  # not loaded without a page
+    from rigid_body_ros.replay.page import PageCollector  # imported only for a page
     return PageCollector(scene)
 
 
 def _page(result: Replay, name: str, line: str) -> Page:
-    collected: Any = result.collected  # by `_collector`
+    collected: Any = result.collected  # from `_collector`
     page: Page = collected.page(result, name, line)
     return page
 
@@ -135,45 +135,46 @@ def _verify(options: argparse.Namespace) -> int:
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('input', metavar='INPUT', nargs='+',
                         help='recording of torques: an MCAP file, a rosbag2 bag, a PX4 log '
-                        '(.ulg), or a CSV file with the columns time (s), tx, ty, tz (N m), or '
-                        'with column names and units in its first line')
+                        '(.ulg) or a CSV file. A CSV file has the columns time (s), tx, ty, tz '
+                        '(N m), unless its first line names other columns, with units')
     parser.add_scene()
     parser.add_torques()
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='write attitude, euler_angles, angular_velocity and, if there '
-                        'are rotors, rotor_momentum, and of wheels with names wheel_states to '
-                        'this MCAP file, or, if the name does not end in .mcap, to a new rosbag2 '
-                        'folder; for several recordings, a folder '
-                        'of MCAP files')
+                        help='write the motion to this MCAP file or, if the name does not end in '
+                        '.mcap, to a new rosbag2 folder; for several recordings, write a folder '
+                        'of MCAP files. The topics are attitude, euler_angles and '
+                        'angular_velocity, plus rotor_momentum if there are rotors, and '
+                        'wheel_states if there are named wheels')
     target.add_argument('--verify', metavar='MOTION',
-                        help='recorded motion to compare with the computed one, bit for bit: the '
-                        'committed states of a node, of all its epochs, or the attitude of a '
-                        'replay; if they differ, the exit status is 1')
+                        help='compare the computed motion, bit for bit, with this recorded '
+                        'motion: the committed states of all epochs of a node, or the attitudes '
+                        'that a replay wrote; if any bit differs, the exit status is 1')
     parser.add_interpolation()
     parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')
     parser.add_argument('--start', type=positive, default=0.0, metavar='SECONDS',
                         help='skip the first SECONDS of the recording')
     parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
-                        help='with -o, also write /imu/data, /tf or markers for rviz and Foxglove '
-                        '(/marker/...), or copy the messages of the input')
+                        help='with -o, also write /imu/data (imu), /tf (tf), markers for rviz and '
+                        'Foxglove on /marker/... (markers), or a copy of the messages of the '
+                        'input (input)')
     parser.add_argument('--until', '--duration', type=positive, metavar='SECONDS',
-                        help='end SECONDS after the start, or after the start of each epoch of a '
-                        'node (default: at the last torque stamp)')
+                        help='end the motion SECONDS after its start; in the log of a node, end '
+                        'each epoch SECONDS after its start (default: at the last torque stamp)')
     parser.add_time_source('when a torque takes effect: at the stamp in its header, or when its '
                            'message')
     add_scheduler(parser)
     parser.add_outputs(
         plot='plot Euler angles, quaternion, angular velocity and torque over time',
-        report='the moving body, these plots and the summary; of several recordings, a row and a '
-        'small picture each')
+        report='the moving body, plots as with --plot, and the summary; for several recordings, '
+        'the page shows a row with a small picture for each recording')
 
 
 attitude_replay = Command(
     'attitude_replay',
-    'Compute the motion of a body from recorded torques. Print a summary; write '
-    'the motion (-o) or a plot (--plot) if asked to.',
+    'Compute the motion of a body from recorded torques, and print a summary. With -o, write '
+    'the motion; with --plot, write a plot.',
     ('test/recordings/tumbler.mcap --scene config/tumbler.yaml --report motion.html',
      'test/recordings/iss.mcap --scene config/iss.yaml --rate 0.1 -o motion.mcap'),
     _add_arguments, _run)

@@ -41,7 +41,7 @@ def _run(options: argparse.Namespace) -> int:
         result, title = _measure(options, scene)
 
         def draw(path: Path) -> None:
-            from rigid_body_ros.report import figures  # matplotlib takes long to load
+            from rigid_body_ros.report import figures  # matplotlib is slow to import
             figures.work_precision(path, result.curves(), title, result.reference_errors())
         outputs.write_asked(data=result.as_dict, draw=draw,
                             page=lambda line: page(result, title, scene, line))
@@ -57,7 +57,8 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     spread = _spread(options, problem)
     targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
     try:
-        # Solvers know wheels with names as the rotors of a body without their axial inertia.
+        # In the measured problem, rotors replace the named wheels, and the body lacks the axial
+        # inertia of the wheels.
         result = measure(problem.carried(), targets=targets, track=progress('measuring', ' runs'),
                          end_ns=spread.end_ns if spread else None)
     except ValueError as error:
@@ -69,8 +70,9 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
-    """Return the motion to measure, and the topics of its torques."""
-    # The solver of the scene is one of those to measure, and might take no torques.
+    """Return the problem to solve, and the topics of its torques as text."""
+    # The command measures all solvers. The solver of the scene is replaced, because some solvers
+    # accept no torques.
     scene = replace(scene, values={**scene.values, 'solver': 'auto'})
     topics_of(options).check(scene)
     if options.recording is None:
@@ -80,7 +82,7 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
 
 
 def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
-    """Return the spread of the ensemble, if one is given; it must be of the motion to measure."""
+    """Return the spread in --ensemble, or None; raise InputError if it is for another motion."""
     if not options.ensemble:
         return None
     from rigid_body_ros.ensemble.identity import recording_hash
@@ -103,19 +105,21 @@ def _add_arguments(parser: Parser) -> None:
                         'attitude_replay (default: 50 turns without torque)')
     parser.add_torques()
     parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
-                        help='largest attitude error of the solver that is allowed anywhere in '
-                        'the recording; the error of the interpolation between torque samples is '
-                        f'reported separately; may be repeated (default: {TARGET:g}, or that '
+                        help='largest attitude error that the solver may have at any time of the '
+                        'motion; the command reports the interpolation error between torque '
+                        f'samples separately; may be repeated (default: {TARGET:g}, or the target '
                         'of --ensemble)')
-    parser.add_argument('--ensemble', metavar='FOLDER', help='folder of attitude_ensemble with '
-                        'the same motion: adds a tenth of the spread of its runs as a target, '
-                        'measures up to their end, and reports the time that the setting saves')
+    parser.add_argument('--ensemble', metavar='FOLDER', help='output folder of attitude_ensemble '
+                        'for the same motion; the command adds a tenth of the spread of the runs '
+                        'as a target, measures the errors up to the end of the runs, and reports '
+                        'how much time the recommended setting saves')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
     parser.add_outputs(
         json='write all results, with units, to this file',
-        plot='plot cost over error, one curve per solver',
-        report='this plot, the recommended lines to copy, and the limits of accuracy')
+        plot='plot the cost over the error, with one curve for each solver',
+        report='the plot as with --plot, the recommended lines to copy into the scene, and the '
+        'limits of accuracy')
 
 
 attitude_tradeoff = Command(

@@ -15,9 +15,9 @@
 """
 Scenes: a body, its initial state and the options of a run, read from a ROS 2 parameter file.
 
-The node (declarations and descriptors) and the commands (scene files) share one table of
-parameters, so a file means the same to all of them. `parameters` has the table, `fields` those of
-torques that depend on the attitude, and `scene` reads and checks a file.
+The node and the commands share one table of parameters, so a scene file means the same to the node
+and to every command. The module `parameters` contains the table, `fields` contains the parameters
+of torques that depend on the attitude, and `scene` reads and checks a file.
 """
 
 from rigid_body_ros.scene.parameters import PARAMETERS

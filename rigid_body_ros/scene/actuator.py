@@ -27,14 +27,16 @@ from rigid_body_ros.runtime.parameters import BIG, Parameter
 _TOPICS, _DELAY, _LAG = 'actuator.topics', 'actuator.delay', 'actuator.time_constant'
 _LIMITS = tuple(f'actuator.limit.{axis}' for axis in 'xyz')
 PARAMETERS = (
-    Parameter(_TOPICS, [], '', 'those of torque_topics whose torques are commands of actuators, '
-              'which act late, limited and with a lag'),
-    Parameter(_DELAY, 0.0, 's', 'how long after its stamp a command of an actuator acts',
-              (0.0, LONGEST)),
+    Parameter(_TOPICS, [], '', 'those torque_topics whose torques are commands to actuators; an '
+              'actuator has a delay, a limit and a lag'),
+    Parameter(_DELAY, 0.0, 's', 'time between the stamp of a command to an actuator and the '
+              'effect of the command', (0.0, LONGEST)),
     Parameter(_LAG, 0.0, 's', 'time constant of the first-order lag with which the torque of an '
-              'actuator follows its command, from 1e-9 on; 0: none', (0.0, LONGEST)),
-    *(Parameter(name, 0.0, 'N m', 'largest absolute value of a command of an actuator about this '
-                'axis of its frame; 0: no limit', (0.0, BIG)) for name in _LIMITS),
+              'actuator follows its command; 0 means no lag, other values must be at least 1e-9',
+              (0.0, LONGEST)),
+    *(Parameter(name, 0.0, 'N m', 'largest torque about this axis, in the axes (body or space) of '
+                'the command; larger commands are clipped; 0 means no limit', (0.0, BIG))
+      for name in _LIMITS),
 )
 
 
@@ -45,8 +47,8 @@ def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | Non
     Raises
     ------
     InputError
-        A topic of actuators is not one of the torque topics or is given twice, there is none
-        though an actuator is described, or the time constant is too short.
+        One of `actuator.topics` is not a torque topic or is given twice, `actuator.topics` is
+        empty although other `actuator` parameters are set, or the time constant is too short.
 
     """
     topics, given = values[_TOPICS], [name.removeprefix('/') if isinstance(name, str) else name

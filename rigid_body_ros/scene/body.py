@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The body of a scene: its inertia, which a robot description may state, and its links."""
+"""The body of a scene: its inertia, which may come from a robot description, and its links."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ from rigid_body_ros.scene.parameters import PARAMETERS
 
 def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     """
-    Return the entries of the tensor in `robot_description`; none if that is empty.
+    Return the entries of the tensor in `robot_description`; no entries if that text is empty.
 
     Raises
     ------
     InputError
-        The URDF is not valid, or an `inertia.*` is given and differs from the URDF.
+        The URDF is not valid, a given parameter `inertia.*` differs from the URDF, or `link` is
+        set but `robot_description` is not.
 
     """
     text, link = (checked(PARAMETERS[name], given.get(name, ''))
@@ -51,7 +52,7 @@ def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
                for i in range(3) for j in range(i, 3)}
     for name, entry in entries.items():
-        # A dump of a running node has both, and a product that is not given is zero.
+        # A dump of a running node contains the URDF and all entries; entries not given are zero.
         if given.get(name, 0.0) not in (0.0, entry):
             raise InputError(f'{name}: expected {entry!r} as in robot_description, or no '
                              f'value, found {quoted(given[name])}')
@@ -59,20 +60,20 @@ def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
 
 
 def group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the values whose names begin with a prefix and a dot, by the rest of the name."""
+    """Return the values whose names are `prefix`, a dot and a key; keyed by this key."""
     return {name.split('.')[1]: value for name, value in values.items()
             if name.startswith(prefix + '.')}
 
 
 def links_of(values: Mapping[str, Any]) -> Frames:
-    """Return the frames of `robot_description`, with `frame_prefix`."""
+    """Return the frames of `robot_description`, with `frame_prefix` before their names."""
     robot = values['robot_description']
     links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
     return links.prefixed(values['frame_prefix'])
 
 
 def body_of(values: Mapping[str, Any]) -> RigidBody:
-    """Return the body; raise InputError if there is none with these moments."""
+    """Return the body; raise InputError if no body has this inertia and damping."""
     try:
         return RigidBody(_tensor(values, 'inertia'), _tensor(values, 'damping'))
     except ValueError as error:

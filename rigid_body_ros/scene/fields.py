@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The parameters of torques that depend on the attitude: uniform fields by name, and an orbit.
+The parameters of torques that depend on the attitude: uniform fields with names, and an orbit.
 
-The parameter `fields` names the uniform fields, and each name has parameters of its own.
+The parameter `fields` lists the names of the uniform fields. Each field has its own parameters.
 """
 
 from __future__ import annotations
@@ -30,24 +30,25 @@ from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.fields import Field, GravityGradient, UniformField
 from rigid_body_ros.runtime.parameters import BIG, Parameter
 
-#: The parameter that names the fields.
+#: The parameter that lists the names of the fields.
 FIELDS = 'fields'
 MOMENT, FIELD = 'moment', 'field'
-_UNIFORM = {MOMENT: ('kg m or A m^2', 'moment on which the field acts, body axes; of a weight: '
-                     'mass times centre of mass as seen from the pivot'),
+_UNIFORM = {MOMENT: ('kg m or A m^2', 'moment on which the field acts, body axes; for a weight, '
+                     'this is the mass times the vector from the pivot to the centre of mass'),
             FIELD: ('m/s^2 or T', 'the field, space axes')}
 ORBIT = 'orbit'
 _RATE, _POSITION, _NORMAL = f'{ORBIT}.mean_motion', f'{ORBIT}.position', f'{ORBIT}.normal'
 PARAMETERS = (
-    Parameter(FIELDS, [], '', 'names of uniform fields; each acts on a moment of the body by the '
-              'torque moment x field, and has the parameters NAME.moment and NAME.field'),
-    Parameter(_RATE, 0.0, 'rad/s', 'mean motion of a circular orbit with gravity gradient; 0: '
-              'none', (0.0, BIG)),
-    *(Parameter(f'{_POSITION}.{axis}', value, '', 'direction from the planet to the body at '
-                'start_time, or, if that is 0, at the start of each epoch, space axes',
+    Parameter(FIELDS, [], '', 'names of uniform fields; each field has the parameters NAME.moment '
+              'and NAME.field, and exerts the torque NAME.moment x NAME.field (cross product) on '
+              'the body'),
+    Parameter(_RATE, 0.0, 'rad/s', 'mean motion of a circular orbit, on which the gravity '
+              'gradient exerts a torque on the body; 0 means no orbit', (0.0, BIG)),
+    *(Parameter(f'{_POSITION}.{axis}', value, '', 'direction from the planet to the body, in '
+                'space axes, at start_time or, if start_time is 0, at the start of each epoch',
                 (-BIG, BIG)) for axis, value in zip('xyz', (1.0, 0.0, 0.0))),
     *(Parameter(f'{_NORMAL}.{axis}', value, '', 'normal of the orbit, about which the body '
-                'revolves, space axes', (-BIG, BIG))
+                'revolves, in space axes', (-BIG, BIG))
       for axis, value in zip('xyz', (0.0, 0.0, 1.0))),
 )
 _NAME = re.compile('[A-Za-z_][A-Za-z0-9_]*')
@@ -55,7 +56,7 @@ _OF_FIELD = re.compile(f'(.+)[.]({MOMENT}|{FIELD})[.][xyz]')
 
 
 def of_names(names: Iterable[str]) -> dict[str, Parameter]:
-    """Return the parameters of uniform fields with these names, by full name."""
+    """Return the parameters of uniform fields with given names, keyed by full parameter name."""
     return {parameter.name: parameter for name in names
             for group, (unit, text) in _UNIFORM.items() for parameter in (
                 Parameter(f'{name}.{group}.{axis}', 0.0, unit, text, (-BIG, BIG))
@@ -69,16 +70,17 @@ def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS
     Parameters
     ----------
     names : iterable
-        The value of the parameter that names them.
+        The names that the parameter `key` lists.
     others : collection of str
         The names of all other parameters.
     key : str
-        The name of that parameter.
+        The parameter that lists the names.
 
     Raises
     ------
     InputError
-        A name is not an identifier, is given twice, or other parameters begin with it.
+        A name is not an identifier, is given twice, or is the first part of the name of another
+        parameter.
 
     """
     taken, known = {name.split('.')[0] for name in others}, set[str]()
@@ -95,7 +97,7 @@ def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS
 
 
 def check_named(key: str, names: Collection[str]) -> None:
-    """Raise InputError if an unknown parameter belongs to a field that is not listed."""
+    """Raise InputError if an unknown parameter seems to belong to a field that is not listed."""
     found = _OF_FIELD.fullmatch(key)
     if found:
         raise InputError(f'{key}: expected {quoted(found[1])} among the names in {FIELDS}, found '
@@ -104,14 +106,15 @@ def check_named(key: str, names: Collection[str]) -> None:
 
 def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
     """
-    Return what the parameters of a scene state.
+    Return the fields that the parameters of a scene describe.
 
-    An orbit has the time `start_time`, or none if that is 0.
+    The `time_ns` of an orbit is `start_time`, or None if `start_time` is 0.
 
     Raises
     ------
     InputError
-        A field or a moment is zero, or the directions of the orbit are not possible.
+        A field, a moment or a direction of the orbit is zero, or the two directions of the orbit
+        are not at right angles.
 
     """
     found: list[Field] = [UniformField(_vector(values, f'{name}.{MOMENT}'),
@@ -146,7 +149,7 @@ def described(values: Mapping[str, Any]) -> list[str]:
 
 
 def values_of(one: Field) -> dict[str, float]:
-    """Return the values of a field by key; none of a uniform field without a name."""
+    """Return the values of a field by parameter name; empty for a uniform field without a name."""
     if isinstance(one, GravityGradient):
         vectors = {_POSITION: one.position, _NORMAL: one.normal}
         return {_RATE: one.mean_motion, **_components(vectors)}
@@ -155,7 +158,7 @@ def values_of(one: Field) -> dict[str, float]:
 
 
 def with_values(one: Field, values: Mapping[str, float]) -> Field:
-    """Return a field with other values, by key; raise ValueError if they are not possible."""
+    """Return a field with other values of some parameters; raise ValueError if invalid."""
     found = {**values_of(one), **values}
     if isinstance(one, GravityGradient):
         position, normal = ([found[f'{group}.{axis}'] for axis in 'xyz']
@@ -168,9 +171,10 @@ def with_values(one: Field, values: Mapping[str, float]) -> Field:
 
 def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
     """
-    Return the position on the orbit, by key, of a motion that starts at another time.
+    Return the position on the orbit at the start of a motion, keyed by parameter.
 
-    The result is empty without an orbit, and if the given position is that at the start.
+    The result is empty if there is no orbit, or if the scene already gives the position at this
+    start.
     """
     begin_ns = values['start_time']
     orbits = [one for one in fields_of(values) if isinstance(one, GravityGradient)]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of a scene, except those of each of its uniform fields and wheels."""
+"""The table of the parameters of a scene, and the parameters of named fields and wheels."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
 from rigid_body_ros.scene import actuator, fields, sensors, wheels
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
-_PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
+_PRODUCT = ('off-diagonal entry of the inertia tensor; as in URDF, it includes the minus sign: '
+            'ixy = - sum of m x y')
 _QUATERNION = 'initial attitude quaternion, body to space'
 _DAMPING = 'entry of the damping tensor D, body axes; the torque of the damping is -D w'
 _ROTORS = 'initial momentum of the rotors relative to the body, body axes'
 _VELOCITY = 'initial angular velocity, body axes'
 MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
-#: The quantity that is kept when the inertia changes, see `BodyLog`.
+#: The quantity that stays the same when the inertia changes; see `BodyLog`.
 INERTIA_CHANGES = KEEP_RATE, KEEP_MOMENTUM = 'keep_rate', 'keep_momentum'
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
@@ -41,10 +42,10 @@ PARAMETERS = {parameter.name: parameter for parameter in (
       for name in ('ixx', 'iyy', 'izz')),
     *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-BIG, BIG))
       for name in ('ixy', 'ixz', 'iyz')),
-    Parameter('robot_description', '', '', 'URDF text to read the inertia from, instead of '
-              'inertia.*, and the frames of forces'),
-    Parameter('link', '', '', 'link of robot_description whose inertia is used; empty: the only '
-              'link with an inertia'),
+    Parameter('robot_description', '', '', 'text of a URDF, which gives the inertia in place of '
+              'inertia.*, and the frames in which the node accepts forces'),
+    Parameter('link', '', '', 'link of robot_description that gives the inertia; an empty text '
+              'means the only link that has an inertia'),
     *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, BIG))
       for name in ('dxx', 'dyy', 'dzz')),
     *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-BIG, BIG))
@@ -55,88 +56,101 @@ PARAMETERS = {parameter.name: parameter for parameter in (
       for name in 'xyz'),
     *(Parameter(f'initial_rotor_momentum.{name}', 0.0, 'N m s', _ROTORS, (-BIG, BIG))
       for name in 'xyz'),
-    Parameter('start_time', 0, 'ns', 'time of the initial state; 0: the stamp of the first torque '
-              '(replay, lockstep) or the first valid clock reading (realtime); a running node '
-              'reports the value in use', (0, 2 ** 31 * 10 ** 9 - 1)),
+    Parameter('start_time', 0, 'ns', 'time of the initial state; 0 means the stamp of the first '
+              'torque (replay, lockstep) or the first valid clock reading (realtime); a running '
+              'node reports the actual time in this parameter', (0, 2 ** 31 * 10 ** 9 - 1)),
     Parameter('torque_topics', ['torque'], '', 'topics of the torques; the torques of several '
               'topics add up'),
-    Parameter('wheels', False, '', 'whether the body has rotors with motors'),
+    Parameter('wheels', False, '', 'whether the body has rotors with motors, which are described '
+              'by their total momentum'),
     *wheels.PARAMETERS,
     *actuator.PARAMETERS,
     *fields.PARAMETERS,
-    Parameter('inertia_topic', False, '', 'whether the topic inertia changes the inertia of the '
-              'body'),
-    Parameter('inertia_change', KEEP_RATE, '', 'what goes on when the inertia changes: keep_rate '
-              '(what leaves takes its momentum along) or keep_momentum (the rate jumps)',
+    Parameter('inertia_topic', False, '', 'whether messages on the topic inertia change the '
+              'inertia of the body'),
+    Parameter('inertia_change', KEEP_RATE, '', 'what stays the same when the inertia changes: '
+              'with keep_rate, the angular velocity stays the same, and mass that leaves the body '
+              'carries its momentum away; with keep_momentum, the angular momentum stays the '
+              'same, and the angular velocity jumps',
               choices=INERTIA_CHANGES),
-    Parameter('mode', REALTIME, '', 'realtime: publish the motion at publish_rate; lockstep: '
-              'reply to each torque, stamped t, with the state at t + step', choices=MODES),
-    Parameter('step', 0.001, 's', 'lockstep: time from the stamp of a torque to the state that '
-              'replies to it', (1e-9, LONGEST)),
+    Parameter('mode', REALTIME, '', 'in realtime, the node publishes the motion at publish_rate; '
+              'in lockstep, it replies to each torque, stamped t, with the state at t + step',
+              choices=MODES),
+    Parameter('step', 0.001, 's', 'in lockstep, time from the stamp of a torque to the stamp of '
+              'the state with which the node replies', (1e-9, LONGEST)),
     Parameter('time_source', HEADER, '', 'when a torque takes effect: at the stamp in its header, '
               'or on arrival (for bags played without --clock)', choices=TIME_SOURCES),
     Parameter('solver', Options.solver, '', 'integration method', choices=SOLVERS),
-    Parameter('tolerance', Options.tolerance, '', 'bound on the truncation error of the attitude '
-              'per radian turned; rounding adds to it', TOLERANCES),
-    Parameter('max_step', 0.0, 's', 'longest step; required by the fixed-step solvers; 0: no '
-              'limit', (0.0, BIG)),
-    Parameter('interpolation', 'hold', '', 'torque between two samples; the node accepts only '
-              'hold, because it does not know the next sample', choices=INTERPOLATIONS),
-    Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a sample is held; then the '
-              'torque is zero until the next sample; 0: hold for ever', (0.0, LONGEST)),
-    Parameter('history', 1.0, 's', 'how far the stamp of a torque may lie before the newest one; '
-              'older torques are rejected', (0.0, 3600.0)),
-    Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '
-              'torques further ahead are rejected; with simulated time they first wait 0.5 s for '
-              'the clock', (0.0, 3600.0)),
-    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back, or ahead by more '
-              'than history: reset (start again), rebase (continue from the current state) or '
-              'ignore', choices=TIME_JUMPS),
-    Parameter('checkpoint', '', '', 'file in which the node keeps its last committed state, '
-              'written once a second and at the end; a node that finds it goes on from there; '
-              'empty: none'),
-    Parameter('stale_after', 1.0, 's', 'a source whose torque acts, and that has sent none for '
-              'longer, is a warning in diagnostics and in the log; 0: never', (0.0, LONGEST)),
-    Parameter('monitor.measured', [], '', 'attitude_monitor: topics of measured attitudes and '
-              'angular velocities'),
-    Parameter('monitor.window', 5.0, 's', 'attitude_monitor: time from a restart at the '
-              'measurement to the error, and to the next restart', (1e-3, LONGEST)),
-    Parameter('monitor.attitude_noise', 0.0, 'rad', 'attitude_monitor: standard deviation of a '
-              'component of the measured attitudes; required', (0.0, BIG)),
-    Parameter('monitor.rate_noise', 0.0, 'rad/s', 'attitude_monitor: standard deviation of a '
-              'component of the measured angular velocities; required', (0.0, BIG)),
-    Parameter('monitor.false_alarms', 24.0, 'h', 'attitude_monitor: time in which a right model '
-              'gives one alarm', (TINY, BIG)),
+    Parameter('tolerance', Options.tolerance, '', 'limit of the truncation error of the attitude, '
+              'rad, per radian of rotation; the limit does not include rounding errors',
+              TOLERANCES),
+    Parameter('max_step', 0.0, 's', 'longest step of the solver; 0 means no limit; the fixed-step '
+              'solvers need a value above 0', (0.0, BIG)),
+    Parameter('interpolation', 'hold', '', 'how the torque is interpolated between samples; the '
+              'node accepts only hold, because it does not know the next sample',
+              choices=INTERPOLATIONS),
+    Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a torque sample is held; '
+              'after this time, the torque is zero until the next sample; 0 means that each '
+              'sample is held until the next', (0.0, LONGEST)),
+    Parameter('history', 1.0, 's', 'how far the stamp of a torque may be behind the newest stamp; '
+              'the node rejects older torques', (0.0, 3600.0)),
+    Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may be ahead of the clock; '
+              'the node rejects torques that are further ahead; in simulated time, it rejects '
+              'them only after they have waited 0.5 s for the clock', (0.0, 3600.0)),
+    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps: with reset, begin '
+              'an epoch from the initial state; with rebase, begin an epoch from the current '
+              'state; with ignore, continue the motion', choices=TIME_JUMPS),
+    Parameter('checkpoint', '', '', 'file to which the node writes its last committed state, '
+              'once a second and when it ends; a node that finds this file when it starts '
+              'continues from the state in the file; an empty text means no file'),
+    Parameter('stale_after', 1.0, 's', 'if a source has sent no torque for longer than this time '
+              'and its last torque still acts, diagnostics and the log warn; 0 means no warning',
+              (0.0, LONGEST)),
+    Parameter('monitor.measured', [], '', 'topics of measured attitudes and angular velocities '
+              'that attitude_monitor reads'),
+    Parameter('monitor.window', 5.0, 's', 'length of a window of attitude_monitor; in each '
+              'window, attitude_monitor starts the model from the measurement at the beginning, '
+              'and compares the model with the measurement at the end', (1e-3, LONGEST)),
+    Parameter('monitor.attitude_noise', 0.0, 'rad', 'standard deviation of each component of '
+              'the measured attitudes; attitude_monitor needs a value above 0', (0.0, BIG)),
+    Parameter('monitor.rate_noise', 0.0, 'rad/s', 'standard deviation of each component of '
+              'the measured angular velocities; attitude_monitor needs a value above 0',
+              (0.0, BIG)),
+    Parameter('monitor.false_alarms', 24.0, 'h', 'mean time between false alarms of '
+              'attitude_monitor: alarms that it raises although the model is right',
+              (TINY, BIG)),
     *sensors.PARAMETERS,
-    Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
-    Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
-    Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '
-              'while the node runs', (1e-3, 2000.0)),
-    Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles; upper case: intrinsic, '
-              'lower case: extrinsic'),
+    Parameter('publish_clock', False, '', 'whether the node publishes the time of each state on '
+              '/clock; only in lockstep'),
+    Parameter('publish_tf', False, '', 'whether the node also publishes the attitude on /tf, '
+              'which needs the package tf2_msgs'),
+    Parameter('publish_rate', 100.0, 'Hz', 'rate at which the node publishes the motion; you can '
+              'change it while the node runs', (1e-3, 2000.0)),
+    Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles: intrinsic in upper case, '
+              'extrinsic in lower case'),
     Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
-    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes, after frame_prefix'),
-    Parameter('frame_prefix', '', '', 'text before the frame_ids of the body and of the links of '
-              'robot_description, as of robot_state_publisher'),
+    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes, without frame_prefix'),
+    Parameter('frame_prefix', '', '', 'prefix of the frame_ids of the body and of the links of '
+              'robot_description, as in robot_state_publisher'),
 )}
-#: Parameters that ROS declares on every node, and one of managed nodes; a dump contains them.
+#: Parameters that ROS declares on every node or on managed nodes. A parameter dump contains them.
 OF_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
 class Names(NamedTuple):
-    """The names in a scene of items with parameters of their own: uniform fields and wheels."""
+    """The names of the uniform fields and of the wheels of a scene, in separate sequences."""
 
     fields: Sequence[str] = ()
     wheels: Sequence[str] = ()
 
 
 def parameters_with(names: Names) -> dict[str, Parameter]:
-    """Return all parameters by full name, including those of named fields and wheels."""
+    """Return all parameters, keyed by full name, including those of named fields and wheels."""
     return {**PARAMETERS, **wheels.of_names(names.wheels), **fields.of_names(names.fields)}
 
 
 def checked_names(given: Mapping[str, Any]) -> Names:
-    """Return the names among given values; raise InputError as `checked`."""
+    """Return the names that the given values list; raise InputError if they are not valid."""
     names = Names(*(checked(PARAMETERS[key], given.get(key))
                     for key in (fields.FIELDS, wheels.WHEEL_NAMES)))
     others = *PARAMETERS, *OF_ROS, QOS

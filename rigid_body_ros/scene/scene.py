@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A scene: a body, its initial state and the options of a run, checked one by one and together."""
+"""A scene: a body, its initial state and the options of a run, with all checks."""
 
 from __future__ import annotations
 
@@ -54,13 +54,15 @@ from rigid_body_ros.scene.parameters import (
 from rigid_body_ros.scene.sensors import imu_of, odometry_variances
 from rigid_body_ros.scene.wheels import check_wheel, WHEEL_NAMES, wheels_of
 
-#: The name of the node whose parameters a scene file has.
+#: The name of the node to which the parameters of a scene file belong.
 NODE = 'attitude_node'
-#: Accepted difference from 1 of the norm of a quaternion, for components with three digits.
+#: How far the norm of a quaternion may be from 1 before the scene warns. This limit allows for
+#: components that are rounded to three digits.
 _UNIT = 1e-2
-#: rad/s; a faster body is a spinning top or a flywheel, or its rates are in degrees per second.
+#: A body with a larger angular velocity, rad/s, is a spinning top or a flywheel, or its angular
+#: velocity was given in degrees per second.
 _FAST = 10.0
-#: A topic as ROS accepts it.
+#: A topic name that ROS accepts.
 _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 
 
@@ -69,23 +71,24 @@ class Scene:
     """
     The validated inputs of a motion, except the torques.
 
-    Most parameters are attributes by their names.
+    Most parameters are also attributes of the same name.
 
     Attributes
     ----------
     body : RigidBody
     start : State
-        Initial state. Its time is 0 if the first torque or clock reading sets it.
+        Initial state. The time of this state is 0 if the first torque or the clock sets the start.
     values : dict
-        Value of every parameter by full name; defaults included.
+        The values of all parameters, including defaults, keyed by full name.
     path : Path or None
-        Absolute path of the scene file, None if the scene was not read from a file.
+        Absolute path of the scene file; None if the scene was not read from a file.
     links : Frames
-        The frames of robot_description in which forces are accepted, with frame_prefix.
+        The frames of `robot_description` in which forces are accepted, with `frame_prefix` before
+        their names.
     ignored : tuple of str
-        Names of the given parameters that belong to other nodes.
+        Names of given parameters that are ignored because they belong to other nodes.
     node : str
-        Name of the node, with its namespace, that has these parameters in the file.
+        Name, including the namespace, of the node to which the file gives these parameters.
 
     """
 
@@ -113,26 +116,26 @@ class Scene:
 
     @property
     def inertia_change(self) -> str:
-        """Return the quantity that is kept when the inertia changes, see `BodyLog`."""
+        """Return what stays the same when the inertia changes: the `keep` of `BodyLog`."""
         return str(self.values['inertia_change']).removeprefix('keep_')
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Return the parameters by full name, including those of each uniform field and wheel."""
+        """Return the parameters of the scene and of each uniform field and wheel, by full name."""
         return parameters_with(Names(self.values['fields'], self.values[WHEEL_NAMES]))
 
     @property
     def fields(self) -> tuple[Field, ...]:
-        """Return the torques that depend on the attitude; an orbit has the start_time."""
+        """Return the torques of the fields, with the orbit position at `start_time`."""
         return fields_of(self.values)
 
     @property
     def actuators(self) -> tuple[Actuator | None, ...] | None:
-        """Return the actuator of each torque topic, or None if none has one."""
+        """Return the actuator of each torque topic, or None if no topic has one."""
         return actuators_of(self.values)
 
     def fields_from(self, start_ns: int) -> tuple[Field, ...]:
-        """Return the same fields, with the position on the orbit at the start of a motion."""
+        """Return the fields for a start at `start_ns`, with the orbit position at that time."""
         moved = at_start(self.values, start_ns)
         return fields_of({**self.values, **moved, 'start_time': start_ns}) \
             if moved else self.fields
@@ -144,12 +147,12 @@ class Scene:
 
     @property
     def odometry_variances(self) -> tuple[float, float]:
-        """Return the variances of attitude and angular velocity that odometry states."""
+        """Return the variances of attitude and angular velocity in odometry messages."""
         return odometry_variances(self.values)
 
     @property
     def named_wheels(self) -> tuple[Wheel, ...]:
-        """Return the wheels with names."""
+        """Return the named wheels."""
         return wheels_of(self.values)
 
     @property
@@ -158,14 +161,14 @@ class Scene:
         return Options(self.solver, self.tolerance, self.max_step or None, self.torque_timeout)
 
     def problem(self, start: State | None = None) -> Problem:
-        """Return the problem of this scene without torques, from its start or another one."""
+        """Return the problem of this scene without torques, from its start or another start."""
         start = start or self.start
         return Problem(self.body, start, wheels=self.named_wheels,
                        fields=self.fields_from(start.time_ns),
                        actuator=self.actuators, **asdict(self.options))
 
     def starting_at(self, time_ns: int) -> State:
-        """Return the initial state, at a time unless the scene has a start_time."""
+        """Return the initial state, at `start_time` or, if that is 0, at the given time."""
         return replace(self.start, time_ns=self.start.time_ns or time_ns)
 
     @property
@@ -175,46 +178,47 @@ class Scene:
 
     @property
     def torque_topics(self) -> tuple[str, ...]:
-        """Return the topics of the torques, in the order in which they add up."""
+        """Return the topics of the torques, in the order in which the torques are added."""
         return tuple(self.values['torque_topics'])
 
     @property
     def has_rotors(self) -> bool:
-        """Return whether there are rotors, with motors or with a constant momentum."""
+        """Return whether the scene has rotors, with motors or with a constant momentum."""
         return bool(self.wheels or self.values[WHEEL_NAMES] or self.start.rotor_momentum.any())
 
     @property
     def timeout_ns(self) -> int:
-        """Return the torque timeout, ns; 0 if a torque is held for ever."""
+        """Return the torque timeout, ns; 0 if torques never time out."""
         return self.options.timeout_ns
 
     @property
     def warnings(self) -> list[str]:
-        """Return one line for each value that is allowed but probably a mistake."""
+        """Return one line for each value that is valid but probably a mistake."""
         return [*_other_node(self.node), *self._warnings()]
 
     @property
     def notes(self) -> list[str]:
-        """Return lines for the log about values that are valid, but have no effect."""
+        """Return log lines about the given parameters that have no effect."""
         return [f'parameters that are not those of a scene are ignored: {listed(self.ignored)}'] \
             if self.ignored else []
 
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
         """
-        Return a scene from parameter values, checked one by one and together.
+        Return the scene that parameter values describe.
 
         Parameters
         ----------
         given : mapping
-            Values by full name, such as 'inertia.ixx'; the others take their defaults.
-            Parameters of other nodes are ignored, because nodes share parameter files.
+            Values, keyed by full name, such as 'inertia.ixx'. All other parameters get their
+            default values. Parameters of other nodes are ignored, because nodes share parameter
+            files.
 
         Raises
         ------
         InputError
-            A key is missing, or unknown and similar to a known one, a value has the wrong type or
-            is out of range, or two values contradict each other.
+            A parameter is missing; an unknown parameter is similar to a known one; a value has the
+            wrong type or is out of range; or two values contradict each other.
 
         """
         names = checked_names(given)
@@ -309,15 +313,16 @@ class Scene:
 
 def load(path: str | Path) -> Scene:
     """
-    Read a scene from a ROS 2 parameter file, such as `ros2 param dump` writes.
+    Read a scene from a ROS 2 parameter file, such as one that `ros2 param dump` writes.
 
-    Parameters of `/**` apply to every node, and those of `attitude_node` override them. A file
-    with neither is accepted, with a warning, if it has parameters for a single node.
+    Parameters of `/**` apply to every node, and parameters of `attitude_node` override them. If a
+    file contains neither, but parameters of a single other node, the scene gets the parameters of
+    that node, and `Scene.warnings` contains a warning.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not a parameter file, or the scene is not valid.
+        The file cannot be read or is not a parameter file, or the scene is not valid.
 
     """
     root, node = read_yaml(path, 'scene'), NODE
@@ -329,7 +334,7 @@ def load(path: str | Path) -> Scene:
 
 
 def _other_node(node: str) -> list[str]:
-    """Return a line if the parameters of a file are for another node."""
+    """Return a warning if the parameters of a file are for another node."""
     if node.split('/')[-1] in (NODE, '*', '**'):
         return []
     return [f'expected parameters of /** or {NODE}, found those of {listed([node])} only, which '
@@ -339,7 +344,7 @@ def _other_node(node: str) -> list[str]:
 def _check_text(name: str, text: str) -> None:
     if not text and name.endswith('_frame'):
         raise InputError(f'{name}: expected the name of a frame, found an empty text')
-    if not text.isprintable():  # ROS accepts every text, but terminals obey some
+    if not text.isprintable():  # ROS accepts any text, but terminals obey control characters
         raise InputError(f'{name}: expected text without control characters, found '
                          f'{quoted(text)}')
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of the errors of an IMU, and of the covariances of odometry."""
+"""The parameters of the errors of the IMU, and of the covariances in odometry messages."""
 
 from __future__ import annotations
 
@@ -33,26 +33,28 @@ PARAMETERS = (
               'bias of the angular velocity in imu/data', (0.0, _FAST)),
     *(Parameter(f'{_GYRO_BIAS}.{axis}', 0.0, 'rad/s', 'constant bias of the angular velocity in '
                 'imu/data, body axes', (-_FAST, _FAST)) for axis in 'xyz'),
-    Parameter('imu.attitude_noise', 0.0, 'rad', 'standard deviation of the attitude in imu/data '
-              'about each body axis', (0.0, math.pi)),
-    Parameter('imu.delay', 0.0, 's', 'imu/data has the state from this long before its stamp, or '
-              'the start state', (0.0, 3600.0)),
-    Parameter('imu.seed', 0, '', 'seed of the noise in imu/data, which is a function of seed and '
-              'stamp', (0, 2 ** 63 - 1)),
-    Parameter(_ATTITUDE, 0.0, 'rad^2', 'variance of the attitude about each axis that odometry '
-              'states; 0: unknown', (0.0, _FAST)),
-    Parameter(_RATE, 0.0, 'rad^2/s^2', 'variance of each angular velocity that odometry states; '
-              '0: unknown', (0.0, _FAST)),
+    Parameter('imu.attitude_noise', 0.0, 'rad', 'standard deviation of the error of the attitude '
+              'in imu/data, about each body axis', (0.0, math.pi)),
+    Parameter('imu.delay', 0.0, 's', 'delay of imu/data: each message contains the state of the '
+              'body this long before the stamp, or the start state if this time is before the '
+              'start',
+              (0.0, 3600.0)),
+    Parameter('imu.seed', 0, '', 'seed of the noise in imu/data; the noise depends only on the '
+              'seed and the stamp', (0, 2 ** 63 - 1)),
+    Parameter(_ATTITUDE, 0.0, 'rad^2', 'variance of the attitude about each axis, for the '
+              'covariance in odometry; 0 means unknown', (0.0, _FAST)),
+    Parameter(_RATE, 0.0, 'rad^2/s^2', 'variance of each component of the angular velocity, for '
+              'the covariance in odometry; 0 means unknown', (0.0, _FAST)),
 )
 
 
 def imu_of(values: Mapping[str, Any]) -> ImuErrors:
-    """Return the errors of the IMU that the parameters of a scene state."""
+    """Return the errors of the IMU that the parameters of a scene describe."""
     x, y, z = (values[f'{_GYRO_BIAS}.{axis}'] for axis in 'xyz')
     names = 'gyro_noise_density', 'gyro_random_walk', 'attitude_noise', 'delay', 'seed'
     return ImuErrors(gyro_bias=(x, y, z), **{name: values[f'imu.{name}'] for name in names})
 
 
 def odometry_variances(values: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the variances of attitude, rad^2, and angular velocity, rad^2/s^2, of odometry."""
+    """Return the variances of attitude, rad^2, and angular velocity, rad^2/s^2, in odometry."""
     return values[_ATTITUDE], values[_RATE]

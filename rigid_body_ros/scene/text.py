@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write a scene as a parameter file."""
+"""The text of a scene as a parameter file."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ import yaml
 
 def text_of(scene: Scene, changed: Mapping[str, Any]) -> str:
     """
-    Return a scene file with other values of some parameters, and the inertia with all digits.
+    Return the text of a scene file with some parameters changed, and the inertia with all digits.
 
-    A robot_description is left out if the inertia is among the changed values, because it has one
-    of its own.
+    If the inertia is among the changed values, `robot_description` is left out, because it would
+    give another inertia.
     """
     parameters = parameters_with(Names(changed.get(FIELDS, scene.values[FIELDS]),
                                        scene.values[WHEEL_NAMES]))
