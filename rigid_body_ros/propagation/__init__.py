@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-The time loop: from a start state and a torque log to the motion.
+The time loop, which computes the motion from a start state and a torque log.
 
-A *segment* runs from one torque change to the next; consecutive samples of zero torque are one
-segment, a *coast*. Within a segment steps end on a grid that begins with the segment and depends
-only on the state there, the torque and the options. The motion at any other time is one more step
-from the last grid point before it, and no later state depends on that step. Therefore the
-requested times and their order do not change any bit, and `propagate` and `Propagator` agree bit
-for bit.
+A *segment* runs from one torque change to the next. Consecutive samples of zero torque form one
+segment, a *coast*. Within a segment, steps end on a grid. The grid begins with the segment, and
+depends only on the state at the beginning of the segment, the torque and the options. To get the
+motion at any other time, the loop takes one more step from the last grid point before that time.
+No later state depends on this step. Therefore the requested times and their order do not change
+any bit, and `propagate` and `Propagator` agree bit for bit.
 """
 
 from rigid_body_ros.common.times import LONGEST

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Samples that arrive one by one, as they act: delay, limit and lag of each source."""
+"""The delay, limit and lag of samples that arrive one by one."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from rigid_body_ros.propagation.segment import COMMANDS, Sample, summed, WHEELS
 
 class ActingSamples:
     """
-    The samples of all sources as they act.
+    The delay, limit and lag of the samples of all sources.
 
     Parameters
     ----------
     actuator : Actuator, or sequence of Actuator or None, optional
-        One for all sources, or one for each.
+        One actuator for all sources, or one for each source.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        See `TorqueLog.segments`.
     start_ns : int
-        The start of the motion, at which the torques that lag are zero.
+        The start of the motion, at which lagging torques are zero.
 
     """
 
@@ -47,13 +47,13 @@ class ActingSamples:
         each = [actuator] if isinstance(actuator, Actuator) else [*(actuator or ())]
         self._actuator, self.timeout_ns, self._start_ns = actuator, timeout_ns, start_ns
         self._time_constants = time_constants(each)
-        #: Whether any source has an actuator, and whether any lags.
+        #: Whether any source has an actuator, and whether any source lags.
         self.exist, self.lag = any(each), bool(self._time_constants)
         #: The longest of all delays.
         self.longest_delay_ns = max((one.delay_ns for one in each if one), default=0)
 
     def of(self, source: int) -> Actuator | None:
-        """Return the actuator of a source; raise ValueError if there is no such source."""
+        """Return the actuator of a source, or raise ValueError if there is no such source."""
         given = self._actuator
         if source >= COMMANDS or given is None:
             return None
@@ -70,7 +70,7 @@ class ActingSamples:
         return found.delay_ns if found else 0
 
     def acting(self, samples: Mapping[int, Sample]) -> Mapping[int, Sample]:
-        """Return samples as they act, each stamped with the time from which it does."""
+        """Return delayed and limited samples; the stamp of each is the time from which it acts."""
         if not self.exist:
             return samples
         return {source: sample if (one := self.of(source)) is None else
@@ -78,7 +78,7 @@ class ActingSamples:
                 for source, sample in samples.items()}
 
     def due_ns(self, samples: Mapping[int, Sample]) -> set[int]:
-        """Return when samples time out, and when the lags before and after that are over."""
+        """Return the times at which samples time out, and at which the resulting lags are over."""
         acting, timeout_ns = self.acting(samples), self.timeout_ns
         due = {sample.stamp_ns + timeout_ns for sample in acting.values()} if timeout_ns else set()
         if self.lag:
@@ -87,7 +87,7 @@ class ActingSamples:
         return due
 
     def _lags_end_ns(self, source: int, acts_ns: int) -> Iterator[int]:
-        """Generate when the lags of a command, and of its timeout, are over."""
+        """Yield the times at which the lags after a command and after its timeout are over."""
         found, out_ns = self.of(source), acts_ns + self.timeout_ns
         if found and found.expiry_ns:
             over_ns = max(acts_ns, self._start_ns) + found.expiry_ns
@@ -99,16 +99,16 @@ class ActingSamples:
     def lagging(self, samples: Mapping[int, Sample], time_ns: int,
                 before: Mapping[int, Lagging]) -> Mapping[int, Lagging]:
         """
-        Return the sources that lag, at a time at which samples come into force or time out.
+        Return the lagging sources just after samples take effect or time out.
 
         Parameters
         ----------
         samples : mapping of int to Sample
-            Those in force.
+            The samples in force at `time_ns`.
         time_ns : int, ns
-            The time.
+            The time at which samples take effect or time out.
         before : mapping of int to Lagging
-            The sources before that time.
+            The sources that lagged just before `time_ns`.
 
         """
         found: dict[int, Lagging] = {}
@@ -131,7 +131,7 @@ class ActingSamples:
 
     def torque(self, samples: Mapping[int, Sample], lagging: Mapping[int, Lagging],
                state: State) -> Floats:
-        """Return the sum of samples and of what lags, N m, body axes; without the rotors."""
+        """Return the sum of samples and lags, N m, body axes, without the torque on the rotors."""
         on_body = {source: sample for source, sample in self.acting(samples).items()
                    if source != WHEELS}
         total = summed(on_body, state.time_ns, self.timeout_ns)
@@ -144,7 +144,7 @@ class ActingSamples:
         return np.asarray(axes[0] + so3.rotate(so3.conjugate(state.attitude), axes[1]))
 
     def lags(self, lagging: Mapping[int, Lagging], time_ns: int) -> Lags | None:
-        """Return what remains beyond the commands at a time, None without lags."""
+        """Return the torques minus the commands at a time; None if no source lags."""
         if not self.lag:
             return None
         excess: Floats = np.zeros((1, len(self._time_constants), 2, 3))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a `Propagator` that are in force from a time on."""
+"""The inputs of a `Propagator` from a time on."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from rigid_body_ros.propagation.segment import NewBody, Sample, Segment
 
 
 class Commands(NamedTuple):
-    """The commands in force of wheels with names, N m, and their stamps, ns, shape (wheels,)."""
+    """The commands in force: an effort, N m, and a stamp, ns, for each named wheel."""
 
     stamps_ns: tuple[int, ...]
     efforts: tuple[float, ...]
 
     @property
     def stamp_ns(self) -> int:
-        """Return the stamp of the last of them, -NEVER_NS before the first."""
+        """Return the latest of the stamps; -NEVER_NS before the first command."""
         return max(self.stamps_ns, default=-NEVER_NS)
 
     @property
@@ -47,7 +47,7 @@ class Commands(NamedTuple):
         return EffortLog(np.array(self.stamps_ns)[given], rows[given])
 
     def taking(self, time_ns: int, row: Floats) -> Commands:
-        """Return the commands after a row of them, of which later stamps stay."""
+        """Return the commands updated by a row; a wheel keeps a command newer than the row."""
         pairs = [(time_ns, effort) if effort == effort and stamp_ns <= time_ns
                  else (stamp_ns, old) for stamp_ns, old, effort in zip(
                      self.stamps_ns, self.efforts, row.tolist())]
@@ -55,17 +55,17 @@ class Commands(NamedTuple):
         return Commands(stamps_ns, efforts)
 
     def given_at(self, time_ns: int) -> Floats:
-        """Return those with a stamp, NaN for other wheels."""
+        """Return the efforts commanded at a stamp, with NaN for a wheel without such a command."""
         return np.where(np.array(self.stamps_ns) == time_ns, self.efforts, np.nan)
 
 
 def no_commands(count: int) -> Commands:
-    """Return the commands in force before the first one, given the number of wheels."""
+    """Return the `Commands` of `count` wheels before their first commands."""
     return Commands((-NEVER_NS,) * count, (0.0,) * count)
 
 
 class Active(NamedTuple):
-    """The motion from a change on, and what the wheels do; None without wheels with names."""
+    """The motion from a change on, and the state of the named wheels (None if there are none)."""
 
     segment: Segment
     axial: Axial | None
@@ -73,24 +73,24 @@ class Active(NamedTuple):
 
 @dataclass
 class Change:
-    """Inputs in force from a time on: the sample of each source, the body, and the commands."""
+    """The inputs from a time on: the sample of each source, the body and the wheel commands."""
 
     time_ns: int
     samples: dict[int, Sample]
     body: NewBody
     commands: Commands
     active: Active | None = None
-    #: The changes when torques time out, or when a lag is over, in order.
+    #: The motions from the times in `due_ns` on, in order, as far as they are computed.
     after_timeouts: list[Active] = field(default_factory=list)
 
     @property
     def stamps_ns(self) -> set[int]:
-        """Return the stamps of all that is in force."""
+        """Return the stamps of all inputs in force."""
         return {self.body.stamp_ns, *self.commands.stamps_ns, *(
             sample.stamp_ns for sample in self.samples.values())}
 
     def due_ns(self, acting: ActingSamples) -> list[int]:
-        """Return the times from this change on at which torques time out, or a lag is over."""
+        """Return the times after this change at which a torque times out or a lag is over."""
         if not (acting.timeout_ns or acting.lag):
             return []
         due = acting.due_ns(self.samples)
@@ -99,12 +99,12 @@ class Change:
         return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
 
     def begins_at(self, time_ns: int, acting: ActingSamples) -> bool:
-        """Return whether a torque in force begins to act, or times out, at this time."""
+        """Return whether a torque in force begins to act, or times out, at a time."""
         samples = acting.acting(self.samples).values()
         return any(time_ns in (since_ns, since_ns + acting.timeout_ns) for since_ns in (
             self.commands.stamp_ns, *(sample.stamp_ns for sample in samples)))
 
     def discard(self) -> None:
-        """Discard computed results."""
+        """Discard the computed motion."""
         self.active = None
         self.after_timeouts.clear()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The changes of what acts on a body, and the motion between them."""
+"""The changes of the inputs of a body, and the motion between these changes."""
 
 from __future__ import annotations
 
@@ -48,28 +48,28 @@ from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_of
 
 class History:
     """
-    The inputs of a body from each change on, and the motion there, computed when it is needed.
+    The inputs of a body from each change on, and the motion, which is computed when needed.
 
     Parameters
     ----------
     body : RigidBody
-        The first one.
+        The first body.
     start : State
     options : Options
     acting : ActingSamples
-        What becomes of samples.
+        The delay, limit and lag of samples.
     wheels : Wheels or None
-        Those with names.
+        The named wheels.
     fields : array of FIELDS, shape (1,), or None
     history_ns : int
-        A change older than the newest one by this much or more is dropped.
+        A stamp that is older than the newest stamp by this time or more is dropped.
 
     Attributes
     ----------
     changes : list of Change
-        In order; the first one is the start until it is discarded.
+        The changes, in order. The first change is the start, until the start is discarded.
     newest_ns : int or None
-        The newest stamp, None before the first.
+        The newest stamp; None before the first stamp.
 
     """
 
@@ -86,20 +86,20 @@ class History:
             self._start, self._axial = wheels.begun(start)
         self.changes = [Change(start.time_ns, {}, self.new_body(-NEVER_NS, body, RATE),
                                no_commands(len(wheels) if wheels else 0))]
-        #: When each change is, ns: to search these takes a tenth of the time.
+        #: The times of the changes, ns. This list can be searched ten times as fast as `changes`.
         self._times_ns = [start.time_ns]
         self.newest_ns: int | None = None
         self._begin()
 
     def inserted(self, time_ns: int, delay_ns: int = 0) -> int | None:
         """
-        Return the index of the change that a stamp makes after a delay, or None if it is too old.
+        Return the index of the change at a stamp plus a delay, or None if the stamp is too old.
 
-        The change is inserted unless there is one already.
+        If there is no change at that time yet, the method inserts one.
         """
         if self.newest_ns is not None and self.newest_ns - time_ns >= self._history_ns:
             return None
-        if self.newest_ns is not None:  # what that stamp made final stays until now
+        if self.newest_ns is not None:  # what to discard depends on the previous newest stamp
             self._discard_before(self.newest_ns - self._history_ns)
         self.newest_ns = time_ns if self.newest_ns is None else max(self.newest_ns, time_ns)
         time_ns += delay_ns
@@ -113,10 +113,11 @@ class History:
         return index
 
     def put(self, index: int, new: Sample | NewBody, source: int = 0) -> None:
-        """Put a sample of a source, or a body, at a change."""
-        # A sample is in force up to the next one of its source, and so is a body. While a stamp
-        # may still come from before the start, the first change is the start: it is discarded only
-        # when a stamp is `history` after it, and then every stamp that is as old is dropped.
+        """Store a sample of a source, or a body, from a change on."""
+        # A sample is in force until the next sample of the same source, and a body is in force
+        # until the next body. The start is discarded only after a stamp at least `history` later.
+        # After this stamp, stamps before the start are dropped. So the start is the first change
+        # as long as stamps before the start are accepted.
         for change in self.changes[index:]:
             found = change.body if isinstance(new, NewBody) else change.samples.get(source)
             if found is not None and found.stamp_ns > new.stamp_ns:
@@ -128,18 +129,18 @@ class History:
         self._renew(index)
 
     def take(self, index: int, time_ns: int, row: Floats) -> None:
-        """Put commands of wheels with a stamp, NaN for wheels that keep theirs, at a change."""
+        """Store wheel commands from a change on; a wheel whose entry is NaN keeps its command."""
         for change in self.changes[index:]:
             change.commands = change.commands.taking(time_ns, row)
         self._renew(index)
 
     def active(self, index: int, time_ns: int, until: float) -> Active:
-        """Return the active segment at a time in a change, or raise TimeoutError."""
+        """Return the segment and the wheels at a time after a change, or raise TimeoutError."""
         self.compute(index, until)
         return self._active_at(self.changes[index], time_ns, until)
 
     def _renew(self, index: int) -> None:
-        """Recompute the motion from a change on."""
+        """Discard the motion from a change on, so that it is computed again."""
         self._discard_segments(index)
         if self.changes[0].active is None:
             self._begin()
@@ -149,7 +150,7 @@ class History:
         start, first = self._start, self.changes[0]
         axial = self._axial_at_start(first.commands)
         total = self._sum(first, start.time_ns, axial, {})
-        # A torque at the start begins a segment there, even if it repeats the one before.
+        # A torque stamped at the start begins a segment, even if it equals the previous torque.
         begins = first.begins_at(start.time_ns, self._acting)
         acts = not total.is_zero() or self._fields is not None or (
             first.body.body.is_damped or start._has_rotors or self._has_friction)
@@ -163,7 +164,7 @@ class History:
                         self._options.timeout_ns)
 
     def index_of(self, time_ns: int) -> int:
-        """Return the index of the change in force at a time, or -1."""
+        """Return the index of the last change up to a time, or -1."""
         return bisect.bisect_right(self._times_ns, time_ns) - 1
 
     def between(self, after_ns: int, until_ns: int) -> list[Change]:
@@ -172,7 +173,7 @@ class History:
 
     def _sum(self, change: Change, time_ns: int, axial: Axial | None,
              before: Mapping[int, Lagging]) -> Sum:
-        """Return the sum of all torques, given the sources that lagged before."""
+        """Return the sum of all torques; `before`: the sources that lagged up to `time_ns`."""
         acting = self._acting
         motors = None
         if self._wheels and axial and not self._has_friction:
@@ -184,14 +185,15 @@ class History:
         return total._replace(lagging=lagging, lags=acting.lags(lagging, time_ns))
 
     def _discard_before(self, horizon_ns: int) -> None:
-        """Discard changes that no late torque can affect; raise ValueError as `at` does."""
+        """Discard changes that no late torque affects; raise ValueError like `Propagator.at`."""
         oldest = self.index_of(horizon_ns)
         if oldest > 0:
             self.compute(oldest)
             del self.changes[:oldest], self._times_ns[:oldest]
 
     def _discard_segments(self, index: int) -> None:
-        # Segments are computed in order: if one is missing, so are all later ones.
+        # Segments are computed in order. If a segment is missing, all later segments are missing,
+        # too.
         self.changes[index].discard()
         for change in self.changes[index + 1:]:
             if change.active is None:
@@ -199,7 +201,7 @@ class History:
             change.discard()
 
     def compute(self, index: int, until: float = math.inf) -> None:
-        """Compute the segment of every change up to this one, or raise TimeoutError."""
+        """Compute the segments of all changes up to an index, or raise TimeoutError."""
         first = index
         while self.changes[first].active is None:
             first -= 1
@@ -210,7 +212,7 @@ class History:
                 raise timed_out(change.time_ns)
 
     def _active_at(self, change: Change, time_ns: int, until: float) -> Active:
-        """Return the active segment at a time between a change and the next."""
+        """Return the segment and the wheels at a time between a change and the next change."""
         active = change.active
         assert active is not None
         for k, due_ns in enumerate(change.due_ns(self._acting)):
@@ -237,7 +239,7 @@ class History:
         return self._active_from(start, total, body, axial)
 
     def _next_axial(self, axial: Axial, commands: Commands, state: State) -> Axial:
-        """Return the state of the wheels that begins with a state."""
+        """Return the state of the wheels from a state of the carrier on."""
         assert self._wheels
         time_ns = state.time_ns
         if commands.stamp_ns == time_ns:
@@ -248,7 +250,7 @@ class History:
         return axial
 
     def new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
-        """Return the body that begins at a stamp."""
+        """Return the record of a body that applies from a stamp on."""
         carrier = self._wheels.carrier(body) if self._wheels else body
         return NewBody(stamp_ns, body, keep, carrier)
 

@@ -39,44 +39,46 @@ from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.problem import Problem
 
-#: Number of commands of wheels that are first tried to see whether they act, and the most commands
-#: of a timeline in which some may not act.
+#: Number of wheel commands that `_resolve` tries first, and largest number of wheel commands in
+#: one timeline if some of the commands may act as zero.
 _WINDOW, _SPAN = 16, 512
 
 
 class Integration:
     """
-    A motion computed piece by piece, with the bits of `propagate` under the whole logs.
+    A motion computed piece by piece, with the same bits that `propagate` computes at once.
 
     Parameters
     ----------
     problem : Problem
-        With all torques, or with a first piece of each log.
+        The problem with all torques, or with the first piece of each log.
 
     Attributes
     ----------
     problem : Problem
-        With the present piece of each log.
+        The problem with the present piece of each log.
     refused_commands : int
-        How many commands of wheels with names, with stamps from the start to the end of the motion
-        so far, act as zero, because the wheel was too fast.
+        Number of wheel commands, from the start to the end of the motion so far, that act as zero
+        because their wheels are too fast.
 
     """
 
-    # Defaults, because most motions do not need them and setting them takes time.
-    #: How many commands of wheels with names are known to act or not.
+    # These defaults are class attributes, because most motions keep the defaults, and setting
+    # attributes takes time.
+    #: Number of wheel commands for which `_resolve` has determined whether the command acts.
     _resolved = refused_commands = 0
-    #: When the first row begins if not at the start, and the momentum of the rotors there.
+    #: The time at which the first row begins, and the momentum of the rotors at that time; None if
+    #: the row begins at the start.
     _earlier: tuple[int, Floats] | None = None
 
     def __init__(self, problem: Problem) -> None:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
-        #: The present body, and the same without the axial inertia of wheels with names.
+        #: The present body, with and without the axial inertia of named wheels.
         self._body = self._carrier = problem.body_at(start.time_ns)
-        #: A time at which a new timeline begins, so that each is short.
+        #: The latest time at which the next timeline begins, so that timelines stay short.
         self._mark_ns = NEVER_NS
-        #: The state of the wheels with names.
+        #: The state of the named wheels.
         self._wheels: WheelTimeline | None = None
         self._others = NO_OTHERS
         if problem.fields or problem.actuators:
@@ -92,7 +94,7 @@ class Integration:
         self._progress, self._is_begun = self._begin(), False
 
     def _wheels_from(self, axial: Axial, state: State) -> WheelTimeline:
-        """Return the state of the wheels; commands in force begin to act, unless they have."""
+        """Return the wheels from a state on; commands in force act from this state on."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
         begun = in_force(problem.named_wheels, axial, problem.efforts, state,
@@ -102,12 +104,12 @@ class Integration:
         return self._wheels_on(begun)
 
     def _wheels_on(self, axial: Axial) -> WheelTimeline:
-        """Return the state of the wheels from the end of the motion so far on."""
+        """Return the wheels after the motion so far."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
         wheels, efforts = problem.named_wheels, problem.efforts
         self._resolved, self._mark_ns = 0, NEVER_NS
-        if efforts and wheels.is_limited:  # at each wrong guess, all of the timeline is made again
+        if efforts and wheels.is_limited:  # each wrong guess costs a rebuild of the timeline
             later_ns = efforts.times_ns[efforts.times_ns.searchsorted(end_ns, 'right'):]
             if len(later_ns) > _SPAN:
                 self._mark_ns = int(later_ns[_SPAN])
@@ -115,13 +117,13 @@ class Integration:
         return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns)
 
     def _timeline_from(self, start_ns: int, momentum: Floats | None) -> Timeline:
-        """Return what acts from a time on, the end of the motion so far."""
+        """Return the inputs after the motion so far, which ends at `start_ns`."""
         problem = self.problem
         logs, wheels = problem.acting_logs, problem.wheels
         if self._wheels:
             self._basis, wheels = (start_ns, momentum), self._wheels.log
         if problem.changes or self._mark_ns < NEVER_NS:
-            # The torques of the other parts would be summed for nothing.
+            # Leave out the torques outside this part of the motion: their sum is not needed here.
             end_ns = problem.changes.next_ns(start_ns) if problem.changes else NEVER_NS
             span = start_ns, min(end_ns, self._mark_ns)
             logs = tuple(log.between(*span) for log in logs)
@@ -134,7 +136,7 @@ class Integration:
                         start_ns, momentum, others)
 
     def _rebuilt(self) -> Timeline:
-        """Return the timeline with the commands of wheels that are now known to act."""
+        """Return the timeline rebuilt with the commands of wheels that are now assumed to act."""
         timeline = self._timeline_from(*self._basis)
         if self._earlier:
             timeline.begin_earlier(*self._earlier)
@@ -154,7 +156,7 @@ class Integration:
                             stop)
 
     def _rule(self, row: int) -> Hashable:
-        """Return the rule of a segment that may have begun before the start, or None."""
+        """Return the rule of the first segment, or None if the segment begins at the start."""
         problem, start_ns = self.problem, self._start.time_ns
         found = self._timeline.held(row)
         if found is None:
@@ -162,7 +164,7 @@ class Integration:
         torque, in_space, others = found
         lagging = self._others.lagging
         acts = torque.any() or any(other.any() for other in others)
-        # A torque at the start begins a segment there, even if it repeats the one before.
+        # A torque stamped at the start begins a segment, even if it equals the previous torque.
         begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
                      for log in self._sources) and (acts or self._timeline.has_terms)
         if lagging and not others.pop().any():
@@ -178,9 +180,10 @@ class Integration:
         Parameters
         ----------
         problem : Problem
-            The same problem with the next pieces. Each begins with the sample in force at the end
-            of the motion so far, or earlier. For cubic interpolation there are three samples
-            before that one, and three after the end of the piece.
+            The same problem with the next piece of each log. The piece begins with the sample in
+            force at the end of the motion so far, or earlier. For cubic interpolation, the log
+            also contains the three samples before that sample, and the three samples after the end
+            of the piece.
 
         """
         momentum = self._momentum()
@@ -192,16 +195,16 @@ class Integration:
 
     def advance(self, at: ArrayLike, until_ns: int | None = None) -> Trajectory:
         """
-        Return the motion at times, none of them before those of the previous call.
+        Return the motion at given times, none of which is before a time of the previous call.
 
         Parameters
         ----------
         at : array of int, shape (m,), ns
-            In any order.
+            The times, in any order.
         until_ns : int, optional
-            The motion is computed up to this time, and no time of `at` is later; `extend` follows.
-            It is the time of a sample. None if there are no more torques, or if the next call
-            continues within this piece.
+            The end of this piece, which is the time of a sample. The motion is computed up to this
+            end, and no time in `at` may be later. The caller calls `extend` next. None if there
+            are no more torques, or if the next call continues within this piece.
 
         Returns
         -------
@@ -246,7 +249,7 @@ class Integration:
         state = changed(state, self._carrier, carrier, self.problem.changes.keep)
         packed = state._packed
         self._body, self._carrier = body, carrier
-        if self._wheels:  # commands at this time meet the rate after the change
+        if self._wheels:  # check commands at this time again, with the speeds after the change
             self.refused_commands -= self._wheels.count_refused(time_ns - 1, time_ns)
             self._wheels = self._wheels_from(self._wheels.axial(time_ns - 1), state)
         self._timeline, self._earlier = self._timeline_from(time_ns, momentum), None
@@ -255,19 +258,19 @@ class Integration:
                                       len(self._timeline.times_ns))
 
     def _momentum(self) -> Floats | None:
-        """Return the momentum of the rotors at the end of the motion so far, None without."""
+        """Return the momentum of rotors at the end of the motion so far; None without rotors."""
         if not self._timeline.has_rotors:
             return None
         return self._timeline.momentum(np.array([self._end_ns]))[0]
 
     def _advance(self, times_ns: NDArray[np.int64], ascends: bool, end_ns: int,
                  until_ns: int | None) -> Trajectory:
-        """Return the motion at times, see `checked_times`, with the present body."""
+        """Return the motion of the present body at times that `checked_times` returned."""
         begin_ns = self._end_ns
         count, stop = times_ns.size, len(self._timeline.times_ns)
         if until_ns is not None and until_ns > begin_ns:
             stop = int(np.searchsorted(self._timeline.times_ns, until_ns))
-            if end_ns < until_ns:  # the end of the piece was not requested
+            if end_ns < until_ns:  # the end of the piece was not requested: add it
                 times_ns, end_ns = np.append(times_ns, until_ns), until_ns
         order = layout.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
         if self._wheels:
@@ -283,7 +286,7 @@ class Integration:
         return Trajectory(times_ns, motion, (usage,), momenta)
 
     def _resolve(self, wheels: WheelTimeline, end_ns: int) -> None:
-        """Find out which commands up to a time act: each depends on the motion before it."""
+        """Determine which commands up to a time act, given the motion before each command."""
         if not wheels.wheels.is_limited:
             return
         start, stop = self._mark(), int(wheels.times_ns.searchsorted(end_ns, 'right'))
@@ -295,18 +298,18 @@ class Integration:
             if wrong is None:
                 self._resolved, window = rows.stop, 2 * window
                 continue
-            # Later commands probably find the wheels as fast as this one does.
+            # Assume that at later commands the wheels are as fast as at this command.
             wheels.assume(wrong, wheels.refused(slice(wrong, None), speeds[wrong - rows.start]))
             self._timeline, self._resolved, window = self._rebuilt(), wrong + 1, _WINDOW
             self._progress, self._is_begun = before
         self._progress, self._is_begun = start
 
     def _mark(self) -> tuple[NDArray[Any], bool]:
-        """Return a copy of the progress, to go back to."""
+        """Return a copy of the progress, from which to continue later."""
         return self._progress.copy(), self._is_begun
 
     def _speeds_at(self, wheels: WheelTimeline, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the speeds of wheels, rad/s, shape (m, wheels), and go on to the last time."""
+        """Advance to the last time; return the wheel speeds at all times, rad/s, (m, wheels)."""
         motion = motion_layout.allocate(times_ns.size)
         _, momenta = self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
         if momenta is None:
@@ -314,7 +317,7 @@ class Integration:
         return wheels.wheels.speeds(momenta, motion_layout.angular_velocity(motion))
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the momentum of the rotors in this piece at times, N m s, shape (m, 3)."""
+        """Return the momentum of the rotors at given times in this piece, N m s, shape (m, 3)."""
         return self._timeline.momentum(times_ns)[:, 0]
 
     def _fill(self, times_ns: NDArray[np.int64], order: NDArray[np.intp], motion: Floats,
@@ -342,7 +345,8 @@ class Integration:
                 progress['row'] += first
         self._is_begun = True
         if stop < len(closed) - 1 and (done := int(progress['done'][0])) < times_ns.size:
-            # The end of the piece is requested again.
+            # The remaining outputs are at the end of the piece and get the state of the last grid
+            # point.
             again = (order if len(order) else np.arange(times_ns.size))[done:]
             grid = progress['grid'][0]
             motion_layout.attitude(motion)[again] = state_layout.attitude(grid)

@@ -29,16 +29,18 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 
 _NO_FIELDS = np.zeros(1, FIELDS)
 _NO_FIELDS.flags.writeable = False
-#: The torque of a source before its first command, and its low-order part.
+#: The torque of a source before its first command, and its low-order part: all zeros.
 _AT_REST = np.zeros((2, 6))
 
 
 class Lagging(NamedTuple):
     """
-    One source, from a change of its command on.
+    A source that lags, from a change of its command on.
 
-    The command, N m, shape (2, 3), is that in body axes and that in space axes, one of which is
-    zero. The torque at the change, and its low-order part, has shape (2, 6).
+    `command`, N m, shape (2, 3), has a row in body axes and a row in space axes; one of the two
+    rows is zero. The rows of `torque`, N m, shape (2, 6), are in the same axes. The first three
+    columns of `torque` are the torque at the change; the last three columns are the low-order part
+    of this torque.
     """
 
     since_ns: int
@@ -47,11 +49,11 @@ class Lagging(NamedTuple):
 
     @property
     def key(self) -> Floats:
-        """Return all numbers of the source; the time as seconds and nanoseconds, exactly."""
+        """Return all numbers of the source, with the exact time as seconds and nanoseconds."""
         return np.array([*divmod(self.since_ns, 10 ** 9), *self.command.flat, *self.torque.flat])
 
     def at(self, time_ns: int, command: Floats, actuator: Actuator) -> Lagging:
-        """Return the source after another change of its command."""
+        """Return the source after its next change of command."""
         source = CommandChanges(np.array([self.since_ns, time_ns]),
                                 np.stack([self.command, command]),
                                 np.stack([self.torque, self.torque]))
@@ -64,28 +66,28 @@ _NO_TIMES, _NO_EXCESS = np.empty(0, np.int64), np.empty((0, 0, 2, 3))
 
 
 def command_of(torque: Floats, in_space: bool) -> Floats:
-    """Return a command, see `Lagging`."""
+    """Return a torque in the form of `Lagging.command`."""
     result = np.zeros((2, 3))
     result[int(in_space)] = torque
     return result
 
 
 def first_of(time_ns: int, command: Floats) -> Lagging:
-    """Return a source at its first command, or at the start of the motion."""
+    """Return a source whose torque is zero when its first command, or the motion, begins."""
     return Lagging(time_ns, command, _AT_REST)
 
 
 class Changes(NamedTuple):
-    """The commands of one source from each of their changes on."""
+    """The commands of a source; each command is held until the next change."""
 
     actuator: Actuator
     times_ns: NDArray[np.int64]
-    #: See `Lagging`, shape (n, 2, 3).
+    #: The commands as in `Lagging`, shape (n, 2, 3).
     commands: Floats
 
     @classmethod
     def of(cls, log: TorqueLog, actuator: Actuator, timeout_ns: int, rest_ns: int) -> Changes:
-        """Return the changes of commands as they act, see `Actuator.acting`, from a time on."""
+        """Return the changes, from `rest_ns` on, of commands that `Actuator.acting` returned."""
         times_ns, samples = log.segments(timeout_ns)
         first = max(int(times_ns.searchsorted(rest_ns, 'right')) - 1, 0)
         times_ns, samples = np.maximum(times_ns[first:], rest_ns), samples[first:]
@@ -97,23 +99,23 @@ class Changes(NamedTuple):
 
 class LaggingSources:
     """
-    All sources with a lag.
+    All sources that lag.
 
     Parameters
     ----------
     logs : sequence of TorqueLog
-        The commands of all sources as they act.
+        The commands of all sources, delayed and limited.
     actuators : sequence of Actuator or None
-        Of all sources.
+        The actuators of all sources.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        See `TorqueLog.segments`.
     rest_ns : int, ns
-        The time at which the torques are zero.
+        The time at which the lagging torques are zero.
 
     Attributes
     ----------
     marks_ns : array of int64, ns
-        When the lag of a command is over, ascending.
+        The times at which the lag of a command is over, ascending.
 
     """
 
@@ -128,7 +130,7 @@ class LaggingSources:
         return bool(self._sources)
 
     def excess(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the excess at ascending times, N m, see `layout.Lags`."""
+        """Return torques minus commands at ascending times, N m; see `layout.Lags.excess`."""
         result = np.zeros((len(times_ns), len(self._time_constants), 2, 3))
         for source in self._sources:
             which = int(np.flatnonzero(self._time_constants == source.actuator.time_constant)[0])
@@ -136,7 +138,7 @@ class LaggingSources:
         return result
 
     def key(self, time_ns: int) -> Floats:
-        """Return what determines the torques from a time to the next change, as numbers."""
+        """Return a key: all numbers that determine the torques from a time to the next change."""
         found = [np.empty(0)]
         for source in self._sources:
             row = int(source.times_ns.searchsorted(time_ns, 'right')) - 1
@@ -147,7 +149,7 @@ class LaggingSources:
         return np.concatenate(found)
 
     def excess_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """Return the sum of the excesses, N m, body axes, at times and attitudes, shape (m, 3)."""
+        """Return the summed excess at given times and attitudes, N m, body axes, shape (m, 3)."""
         order = np.argsort(times_ns, kind='stable')
         sums = np.empty((len(times_ns), 2, 3))
         sums[order] = self.excess(times_ns[order]).sum(axis=1)
@@ -155,17 +157,17 @@ class LaggingSources:
 
     def impulses(self, times_ns: NDArray[np.int64]) -> Floats:
         """
-        Return the integral of the excess between ascending times.
+        Return the integrals of the excess from each time to the next time.
 
         Parameters
         ----------
         times_ns : array of int64, shape (m,), ns
-            No command changes between them.
+            No command changes between two neighbouring times.
 
         Returns
         -------
         array, shape (m - 1, 2, 3), N m s
-            In body axes and in space axes.
+            A row in body axes and a row in space axes.
 
         """
         seconds, constants = np.diff(times_ns)[:, None] / 1e9, self._time_constants
@@ -173,18 +175,18 @@ class LaggingSources:
         return np.einsum('nl,nlij->nij', integrals, self.excess(times_ns[:-1]))
 
     def lags(self, times_ns: NDArray[np.int64]) -> Lags:
-        """Return the lags of rows at these times."""
+        """Return the lags for rows that begin at these times."""
         return Lags(self.excess(times_ns), self._time_constants)
 
 
 def lag_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
               lags: Lags) -> LagTerms:
-    """Return the terms of rows with lags, with fields or without."""
+    """Return the terms of rows with lags, and with fields if there are any."""
     return LagTerms(momentum, motors, space, _NO_FIELDS if fields is None else fields, lags)
 
 
 def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:
-    """Add the excess at times, and return the torque at each change; see `Lagging`."""
+    """Add the excess at given times to `into`; return the torque at each change, see `Lagging`."""
     torques = np.zeros((len(changes.times_ns), 2, 6))
     kernels.add_lag(times_ns, CommandChanges(changes.times_ns, changes.commands, torques),
                     changes.actuator.time_constant, changes.actuator.expiry_ns, which, into)
@@ -192,6 +194,6 @@ def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats
 
 
 def _marks(changes: Changes) -> NDArray[np.int64]:
-    """Return when the lag after each change of a command is over, if none follows before."""
+    """Return when the lags after changes are over, except lags that a change interrupts."""
     over_ns = changes.times_ns + changes.actuator.expiry_ns
     return over_ns[np.append(over_ns[:-1] < changes.times_ns[1:], True)[:len(over_ns)]]

@@ -52,10 +52,10 @@ from rigid_body_ros.propagation.problem import Problem
 from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.timeline import OtherTorques, Timeline
 
-#: s; a call of the kernel that takes less is followed by one for twice as many runs. In between
-#: Python handles signals.
+#: If a call of the kernel takes less than this time, s, the next call computes twice as many runs.
+#: Between the calls, Python handles signals.
 _PATIENCE = 0.05
-#: A log of all runs, or one or several of each.
+#: One log for all runs, or one log or several logs for each run.
 LogsOfRuns = TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None
 
 
@@ -72,7 +72,7 @@ class Trajectories:
     angular_velocity : array, shape (n, m, 3), rad/s, body axes
         NaN for a failed run.
     messages : tuple of n str
-        Why each run failed; empty for one that did not.
+        Why each run failed; empty for a run that did not fail.
 
     """
 
@@ -102,32 +102,34 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
                    max_step: float | None = Options.max_step,
                    torque_timeout: float = Options.torque_timeout) -> Trajectories:
     """
-    Integrate many motions, each with the bits of `propagate`.
+    Integrate many motions, each with the same bits as `propagate`.
 
     Run i is the motion of `bodies[i]` from `starts[i]`. A run that fails does not end the others:
     its states are NaN, and its message says why. The loop over the runs releases Python's global
-    lock, so threads can share the runs.
+    lock, so several threads can compute runs at the same time.
 
     Parameters
     ----------
     bodies : RigidBodies
-        n of them.
+        The n bodies.
     starts : States
-        n of them.
+        The start of each body.
     log : TorqueLog, or sequence of n TorqueLog or of n sequences of TorqueLog, optional
-        One log for all runs, or one for each; several logs of a run add up. None for torque-free
-        motion. Logs that runs have in common are added up once.
+        One log for all runs, or one or several logs for each run. The torques of several logs add
+        up. The sum is computed only once for all runs with the same logs. None for torque-free
+        motion.
     at : array of int, shape (m,), ns
-        As for `propagate`, the same for all runs.
+        See `propagate`; all runs have the same times.
     wheels : TorqueLog, or sequence of n TorqueLog, optional
-        As for `propagate`: one for all runs, or one for each.
+        The torque on the rotors, as for `propagate`: one log for all runs, or one for each.
     fields : sequence of UniformField or GravityGradient, or n such sequences, optional
-        As for `Problem`: the same for all runs, or one sequence for each. Runs with fields do not
-        share a step.
+        See `Problem`: one sequence for all runs, or one sequence for each run. Runs with fields
+        are computed one by one instead of several at once.
     torque_gains : array, shape (n,), optional
-        Each log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
+        Factors of the torques: a log of run i acts as
+        `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
-        As for `Problem`.
+        See `Problem`.
 
     Returns
     -------
@@ -136,16 +138,16 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
     Raises
     ------
     ValueError
-        There is no body, the numbers of bodies, starts, logs or gains differ, a time lies before a
-        start or is not an integer that fits int64, an option is out of its range, a gain times a
-        torque is not finite, the torque of wheels is in space axes, some runs have fields and
-        others none, the wheels have names, or the solver does not handle torques, rotors, damping
-        or fields.
+        There is no body; the numbers of bodies, starts, logs or gains differ; a time lies before a
+        start or is not an integer that fits int64; an option is out of its range; a gain times a
+        torque is not finite; the torque on rotors is in space axes; some runs have fields and
+        other runs have none; the wheels have names; or the solver does not handle the torques,
+        rotors, damping or fields that are given.
 
     """
     options = validated(solver, tolerance, max_step, torque_timeout)
     if not isinstance(wheels, TorqueLog) and any(isinstance(one, Wheel) for one in wheels or ()):
-        raise ValueError('wheels: expected torques on the rotors, found wheels with names, which '
+        raise ValueError('wheels: expected torques on the rotors, found named wheels, which '
                          'only propagate computes')
     runs = _Runs(bodies, starts, at, options, _of_runs(fields, starts))
     gains = None if torque_gains is None else np.array(torque_gains, float)
@@ -164,7 +166,7 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
 
 
 def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
-    """Return fields for the kernels, a row for each run or, if they are equal, one; or None."""
+    """Return the fields for the kernels, one row for each run or for all; None without fields."""
     if not fields:
         return None
     begins_ns = starts.time_ns.tolist()
@@ -188,12 +190,12 @@ def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
 
 
 def _alike(logs: Sequence[Any], motors: Sequence[Any]) -> list[NDArray[np.intp]]:
-    """Return the runs that have the same logs and wheels."""
+    """Return the runs in groups that have the same logs and wheels."""
     return _grouped([(*map(id, torque_logs(log)), id(motor)) for log, motor in zip(logs, motors)])
 
 
 def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
-    """Return the value given for each run, or raise ValueError."""
+    """Return the value given for each run; raise ValueError if the number of values is wrong."""
     if given is None or isinstance(given, TorqueLog):
         return [given] * count
     if len(given) != count:
@@ -202,7 +204,7 @@ def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
 
 
 def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
-    """Return the rows of each key, in order."""
+    """Return the indices of equal keys in groups; groups are in the order of their first keys."""
     found: dict[Hashable, list[int]] = {}
     for row, key in enumerate(keys):
         found.setdefault(key, []).append(row)
@@ -211,10 +213,10 @@ def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
 
 def _can_scale(problem: Problem, gains: Floats) -> bool:
     """
-    Return whether the kernels can multiply the torques of logs.
+    Return whether the kernels can multiply the torques of logs by the gains.
 
-    They multiply the coefficients of the polynomials, which for a held log are the torques. If a
-    product is not finite, `TorqueLog` reports it.
+    The kernels multiply the coefficients of the polynomials. These coefficients are the torques
+    only if the log is held. A product that is not finite is left to `TorqueLog`, which reports it.
     """
     logs = problem.logs
     if len(problem.sources) != 1 or not logs:
@@ -260,16 +262,18 @@ class _Runs:
         #: Momentum of the rotors of each run at its start, and its low-order part, N m s.
         self._momentum: Floats = np.zeros((count, 2, 3))
         self._momentum[:, 0] = starts.rotor_momentum
-        #: Runs with torques of their own, to run together: of the rows from a multiple of LANES to
-        #: the next, under torques that change at the same times.
+        #: Runs that wait to be run together, each with different torques. The indices of these
+        #: runs lie between two neighbouring multiples of LANES, and their torques change at the
+        #: same times.
         self._queued: list[tuple[int, Rows]] = []
 
     def advance(self, problem: Problem, which: NDArray[np.intp],
                 gains: Floats | None = None) -> None:
         """
-        Compute some of the runs, those under the torques of a problem.
+        Compute the runs `which`, all under the torques of a problem.
 
-        A single log is multiplied by a gain for each of all runs.
+        The gains, one for each of the n runs, multiply the torque. Gains require a problem with a
+        single log.
         """
         which = which[self._progress['stop'][which] != layout.FAILED]
         if not (which.size and self._times_ns.size):
@@ -277,8 +281,8 @@ class _Runs:
         if len(problem.logs) < 2 and not problem.wheels and self._fields is None:
             self._advance_alike(problem, which, gains)
             return
-        # The rows of a sum begin with the start. Without motors, they do not depend on the
-        # momentum of the rotors.
+        # The rows of a sum begin at the start of a run, so only runs with the same start time
+        # share rows. With motors, the rows also depend on the momentum of the rotors.
         begins_ns = self._progress['grid_ns'][which].tolist()
         momenta = self._momentum[which] * problem.has_rotors
         for rows in _grouped([(begin_ns, momentum.tobytes())
@@ -287,7 +291,7 @@ class _Runs:
 
     def _advance_alike(self, problem: Problem, which: NDArray[np.intp],
                        gains: Floats | None = None) -> None:
-        """Compute runs under the same rows."""
+        """Compute runs that share rows."""
         begins_ns = self._progress['grid_ns'][which]
         momentum = self._momentum[which[0]] if problem.has_rotors else None
         timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
@@ -302,7 +306,7 @@ class _Runs:
             self._progress['row'][which] += begin
 
     def _run(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
-        """Run the loop over some runs, with rotors and damping for those that have them."""
+        """Run the loop over some runs; only runs with rotors or damping get linear terms."""
         rows, terms = rows._replace(torques=rows.torques[None], terms=None), rows.terms
         if self._fields is not None:
             terms = cast(FieldTerms, terms)
@@ -325,7 +329,7 @@ class _Runs:
         self._run_alike(which[is_linear], rows._replace(terms=own), gains)
 
     def _queue(self, run: int, rows: Rows) -> None:
-        """Run the loop over a run later, with others whose torques change at the same times."""
+        """Queue a run, to be run with other runs whose torques change at the same times."""
         if self._queued:
             last, before = self._queued[-1]
             if run // LANES != last // LANES or not _change_together(rows, before):
@@ -333,7 +337,7 @@ class _Runs:
         self._queued.append((run, rows))
 
     def _run_queued(self) -> None:
-        """Run the loop over the queued runs, each under torques of its own."""
+        """Run the loop over the queued runs, each with its own torques."""
         if not self._queued:
             return
         which, rows = np.array([run for run, _ in self._queued]), self._queued[0][1]
@@ -349,7 +353,7 @@ class _Runs:
         """Run the loop over some runs, in chunks."""
         runs = many_loop.Runs(self._progress, self._motions, self._bodies._constants,
                               np.ones(len(self._progress)) if gains is None else gains)
-        of_all = cast(many_loop.ManyRows, rows)  # torques and momentum have one more axis
+        of_all = cast(many_loop.ManyRows, rows)  # the torques and the momentum have one more axis
         work = many_loop.workspace(LANES, of_all)
         done, chunk = 0, LANES
         while done < len(which):
@@ -373,5 +377,5 @@ class _Runs:
                             rates.reshape(count, size, 3), tuple(self._messages))
 
 
-#: The sources of the torques of runs, whatever their bodies and starts.
+#: A problem that carries the torques of runs; its body and its start are not used.
 _AT_REST = Problem(RigidBody(np.eye(3)), State())

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The solver that was used for each span, and the reason."""
+"""Which solver computed each span of a motion, and why."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rigid_body_ros.propagation.wheels import WheelTimeline
 
 
 class Model(NamedTuple):
-    """The solver used for a span of time, and why."""
+    """The solver that computed a span of a motion, and why this solver was used."""
 
     solver: str
     start_ns: int
@@ -37,20 +37,20 @@ class Model(NamedTuple):
 
 
 class SolverUsage(NamedTuple):
-    """The data that determine which solver was used for each span."""
+    """The data that determine which solver computed each span of a motion."""
 
     body: RigidBody
     options: Options
     timeline: Timeline
     start_ns: int
     end_ns: int
-    #: At index row + 1, whether a coast was computed in closed form.
+    #: The entry at index row + 1 tells whether the coast in that row was computed in closed form.
     closed: NDArray[np.bool_]
-    #: None without wheels that have names.
+    #: The named wheels; None if there are none.
     wheels: WheelTimeline | None = None
 
     def models(self) -> tuple[Model, ...]:
-        """Return the spans from the start to the last requested time, in order."""
+        """Return the models of the spans from the start to the last requested time, in order."""
         starts, closed = self._segments()
         changes = np.flatnonzero(np.append(True, closed[1:] != closed[:-1]))
         bounds = [*starts[changes].tolist(), self.end_ns]
@@ -63,7 +63,7 @@ class SolverUsage(NamedTuple):
         first, stop = np.searchsorted(times_ns, [self.start_ns, self.end_ns], side='right')
         coasts = np.append(not self.timeline.has_terms, ~self.timeline.acts())[first:stop + 1]
         closed = coasts & self.closed[first:stop + 1]
-        # The loop marks only the rows of a coast in which an output lies.
+        # The loop marks only those rows of a coast that contain an output.
         coast = np.cumsum(np.append(False, ~(coasts[1:] & coasts[:-1])))
         used = np.zeros(coast[-1] + 1, np.bool_)
         np.logical_or.at(used, coast, closed)

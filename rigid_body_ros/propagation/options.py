@@ -46,9 +46,11 @@ class Options:
     tolerance : float
         Bound on the truncation error of the attitude per radian turned, 1e-15 to 1.
     max_step : float, optional, s
-        Upper limit of a step. A solver with fixed steps requires it: its steps are that long.
+        Upper limit of a step. Solvers with fixed steps require `max_step`: their steps have this
+        length.
     torque_timeout : float, s
-        If positive, the torque is zero from this long after a sample to the next one.
+        If positive, a sample acts for at most this long. After this time, the torque is zero until
+        the next sample.
 
     Raises
     ------
@@ -81,7 +83,7 @@ class Options:
 
     @cached_property
     def max_step_ns(self) -> int:
-        """Return the longest step, ns, at least 1. A body at rest has no natural step."""
+        """Return the longest step, ns, at least 1; a body at rest takes steps of this length."""
         longest = LONGEST if self.max_step is None else min(self.max_step, LONGEST)
         return max(1, duration_ns(longest, 'max_step'))
 
@@ -92,7 +94,7 @@ class Options:
 
     @cached_property
     def method(self) -> NDArray[Any]:
-        """Return the solver and its limits on a step for the kernels: METHOD, shape (1,)."""
+        """Return the solver and its step limits, for the kernels: METHOD, shape (1,)."""
         record = self.record
         return np.array([(record.code, record.fixed_step, record.closed_form_beyond,
                           self.tolerance, kernels.step_angle(self.tolerance), self.max_step_ns)],
@@ -122,10 +124,10 @@ class Options:
     def rule(self, body: RigidBody, fields: NDArray[Any] | None, torque: Floats, in_space: bool,
              *others: Floats) -> Hashable:
         """
-        Return what determines the motion under fields and a held torque, apart from the start.
+        Return a key with everything that determines the motion in a segment, except the start.
 
-        The others are a torque in space axes in addition to one in body axes, and the torque on
-        the rotors.
+        `others` contains a torque in space axes that acts in addition to a torque in body axes,
+        the torque on the rotors, and the keys of lags and friction.
         """
         return (body._constants.tobytes(), None if fields is None else fields.tobytes(),
                 self.solver, float(self.tolerance), self.max_step_ns,
@@ -134,20 +136,20 @@ class Options:
                 if any(other.any() for other in others) else None)
 
     def too_fast(self, time_ns: int) -> ValueError:
-        """Return the error to raise if a nanosecond, the shortest step, is too long."""
+        """Return the error to raise if even the shortest step, a nanosecond, is too long."""
         cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}' \
             if self.record.fixed_step else 'check the torque (N m) and the inertia (kg m^2)'
         return ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}')
 
 
 def validated(*values: Any) -> Options:
-    """Return the options with these values, in the order of the fields."""
+    """Return options with the given values, in the order of the fields of `Options`."""
     try:
         return _cached_options(*values)
-    except TypeError:  # an unhashable value is invalid, and `Options` reports why
+    except TypeError:  # an unhashable value is invalid; `Options` reports why
         return Options(*values)
 
 
 @lru_cache
 def _cached_options(*values: Any) -> Options:
-    return Options(*values)  # to validate them again would take a tenth of a short run
+    return Options(*values)  # cached, because validation takes a tenth of the time of a short run

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where the steps to a state began, so that a restarted run continues with the same bits."""
+"""The step grid of a state, with which a restarted run continues with the same bits."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ class Origin(NamedTuple):
     """
     The step grid from which a state between two torque changes was computed.
 
-    The state alone does not determine the grid: a restart from the state would begin a new one.
+    The state alone does not determine the grid. Without this record, a restart would begin a new
+    grid.
     """
 
-    #: `Options.rule` of the segment.
+    #: The `Options.rule` of the segment.
     rule: Hashable
     #: Time and state at the beginning of the segment.
     begin_ns: int
@@ -40,7 +41,7 @@ class Origin(NamedTuple):
     grid: Floats
     #: Momentum of the rotors at the beginning, N m s, and its low-order part, shape (2, 3).
     rotors: Floats
-    #: Start of the motion, at which torques that lag are zero; None if none does.
+    #: Start of the motion, at which lagging torques are zero; None if no torques lag.
     rest_ns: int | None = None
 
 
@@ -48,8 +49,8 @@ def origin_of(start: State, rule: Hashable) -> Origin:
     """
     Return the step grid that continues from a state.
 
-    It is the grid from which the state was computed if the rule is the same; otherwise a new grid
-    that begins at the state.
+    If the state was computed under the same rule, the function returns the grid from which the
+    state was computed. Otherwise it returns a new grid that begins at the state.
     """
     found = start._origin
     if isinstance(found, Origin) and found.rule == rule:
@@ -58,14 +59,14 @@ def origin_of(start: State, rule: Hashable) -> Origin:
 
 
 def rest_ns_of(start: State) -> int:
-    """Return when the torques that lag are zero in a motion from a start, ns."""
+    """Return the time at which lagging torques are zero in a motion from a start, ns."""
     found = start._origin
     rest_ns = found.rest_ns if isinstance(found, Origin) else None
     return start.time_ns if rest_ns is None else rest_ns
 
 
 def with_rest(state: State, rest_ns: int) -> State:
-    """Return a state that remembers when the torques that lag were zero, ns."""
+    """Return a state that remembers the time at which lagging torques were zero, ns."""
     origin = state._origin
     assert isinstance(origin, Origin)
     return State._as_computed(state.time_ns, state._packed, origin._replace(rest_ns=rest_ns),

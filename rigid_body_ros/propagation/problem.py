@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""All that determines a motion."""
+"""Everything that determines a motion."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ from rigid_body_ros.propagation.origin import rest_ns_of, without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.propagation.wheels import check_named, joined_log, without_wheels
 
-#: The torque on the rotors, or wheels with names.
+#: A log of the torque on the rotors, or a sequence of named wheels.
 Rotors = TorqueLog | Sequence[Wheel] | None
 
 
 class Problem:
     """
-    A body, its start, its torques, and the solver: all that determines a motion.
+    Everything that determines a motion: a body, its start, its torques, and the solver.
 
     Parameters
     ----------
@@ -53,71 +53,75 @@ class Problem:
         The body. It rotates about its centre of mass, which may move in any way.
     start : State
         The state at the earliest time of the motion. From a state that `Propagator.at` returned,
-        the motion continues with the same bits.
+        the motion continues with the same bits as in the `Propagator`.
     log : TorqueLog or sequence of TorqueLog, optional
-        None for torque-free motion. Several logs add up, each with its own last sample, frames,
-        interpolation and timeout. Before the first sample a torque is zero.
+        None for torque-free motion. The torques of several logs add up; each log is held,
+        interpolated and timed out independently of the other logs. The torque of a log is zero
+        before the first sample of this log.
     wheels : TorqueLog or sequence of Wheel, optional
-        Torque of the motors on the rotors, body axes; the body feels the opposite torque. Or
-        wheels with names, whose commands are in `efforts`.
+        A log gives the torque of the motors on the rotors, in body axes; the body feels the
+        opposite torque. A sequence lists named wheels, whose commands are in `efforts`.
     efforts : EffortLog, optional
-        The torques of the motors of wheels with names.
+        The torques of the motors of named wheels.
     fields : sequence of UniformField or GravityGradient
         Torques that depend on the attitude; at most one gravity gradient.
     changes : BodyLog, optional
-        The bodies that take the place of the first one, each from its stamp on. A stamp before
-        the start, or at it, says which body starts.
+        The bodies that replace the first body, each from its stamp on. If any stamps lie at or
+        before the start, the motion starts with the body of the latest of these stamps.
     actuator : Actuator, or sequence of Actuator or None, optional
-        Delay, limit and lag of the torques: one for all logs, or one for each. Such a log is
-        held, and its samples are commands; a timeout ends a command by its stamp, so it takes
-        effect with the delay.
+        Delay, limit and lag of the torques: one for all logs, or one for each. The samples of a
+        log with an actuator are commands, and must be held, not interpolated. `torque_timeout`
+        counts from the stamp of a command. The actuator delays the effect of the timeout, too.
     solver : str
-        'auto' uses the simplest model that the scene allows: closed form for a long coast, a
-        Taylor series for anything else. 'taylor' always uses the series. 'exact' is the closed
-        form and handles torque-free motion only. 'rk4', 'strang' and 'explicit_euler' take fixed
-        steps.
+        'auto' uses the simplest model that the scene allows: the closed form for a long coast (a
+        span without torques), and a Taylor series for anything else. 'taylor' always uses the
+        series. 'exact' is the closed form and handles torque-free motion only. 'rk4', 'strang' and
+        'explicit_euler' take fixed steps.
     tolerance : float
-        Bound on the truncation error of the attitude per radian turned, 1e-15 to 1. Rounding adds
-        to it.
+        Bound on the truncation error of the attitude per radian turned, 1e-15 to 1. The bound does
+        not include rounding errors.
     max_step : float, optional, s
-        Upper limit of a step. A solver with fixed steps requires it: its steps are that long.
+        Upper limit of a step. Solvers with fixed steps require `max_step`: their steps have this
+        length.
     torque_timeout : float, s
-        If positive, the torque is zero from this long after a sample to the next one.
+        If positive, a sample acts for at most this long. After this time, the torque is zero until
+        the next sample.
 
     Attributes
     ----------
     body : RigidBody
     start : State
     logs : tuple of TorqueLog
-        Those that have samples.
+        The logs that have samples.
     wheels : TorqueLog, optional
-        None if it has no samples, or if the wheels have names.
+        The torque on the rotors. None if the log has no samples, or if `wheels` lists named
+        wheels.
     named_wheels : Wheels, optional
-        Those with names.
+        The named wheels.
     efforts : EffortLog, optional
-        None if it has no commands.
+        None if there are no commands.
     fields : tuple of UniformField or GravityGradient
-        An orbit without a time has the time of the start.
+        A gravity gradient without a time gets the time of the start.
     changes : BodyLog, optional
-        None if there are none.
+        None if the body does not change.
     actuators : tuple of Actuator or None
-        Of each log; empty if there are none.
+        The actuator of each log; empty if there are no actuators.
     acting_logs : tuple of TorqueLog
-        The logs as actuators apply them, before their lags.
+        The logs after the delays and the limits of the actuators, but before the lags.
     options : Options
 
     Raises
     ------
     ValueError
-        An option is out of its range, the torque of wheels is in space axes, there are two gravity
-        gradients, the wheels with names do not fit the body or the start, efforts do not fit the
-        wheels, a gravity gradient acts on wheels with names, which is not supported yet, the
-        commands of an actuator are interpolated, or the solver does not handle torques, rotors,
-        damping, friction or fields.
+        An option is out of its range; the torque on rotors is in space axes; there are two gravity
+        gradients; the named wheels do not fit the body or the start; the efforts do not fit
+        the wheels; a gravity gradient is combined with named wheels, which is not supported yet;
+        the commands of an actuator are interpolated; or the solver does not handle the torques,
+        rotors, damping, friction or fields that are given.
 
     """
 
-    #: The time at which torques that lag are zero, if it is not the start.
+    #: The time at which lagging torques are zero; None if this time is the start.
     _rest_ns: int | None = None
 
     def __init__(self, body: RigidBody, start: State, log: Logs = None, *,
@@ -128,14 +132,14 @@ class Problem:
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout) -> None:
         self.fields: tuple[Field, ...] = ()
-        #: The fields for the kernels; None without.
+        #: The fields in the form that the kernels need; None if there are no fields.
         self._fields: NDArray[Any] | None = None
         if fields:
             self.fields = beginning_at(fields, start.time_ns)
             self._fields = packed(self.fields)
         self.changes, self.efforts = changes or None, efforts or None
         self.named_wheels: Wheels | None = None
-        #: As given: one for all logs, or one for each.
+        #: The argument as given: one actuator for all logs, or one actuator for each log.
         self._actuator = actuator
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
@@ -178,7 +182,7 @@ class Problem:
                                       for each, log in zip(kept, self.logs)])
 
     def lagging(self) -> LaggingSources | None:
-        """Return the sources that lag, None without."""
+        """Return the sources that lag; None if no source lags."""
         if not self.actuators:
             return None
         return LaggingSources(self.acting_logs, self.actuators, self.options.timeout_ns,
@@ -186,7 +190,7 @@ class Problem:
 
     @property
     def _lags_from_ns(self) -> int:
-        """Return the time at which torques that lag are zero, ns."""
+        """Return the time at which lagging torques are zero, ns."""
         return rest_ns_of(self.start) if self._rest_ns is None else self._rest_ns
 
     @property
@@ -197,28 +201,28 @@ class Problem:
 
     @property
     def has_friction(self) -> bool:
-        """Return whether wheels with names have friction."""
+        """Return whether named wheels have friction."""
         return self.named_wheels is not None and self.named_wheels.has_friction
 
     @property
     def has_torque(self) -> bool:
-        """Return whether a torque is not zero, those on the rotors included."""
+        """Return whether any torque is not zero, including torques on the rotors."""
         return any(log.torques.any() for log in self.sources) or bool(
             self.efforts and np.nan_to_num(self.efforts.efforts).any())
 
     @property
     def sources(self) -> tuple[TorqueLog, ...]:
-        """Return the torques on the body, and then the torque on the rotors, if there is one."""
+        """Return the torques on the body, followed by the torque on the rotors, if any."""
         return (*self.logs, self.wheels) if self.wheels else self.logs
 
     @property
     def acting_sources(self) -> tuple[TorqueLog, ...]:
-        """Return the sources as they act, before the lags."""
+        """Return the sources after the delays and limits of the actuators, but before the lags."""
         return (*self.acting_logs, self.wheels) if self.wheels else self.acting_logs
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of all torques, efforts and changes, each once, ascending."""
+        """Return the distinct stamps of all torques, efforts and changes, ns, ascending."""
         stamps_ns = stamps_of(self.sources)
         for others in (self.changes, self.efforts):
             if others:
@@ -230,13 +234,13 @@ class Problem:
                  fields: Sequence[Field] | None = None,
                  changes: BodyLog | None = None, actuator: Actuators = None,
                  options: Options | None = None) -> Problem:
-        """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
+        """Return this problem with some parts replaced; raise ValueError as `Problem` does."""
         other = Problem.__new__(Problem)
         other.fields, other._fields = self.fields, self._fields
         other.changes = changes or self.changes
         other.named_wheels = self.named_wheels
         other.efforts = (self.efforts if efforts is None else efforts) or None
-        if isinstance(wheels, TorqueLog):  # in place of those with names
+        if isinstance(wheels, TorqueLog):  # rotors replace the named wheels
             other.named_wheels = other.efforts = None
         other._actuator = actuator or self._actuator
         other._rest_ns = self._rest_ns
@@ -250,22 +254,22 @@ class Problem:
         return other
 
     def solved_by(self, **options: Any) -> Problem:
-        """Return the same problem with other `Options`, except for the timeout of the torques."""
+        """Return this problem with other `Options`, but the same timeout of the torques."""
         return self.replaced(options=Options(torque_timeout=self.options.torque_timeout,
                                              **options))
 
     def between(self, start: State, end_ns: int, memory_ns: int = 0) -> Problem:
         """
-        Return the problem from another start on, with only the torques up to a time.
+        Return the problem from another start on, with only the torques that matter up to a time.
 
         Parameters
         ----------
         start : State
-            Where it begins.
+            The start of the returned problem.
         end_ns : int, ns
-            The time.
+            Later torques are left out.
         memory_ns : int, ns
-            Keep the torques of this time before the start.
+            Length of a span before the start; torques that act in this span are kept, too.
 
         """
         begin_ns = start.time_ns - memory_ns
@@ -278,31 +282,32 @@ class Problem:
                              efforts=self.efforts and self.efforts.between(begin_ns, end_ns))
 
     def body_at(self, time_ns: int) -> RigidBody:
-        """Return the body at a time; at a change, the one after it."""
+        """Return the body at a time; at a change, the body after the change."""
         row = self.changes.in_force(time_ns) if self.changes else -1
         return self.changes.bodies[row] if self.changes and row >= 0 else self.body
 
     @property
     def next_change_ns(self) -> int:
-        """Return the time of the first change of the body after the start, NEVER_NS if none."""
+        """Return when the body first changes after the start, ns; NEVER_NS if it never does."""
         return self.changes.next_ns(self.start.time_ns) if self.changes else NEVER_NS
 
     def with_first_body(self) -> Problem:
-        """Return the same problem for the body of the start, which does not change."""
+        """Return this problem without changes of the body, which remains as at the start."""
         other = self.replaced(body=self.body_at(self.start.time_ns))
         other.changes = None
         return other
 
     def carried(self) -> Problem:
         """
-        Return the same motion as a problem in which rotors replace the wheels with names.
+        Return a problem with the same motion, in which rotors replace the named wheels.
 
-        Its bodies lack the axial inertia of the wheels. Without such wheels, it is this problem.
+        The bodies of that problem lack the axial inertia of the wheels. If there are no named
+        wheels, the method returns this problem.
 
         Raises
         ------
         ValueError
-            A wheel has friction: the motion of the rotors is then part of the result.
+            A wheel has friction, so the torque on its rotor depends on the motion.
 
         """
         if not self.named_wheels:
@@ -323,19 +328,20 @@ class Problem:
 
     def torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """
-        Return the torque on the body at given times; at a jump, the value after it.
+        Return the torque on the body at given times; at a jump, the value after the jump.
 
         Parameters
         ----------
         times_ns : array of int, shape (m,), ns
-            In any order.
+            The times, in any order.
         attitude : array, shape (m, 4)
-            The attitudes at these times, x y z w, which turn torques in space axes.
+            The attitudes at these times, x y z w, used to convert torques in space axes to body
+            axes.
 
         Returns
         -------
         array, shape (m, 3), N m, body axes
-            Including the torque of the fields, without the torque on the rotors.
+            The torque of the fields is included; the torque on the rotors is not included.
 
         """
         total = np.zeros((len(times_ns), 3))
@@ -348,7 +354,7 @@ class Problem:
         return total + self.field_torque(times_ns, attitude) if self.fields else total
 
     def field_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """Return the torque of the fields, N m, body axes, shape (m, 3), as `torque` does."""
+        """Return the torque of the fields alone, N m, body axes, shape (m, 3); see `torque`."""
         total = np.zeros((len(times_ns), 3))
         bodies = (self.body, *(self.changes.bodies if self.changes else ()))
         in_force = self.changes.times_ns.searchsorted(times_ns, 'right') if self.changes \
@@ -360,25 +366,25 @@ class Problem:
         return total
 
     def biased(self, torque: Floats, end_ns: int) -> Problem:
-        """Return the problem with a constant torque, N m, body axes, added up to a time, ns."""
+        """Return this problem plus a constant torque, N m, body axes, that ends at a time, ns."""
         bias = TorqueLog.constant(torque, self.start.time_ns, end_ns, self.options.timeout_ns)
         actuator = [*(self.actuators or [None] * len(self.logs)), None] if self._actuator else None
         return self.replaced(log=[*self.logs, bias], actuator=actuator)
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the momentum of the rotors at times, N m s, body axes, shape (m, 3)."""
-        if self.named_wheels:  # it depends on the motion
+        """Return the momentum of the rotors at given times, N m s, body axes, shape (m, 3)."""
+        if self.named_wheels:  # the momentum of named wheels depends on the motion
             return self.propagate(at=times_ns).rotor_momentum
         return Integration(self.with_first_body()).rotor_momentum(times_ns)
 
     def propagate(self, *, at: ArrayLike) -> Trajectory:
         """
-        Return the motion at times.
+        Return the motion at given times.
 
         Parameters
         ----------
         at : array of int, shape (m,), ns
-            In any order, none before the start.
+            The times, in any order, none before the start.
 
         Raises
         ------

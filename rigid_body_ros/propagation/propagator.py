@@ -45,27 +45,28 @@ class Propagator:
     """
     The motion under torques that arrive sample by sample.
 
-    A torque commits the state at its stamp, computed under the torque before it, and so does a
-    change of the body. A state between stamps is a prediction: no later state depends on it. A
-    torque that arrives late, by less than `history`, is inserted, and the later torques are
-    applied again; of torques with equal stamps the last to arrive is used. So the states at the
-    stamps equal those of `propagate` with the whole log, bit for bit, in whatever order the
-    torques of each source arrive.
+    A torque, or a change of the body, commits a state: the state at its stamp, computed under the
+    previous torque. A state between stamps is a prediction: no later state depends on it. A torque
+    that arrives less than `history` late is inserted in the order of the stamps, and the later
+    torques are applied again. If several torques of a source have the same stamp, the last one to
+    arrive is used. So the states at the stamps equal those of `propagate` with the whole log, bit
+    for bit, in whatever order the torques of each source arrive.
 
     Parameters
     ----------
     wheels : sequence of Wheel, optional
-        Wheels with names, which `apply_efforts` commands.
+        Named wheels, whose motor torques `apply_efforts` sets.
     history : float, s
-        How much older than the newest stamp a torque may be. Older states are discarded.
-    others
-        As for `Problem`.
+        A torque that is older than the newest stamp by this time or more is dropped. States of
+        this age are discarded.
+    body, start, fields, actuator, solver, tolerance, max_step, torque_timeout
+        See `Problem`.
 
     Raises
     ------
     ValueError
-        An option is out of its range, there are two gravity gradients, or the wheels are not
-        possible, as for `Problem`.
+        An option is out of its range, there are two gravity gradients, or the wheels do not fit
+        the body or the start.
 
     """
 
@@ -76,7 +77,7 @@ class Propagator:
                  torque_timeout: float = Options.torque_timeout,
                  history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
-        #: ns, at least 1; a torque older than the newest stamp by this much or more is dropped.
+        #: The history, ns, at least 1.
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._wheels = Wheels(wheels) if wheels else None
         self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields),
@@ -97,23 +98,23 @@ class Propagator:
 
     @property
     def newest_ns(self) -> int | None:
-        """Return the newest stamp of all torques and bodies, ns, or None before the first."""
+        """Return the newest stamp of all torques and bodies, ns; None before the first stamp."""
         return self._history.newest_ns
 
     def held(self, time_ns: int) -> Mapping[int, Sample]:
-        """Return the sample of each source in force at a time, even if it has timed out."""
+        """Return the last sample of each source at a time, even if it has timed out."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
 
     def delay_ns(self, source: int) -> int:
-        """Return the delay from the stamp of a torque of a source until it acts, ns."""
+        """Return the delay from the stamp of a torque of a source until the torque acts, ns."""
         return self._acting.delay_ns(source)
 
     def body_at(self, time_ns: int) -> NewBody:
-        """Return the body in force at a time; the stamp of the first one is -NEVER_NS."""
+        """Return the body at a time; the stamp of the first body is -NEVER_NS."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].body
 
     def bodies_since(self, time_ns: int) -> list[NewBody]:
-        """Return the body in force at a time, and all later ones, except the first one."""
+        """Return the body at a time and all later bodies, except the first body of the motion."""
         index = max(self._history.index_of(time_ns), 0)
         found = dict.fromkeys(change.body for change in self._history.changes[index:])
         return [body for body in found if body.stamp_ns != -NEVER_NS]
@@ -122,7 +123,7 @@ class Propagator:
         """
         Return the stamps of torques and bodies in (after_ns, until_ns], ns, ascending.
 
-        Those before `earliest_ns` are forgotten.
+        Stamps before `earliest_ns` are forgotten.
         """
         delay_ns = self._acting.longest_delay_ns
         changes = self._history.between(after_ns, until_ns + delay_ns)
@@ -132,7 +133,7 @@ class Propagator:
         return sorted(stamp_ns for stamp_ns in found if after_ns < stamp_ns <= until_ns)
 
     def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
-        """Return source and sample of the torques in force at a time, and of all later ones."""
+        """Return the source and the sample of each torque in force at a time or later."""
         index = max(self._history.index_of(time_ns), 0)
         return [*self._history.changes[index].samples.items(), *(
             (source, sample) for change in self._history.changes[index + 1:]
@@ -140,14 +141,15 @@ class Propagator:
             if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
 
     def commands_at(self, time_ns: int) -> Commands:
-        """Return the commands of wheels in force at a time; -NEVER_NS stands for no stamp."""
+        """Return the wheel commands in force at a time; the stamp -NEVER_NS means no command."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].commands
 
     def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:
         """
-        Return the commands of wheels in force at a time, and all later ones.
+        Return the wheel commands in force at a time, and all later wheel commands.
 
-        They are stamps, ns, ascending, and efforts, N m, by name, as `apply_efforts` takes them.
+        The result lists stamps, ns, in ascending order, each with a mapping from the names of
+        wheels to efforts, N m, that `apply_efforts` accepts.
         """
         index, found = max(self._history.index_of(time_ns), 0), dict[int, dict[str, float]]()
         for change in self._history.changes[index:]:
@@ -165,28 +167,30 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
-            The stamp, ns, in any order. A torque from before the start is in force from the start
-            to the next stamp.
+            The stamp, ns. Stamps may arrive in any order. A torque with a stamp before the start
+            acts from the start to the next stamp.
         torque : array, shape (3,), N m
-            About the centre of mass.
+            The torque about the centre of mass.
         frame : str
-            'body' or 'space'.
+            The axes of the torque, 'body' or 'space'.
         source : int
-            The torques of different sources add up; each holds, and times out, on its own.
+            The number of the source. The torques of different sources add up. Each source holds
+            its last torque and times out independently of the other sources.
 
         Returns
         -------
         bool
-            False if the torque was dropped: it is older than the newest stamp by `history` or
-            more.
+            False if the torque was dropped, because it is older than the newest stamp by `history`
+            or more.
 
         Raises
         ------
         ValueError
-            The torque is not finite, the frame is unknown, the source is negative or has
-            no place among the actuators, the time does not fit int64 or lies 292 years or more
-            from the start, the solver is 'exact' and the torque is not zero, or earlier torques
-            accelerate the body beyond 1e9 rad/s. The torque is not applied.
+            The torque is not finite; the frame is unknown; the source is negative, or there are
+            actuators but none for this source; the time does not fit int64 or lies 292 years or
+            more from the start; the solver is 'exact' and the torque is not zero; or earlier
+            torques accelerate the body beyond 1e9 rad/s. In each of these cases, the torque is not
+            applied.
         TypeError
             The time is not an integer.
 
@@ -206,19 +210,19 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
-            As for `apply`.
+            See `apply`.
         torque : array, shape (3,), N m, body axes
-            The body feels the opposite torque.
+            The torque on the rotors. The body feels the opposite torque.
 
         Returns
         -------
         bool
-            As for `apply`.
+            See `apply`.
 
         Raises
         ------
         ValueError
-            As for `apply`, or the solver does not handle rotors.
+            See `apply`; also if the solver does not handle rotors.
         TypeError
             The time is not an integer.
 
@@ -230,26 +234,28 @@ class Propagator:
 
     def apply_body(self, time_ns: int, body: RigidBody, keep: str = RATE) -> bool:
         """
-        Change the body from a stamp to the next one of a body.
+        Replace the body from a stamp to the next change.
 
         Parameters
         ----------
         time_ns : int
-            As for `apply`. A body from before the start starts in place of the first one.
+            See `apply`. A body with a stamp before the start replaces the first body at the
+            start.
         body : RigidBody
-            With its damping.
+            The new body, with its damping.
         keep : str
-            'rate' or 'momentum': the quantity that is kept, see `BodyLog`.
+            The quantity that the change does not affect, 'rate' or 'momentum'; see `BodyLog`.
 
         Returns
         -------
         bool
-            As for `apply`.
+            See `apply`.
 
         Raises
         ------
         ValueError
-            As for `apply`, `keep` is neither, or the solver does not handle damping.
+            See `apply`; also if `keep` is neither 'rate' nor 'momentum', or if the solver does not
+            handle damping.
         TypeError
             The time is not an integer.
 
@@ -265,32 +271,35 @@ class Propagator:
 
     def apply_efforts(self, time_ns: int, efforts: Mapping[str, float]) -> bool:
         """
-        Apply the torques of the motors of wheels with names, each up to the next of its wheel.
+        Apply motor torques to named wheels.
+
+        Each torque acts from its stamp to the next effort of the same wheel.
 
         Parameters
         ----------
         time_ns : int
-            As for `apply`.
+            See `apply`.
         efforts : mapping of str to float, N m
-            By name; other wheels keep their efforts. If stamps are equal, the last to arrive is
-            used for each wheel.
+            The efforts, keyed by the name of the wheel. Wheels without an entry keep their
+            efforts. If several efforts of a wheel have the same stamp, the last one to arrive is
+            used.
 
         Returns
         -------
         bool
-            As for `apply`.
+            See `apply`.
 
         Raises
         ------
         ValueError
-            As for `apply`; or a name is not the name of a wheel, or there are no wheels.
+            See `apply`; also if a name belongs to no wheel, or if there are no wheels.
         TypeError
             The time is not an integer.
 
         """
         time_ns = self._checked_time(time_ns)
         if not self._wheels:
-            raise ValueError('efforts: expected wheels with names, found none')
+            raise ValueError('efforts: expected named wheels, found none')
         row = self._wheels.row(efforts)
         index = self._history.inserted(time_ns) if efforts else None
         if index is None:
@@ -302,7 +311,8 @@ class Propagator:
         """
         Return the number of commands with stamps in (after_ns, until_ns] that act as zero.
 
-        Their wheels are too fast, see `Wheel`. Those before `earliest_ns` are forgotten.
+        These commands act as zero because their wheels are too fast; see `max_speed` of `Wheel`.
+        Commands before `earliest_ns` are forgotten.
         """
         self._history.compute(max(self._history.index_of(until_ns), 0))
         return sum(int(change.active.axial.refused.sum())
@@ -317,8 +327,8 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
-            In ns, from `earliest_ns` on. After the newest stamp the torque is held until it times
-            out.
+            The time, ns, not before `earliest_ns`. After the newest stamp, the torque is held
+            until it times out.
         within : float, s
             Limit on the computing time.
 
@@ -334,7 +344,7 @@ class Propagator:
         TypeError
             The time is not an integer.
         TimeoutError
-            The limit on the computing time was reached. The next call continues from there.
+            The limit on the computing time was reached. The next call continues the computation.
 
         """
         time_ns, until = self._checked_time(time_ns), time.monotonic() + within
@@ -352,12 +362,13 @@ class Propagator:
 
     def torque(self, state: State) -> Floats:
         """
-        Return the torque of all sources that acts at a state which `at` returned.
+        Return the total torque of all sources on the body at a state that `at` returned.
 
         Returns
         -------
         array, shape (3,), N m, body axes
-            As the actuators apply it; without those on the rotors and of fields.
+            The torque as the actuators apply it. The torques on the rotors and the torques of
+            fields are not included.
 
         """
         time_ns = state.time_ns

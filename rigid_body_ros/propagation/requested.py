@@ -23,11 +23,11 @@ from rigid_body_ros.engine import kernels
 
 
 def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
-    """Return times, whether they ascend, and the latest of them."""
+    """Return the times, whether they ascend, and the latest time, or raise ValueError."""
     times = instants(at, 'at')
     if times.size > 1:
         ascends, first_ns, last_ns = kernels.extent(times)
-    else:  # calling a kernel takes as long as all the rest
+    else:  # calling a kernel here would double the time that this function takes
         ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
     if first_ns < start_ns:
         raise ValueError(f'at: expected no time before the start ({start_ns} ns), '
@@ -37,4 +37,4 @@ def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool
     if last_ns - start_ns >= NEVER_NS:
         raise ValueError(f'at: expected times within 292 years of the start ({start_ns} ns), '
                          f'found {last_ns} ns')
-    return times, ascends, int(last_ns)  # a numpy integer from plain Python
+    return times, ascends, int(last_ns)  # kernels that run as Python return numpy integers

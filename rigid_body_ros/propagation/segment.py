@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The motion under held torques that do not change."""
+"""The motion under constant torques."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.summation import added
 from rigid_body_ros.propagation.timeline import held_row, momentum_at
 
-#: The keys of the commands of wheels with names, the torque on the rotors, and bodies, among the
-#: sources: the last ones.
+#: The source numbers of the commands of named wheels, of the torque on the rotors, and of
+#: bodies. These are the largest numbers, so these sources come last.
 COMMANDS, WHEELS, BODY = sys.maxsize - 2, sys.maxsize - 1, sys.maxsize
-#: Outputs of the loop that are not read: only its latest state is used.
+#: Outputs of the loop that are never read: a segment uses only the latest state of the loop.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 _NONE = np.zeros((1, 3))
 _NOTHING_LAGS: Mapping[int, Lagging] = {}
@@ -63,30 +63,31 @@ class Sample(NamedTuple):
 
 
 class NewBody(NamedTuple):
-    """A body from a stamp on, and the quantity that is kept there, see `BodyLog`."""
+    """A body from a stamp on, and the quantity that stays the same at the stamp; see `BodyLog`."""
 
     stamp_ns: int
     body: RigidBody
     keep: str
-    #: Without the axial inertia of wheels with names; the body itself without these.
+    #: The body without the axial inertia of named wheels; the body itself without such wheels.
     carrier: RigidBody
 
 
 class Sum(NamedTuple):
-    """The sum of the torques of all sources, N m, each shape (1, 3); see `layout.Rows`."""
+    """The sums, N m, shape (1, 3), of the torques of all sources; see `layout.Rows`."""
 
     torque: Floats
     in_space: bool
     space: Floats = _NONE
     motors: Floats = _NONE
-    #: The sources that lag, and the difference between their torques and their commands.
+    #: The sources that lag, and the torques of these sources minus their commands.
     lagging: Mapping[int, Lagging] = _NOTHING_LAGS
     lags: Lags | None = None
 
     @property
     def others(self) -> tuple[Floats, ...]:
-        """Return the torque in space axes if one in body axes acts too, and that on the rotors."""
-        # Most motions have neither, and checking arrays of zeros takes a tenth of a short segment.
+        """Return the torques besides `torque`: one in space axes and one on the rotors, or ()."""
+        # Most motions have neither of these torques, and checking arrays of zeros takes a tenth of
+        # the time of a short segment.
         if self.space is self.motors or not (self.space.any() or self.motors.any()):
             return ()
         return self.space, self.motors
@@ -100,9 +101,9 @@ class Sum(NamedTuple):
 def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
            of_named: Floats | None = None) -> Sum:
     """
-    Return the sum of the samples that have not timed out, in the order of the sources.
+    Return the sum of the samples that have not timed out, added in the order of the sources.
 
-    The torque of the motors of wheels with names, N m, shape (1, 3), is added to it.
+    `of_named` is the torque of the motors of named wheels, N m, shape (1, 3).
     """
     body, space, motors = list[Floats](), list[Floats](), list[Floats]()
     if of_named is not None:
@@ -115,19 +116,19 @@ def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
         return Sum(added(body), False)
     total, on_rotors = added(body), added(motors)
     total = total - on_rotors
-    if not total.any():  # store it where a single one stands
+    if not total.any():  # no torque acts in body axes: store the torque in space axes instead
         return Sum(added(space), bool(space), _NONE, on_rotors)
     return Sum(total, False, added(space), on_rotors)
 
 
 def timed_out(reached_ns: int) -> TimeoutError:
-    """Return the error to raise at the limit on the computing time."""
+    """Return the error to raise when the limit on the computing time is reached."""
     return TimeoutError(f'the limit on the computing time was reached at {reached_ns} ns of the '
                         'motion: call again to continue from there, or raise the limit')
 
 
 class Segment:
-    """The motion under held torques, with the grid points reached so far."""
+    """The motion under constant torques, with the grid points reached so far."""
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
                  total: Sum, fields: NDArray[Any] | None = None,
@@ -147,7 +148,7 @@ class Segment:
         self._rotors = origin.rotors
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        #: Time and state computed last, and time and state of the last grid point before them.
+        #: Time and state computed last; time and state of the last grid point before this time.
         self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
         terms: Terms | FieldTerms | LagTerms | FrictionTerms | None = None
         if friction is not None:
@@ -163,16 +164,16 @@ class Segment:
         self._rows = held_row(origin.begin_ns, total.torque, total.in_space, terms)
 
     def state_at(self, time_ns: int, until: float) -> State:
-        """Return the state at a time, or raise TimeoutError or ValueError as `Propagator.at`."""
+        """Return the state at a time; raise TimeoutError or ValueError as `Propagator.at` does."""
         begin_ns, begin = self._grid_ns[0], self._states[0]
         if time_ns == begin_ns:
             return self._state(time_ns, begin, begin_ns, begin)
-        if time_ns != self._latest[0]:  # the state of an output also belongs to the next segment
+        if time_ns != self._latest[0]:  # the last output is often the start of the next segment
             self._compute(time_ns, until)
         return self._state(*self._latest)
 
     def _compute(self, time_ns: int, until: float) -> None:
-        """Compute the latest state, from the last grid point before it."""
+        """Compute the state at a time from the last grid point before this time, and store it."""
         begin_ns, begin = self._grid_ns[0], self._states[0]
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
         progress = layout.begun(self._states[nearest], self._grid_ns[nearest], begin, begin_ns, 0,
@@ -210,11 +211,11 @@ class Segment:
                 break
 
     def end_at(self, time_ns: int, until: float) -> State:
-        """Return the state that the next segment begins with, even if the torque is the same."""
+        """Return a state at which a new segment begins, even if the torque does not change."""
         return without_origin(self.state_at(time_ns, until))
 
     def _discard_grid_points(self, horizon_ns: int) -> None:
-        # Keep those of the last `history`, which `at` resumes from after a late torque, and the
-        # beginning, from which it computes any earlier time.
+        # Keep the grid points of the last `history`, from which `at` continues after a late
+        # torque, and the beginning of the segment, from which `at` computes any earlier time.
         while len(self._grid_ns) > 2 and self._grid_ns[2] <= horizon_ns:
             del self._grid_ns[1], self._states[1]

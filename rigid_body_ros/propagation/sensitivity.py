@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The effect of the last digit of the inputs on a motion, whatever the solver."""
+"""The effect of the last digit of the inputs on a motion."""
 
 from __future__ import annotations
 
@@ -33,32 +33,34 @@ _ROUNDS = 2
 
 def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     """
-    Return the change of a motion if its inputs change in the last digit.
+    Return how much a motion changes if its inputs change in the last digit.
 
-    The function computes up to six changed motions: two with changes of inertia and damping, two
-    of the torques, and two of all these and the start. A change moves every entry by one unit in
-    the last place, up or down at random; the random numbers are the same in every call. Zeros stay
-    zero, and the tensors stay symmetric. The rounding error of the solver adds to the result; it
-    is `auto` at its tightest tolerance, whatever the solver of the problem. The function skips a
-    change if the tensor is then impossible for a rigid body, or if the body then spins faster than
-    1e9 rad/s.
+    The function computes up to six changed motions: two with changed inertia and damping, two with
+    changed torques, and two in which the start changes as well as the inertia, the damping and the
+    torques. A change moves every entry by one unit in the last place, up or down at random. The
+    random numbers are the same in every call. Zeros stay zero, and tensors stay symmetric. A
+    change is skipped if no rigid body can have the changed tensor, or if the body turns faster
+    than 1e9 rad/s in the changed motion.
+
+    The solver is `auto` at its tightest tolerance, whatever solver the problem uses. The
+    rounding error of this solver adds to the result.
 
     Parameters
     ----------
     problem : Problem
-        Its body, start and torques.
+        The body, the start and the torques.
     at : array of int, shape (m,), ns
-        Times to compare at, at least one, in any order, none before the start.
+        Times at which to compare, at least one, in any order, none before the start.
 
     Returns
     -------
     float, rad
-        The largest angle between the attitudes of the motion and those of a changed motion.
+        The largest angle between the attitudes of the motion and of a changed motion.
 
     Raises
     ------
     ValueError
-        As for `propagate`.
+        See `propagate`.
 
     """
     problem = problem.solved_by()
@@ -78,7 +80,7 @@ def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
 
 def _changed_problem(problem: Problem, kinds: Collection[str],
                      random: np.random.Generator) -> Problem:
-    """Return a problem with some inputs changed; raise ValueError if no body has the tensors."""
+    """Return a problem with some inputs changed, or raise ValueError if a tensor is not valid."""
     start, logs, wheels = problem.start, problem.logs, problem.wheels
     inertia, damping = problem.body.inertia, problem.body.damping
     if 'tensors' in kinds:
@@ -89,7 +91,8 @@ def _changed_problem(problem: Problem, kinds: Collection[str],
     if 'torques' in kinds:
         logs = tuple([_changed_log(log, random) for log in logs])
         wheels = wheels and _changed_log(wheels, random)
-    # Last, so that the random numbers of other changes do not depend on whether it is a body.
+    # Build the body last. Then all random numbers of this change are drawn even if the body is
+    # invalid, and later changes get the same random numbers.
     return problem.replaced(body=RigidBody(inertia, damping), start=start, log=logs,
                             wheels=wheels)
 
@@ -112,6 +115,6 @@ def _changed_tensor(tensor: Floats, random: np.random.Generator) -> Floats:
 
 
 def _changed(values: Floats, random: np.random.Generator) -> Floats:
-    # By one unit in the last place; zeros stay.
+    # Change values by one unit in the last place, except zeros.
     target = np.where(random.random(values.shape) < 0.5, -np.inf, np.inf)
     return np.where(values == 0.0, values, np.nextafter(values, target))

@@ -39,16 +39,16 @@ def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
               max_step: float | None = Options.max_step,
               torque_timeout: float = Options.torque_timeout) -> Trajectory:
     """
-    Integrate Euler's equations under torque logs: solve a `Problem` at times.
+    Integrate Euler's equations under torque logs, and return the motion at given times.
 
     Parameters
     ----------
     at : array of int, shape (m,), ns
-        Times to return, in any order, none before the start.
+        The times, in any order, none before the start.
     body, start, log, wheels, efforts, fields, changes, actuator
-        As for `Problem`.
+        See `Problem`.
     solver, tolerance, max_step, torque_timeout
-        As for `Problem`.
+        See `Problem`.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
     ------
     ValueError
         A time lies before the start or is not an integer that fits int64, an option is out of its
-        range, the solver 'exact' is given torques, or the torques accelerate the body beyond
+        range, torques are given to the solver 'exact', or the torques accelerate the body beyond
         1e9 rad/s.
 
     """

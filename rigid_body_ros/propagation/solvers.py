@@ -21,26 +21,27 @@ from typing import NamedTuple
 
 from rigid_body_ros.engine import CLASSICAL, layout
 
-#: rad; `auto` computes a coast in closed form if the body turns by more. Up to this angle the
-#: series is as exact, and cheaper.
+#: If the body turns by more than this angle, rad, in a coast, `auto` uses the closed form.
+#: Up to this angle, the series is as accurate as the closed form, and cheaper.
 LONG_COAST = 16.0
 
 
 class Solver(NamedTuple):
-    """The properties of a solver for the loop, the options and the documentation."""
+    """The properties of a solver that the loop, the options and the documentation need."""
 
     name: str
-    #: Its number in the kernels.
+    #: The number of the solver in the kernels.
     code: int
-    #: Order of convergence; None if the tolerance bounds the truncation error instead.
+    #: Order of convergence; None if a tolerance bounds the truncation error instead.
     order: int | None = None
     #: Whether every step is `max_step` long.
     fixed_step: bool = False
     takes_torque: bool = True
-    #: Whether it takes rotors and damping, which add terms linear in the angular velocity.
+    #: Whether the solver handles rotors and damping, whose terms are linear in the angular
+    #: velocity.
     takes_linear_terms: bool = True
-    #: rad; a coast in which the body turns by more is computed in closed form. Negative: every
-    #: coast.
+    #: A coast in which the body turns by more than this angle, rad, is computed in closed form. If
+    #: the angle is negative, every coast is computed in closed form.
     closed_form_beyond: float = math.inf
 
 
@@ -52,7 +53,7 @@ RK4 = Solver('rk4', layout.RK4, order=CLASSICAL.order, fixed_step=True)
 STRANG = Solver('strang', layout.STRANG, order=2, fixed_step=True, takes_linear_terms=False)
 EXPLICIT_EULER = Solver('explicit_euler', layout.EXPLICIT_EULER, order=1, fixed_step=True)
 RECORDS = (AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER)
-#: Their names.
+#: The names of the solvers.
 SOLVERS = tuple(solver.name for solver in RECORDS)
 
 

@@ -15,8 +15,8 @@
 """
 The sum of several torque logs, and the momentum of the rotors.
 
-The sum changes whenever one of its sources does. Torques are added in the order of the sources,
-so the order in which they arrive changes no bit.
+The sum changes whenever one of its sources changes. Torques are added in the order of the sources,
+so the order in which they arrive does not change any bit.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels, Samples, Sums
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: Adding it changes no bit of a torque.
+#: A sum without torques. Adding it to a torque does not change any bit of the torque.
 _NOTHING = np.full((1, 3), -0.0)
 _NO_MARKS = np.empty(0, np.int64)
 
@@ -44,21 +44,21 @@ def summed(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeou
     Parameters
     ----------
     sources : sequence of TorqueLog
-        Torques on the body, none of them empty, and last the torque on the rotors, body axes,
-        which may be empty.
+        The logs of torques on the body, none of them empty, followed by the log of the torque on
+        the rotors, in body axes. Only this last log may be empty.
     start_ns : int
         Start of the motion.
     momentum : array, shape (2, 3), N m s
         Momentum of the rotors at the start, and its low-order part.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        See `TorqueLog.segments`.
     marks_ns : array of int64, shape (n,), ns, optional
-        Other times at which a row begins, ascending.
+        Further times at which a row begins, ascending.
 
     Returns
     -------
     Sums
-        The first time is the start.
+        The sums. The first time of the sums is the start.
 
     """
     *logs, wheels = sources
@@ -70,12 +70,12 @@ def summed(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeou
 
 
 def added(torques: Sequence[Floats]) -> Floats:
-    """Return the sum of torques, N m, shape (n, 3) or (1, 3), in the order given."""
+    """Return the sum, N m, shape (n, 3) or (1, 3), of torques added in the order given."""
     return reduce(np.add, torques) if torques else _NOTHING
 
 
 def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
-    """Return whether held logs are in force at the start, and have the same stamps or only one."""
+    """Return whether all logs are held, have begun, and have equal stamps or one stamp each."""
     stamps = max((log.times_ns for log in logs), key=len, default=())
     return (len(stamps) > 0 and all(log.interpolation == 'hold' for log in logs)
             and all(log.times_ns[0] <= start_ns for log in logs)
@@ -85,7 +85,7 @@ def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
 
 def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], start_ns: int,
                      momentum: Floats) -> Sums:
-    """Return the sum of logs that change together, which takes a third of the time."""
+    """Return the sum of logs that change together, in a third of the time of `_merged`."""
     stamps_ns = max((log.times_ns for log in (*logs, *motors)), key=len)
     first = int(np.searchsorted(stamps_ns, start_ns, 'right')) - 1
     times_ns = np.append(start_ns, stamps_ns[first + 1:])
@@ -100,22 +100,22 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
 
 def _allocated(times_ns: NDArray[np.int64], degree: int) -> Sums:
     """
-    Return arrays of sums at times, not yet filled.
+    Return arrays for the sums at given times, not yet filled.
 
-    They are one block that numpy allocates. For a large block numpy asks for large pages; getting
-    small ones from the system takes longer than filling them. Memory that is never touched takes
-    no time.
+    The arrays share one block that numpy allocates. For a large block, numpy requests large pages.
+    This saves time: getting small pages from the system takes longer than filling them. Memory
+    that is never touched takes no time.
     """
     sizes, count = (2 * degree + 1, degree + 1, degree + 1, 2), len(times_ns)
     block = np.empty((sum(sizes), 3 * count))
-    ends = accumulate(sizes)  # np.split takes as long as the sum of a few samples
+    ends = accumulate(sizes)  # np.split would take as long as summing a few samples
     parts = (block[end - size:end].reshape(count, size, 3) for size, end in zip(sizes, ends))
     return Sums(times_ns, np.empty(count, np.bool_), *parts)
 
 
 def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int,
             marks_ns: NDArray[np.int64]) -> Sums:
-    """Return the sum of any logs; the last one is the torque on the rotors."""
+    """Return the sum of arbitrary sources, the last of which is the torque on the rotors."""
     pieces = [_pieces(log) for log in sources]
     degree = max(piece.shape[1] // 2 for piece in pieces)
     samples = Samples(np.concatenate([_padded(piece, degree) for piece in pieces]),
@@ -135,7 +135,7 @@ def _pieces(log: TorqueLog) -> Floats:
 
 
 def _padded(coefficients: Floats, degree: int) -> Floats:
-    """Return polynomials with zeros for the coefficients up to a degree."""
+    """Return polynomials padded with zero coefficients up to a degree."""
     count, own = len(coefficients), coefficients.shape[1] // 2
     if own == degree:
         return coefficients

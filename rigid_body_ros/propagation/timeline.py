@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a body, as rows: the torques of all sources, their timeouts, and the rotors."""
+"""The inputs of a body as rows: the torques of all sources, their timeouts, and the rotors."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from rigid_body_ros.propagation.lags import lag_terms, LaggingSources
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.wheels import WheelTimeline
 
-#: Number of samples whose polynomials are computed at a time.
+#: Number of samples whose polynomials are computed at once.
 _CHUNK = 65536
 
 
 class OtherTorques(NamedTuple):
-    """Torques in addition to those of the logs and the rotors; None for each that is absent."""
+    """Torques in addition to those of the logs and the rotors; None for each absent kind."""
 
     #: The torques that depend on the attitude: FIELDS, shape (1,).
     fields: NDArray[Any] | None = None
-    #: The sources whose torques lag; the logs have their commands.
+    #: The sources whose torques lag behind the commands in the logs.
     lagging: LaggingSources | None = None
     #: The wheels with friction.
     wheels: WheelTimeline | None = None
@@ -54,43 +54,45 @@ class Timeline:
     """
     The inputs of a body from a time on.
 
-    The torque of one log is in its own rows; several logs are summed. A torque that times out has
-    a row of zeros from then on.
+    The rows are the samples of a single log, or the sums of several logs. When a torque times out,
+    a row of zeros follows.
 
     Parameters
     ----------
     logs : sequence of TorqueLog
         The torques on the body, none of them empty.
     wheels : TorqueLog, optional
-        The torque on the rotors, not empty.
+        The log of the torque on the rotors, not empty.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        See `TorqueLog.segments`.
     is_damped : bool
-        Whether the body is.
+        Whether the body is damped.
     start_ns : int
+        The time from which the inputs are needed.
     momentum : array, shape (2, 3), N m s, or None
-        Momentum of the rotors at that time, and its low-order part; None without rotors.
+        Momentum of the rotors at `start_ns`, and its low-order part; None without rotors.
     others : OtherTorques
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
-        When each row comes into force.
+        The time at which each row begins.
     has_rotors, has_terms : bool
-        Whether there are rotors; and whether there are rotors, damping or fields.
+        Whether there are rotors, and whether there are rotors, damping or fields.
 
     """
 
-    # Defaults, because most motions have none of these and setting them takes time.
+    # These defaults are class attributes, because most motions keep the defaults, and setting
+    # attributes takes time.
     has_rotors = has_terms = _has_motors = _always_acts = False
     _fields: NDArray[Any] | None = None
     _lagging: LaggingSources | None = None
     #: The wheels with friction.
     _named: WheelTimeline | None = None
-    #: Constant terms; those of summed rows are in these.
+    #: The terms of the rows of a single log, or the rows of a sum, which contain their terms.
     _terms: Terms | None = None
     _summed: Rows | None = None
-    #: The samples that time out before the next one, as indices; None without a timeout.
+    #: The indices of the samples that time out before the next sample; None without a timeout.
     _silent: NDArray[np.intp] | None = None
 
     def __init__(self, logs: Sequence[TorqueLog], wheels: TorqueLog | None, timeout_ns: int,
@@ -127,7 +129,7 @@ class Timeline:
 
     @cached_property
     def _samples(self) -> NDArray[np.intp] | None:
-        """Return the sample in force in each row, -1 after a timeout; None if rows are samples."""
+        """Return the index of each row's sample, -1 after a timeout; None without timeouts."""
         if self._silent is None:
             return None
         return np.insert(np.arange(len(self._log)), self._silent + 1, -1)
@@ -161,21 +163,21 @@ class Timeline:
         return Rows(times_ns, sums.torques, sums.in_space, spans, terms)
 
     def in_force(self, time_ns: int) -> int:
-        """Return the row in force at a time, -1 before the first."""
+        """Return the row in force at a time; -1 before the first row."""
         times_ns = self.times_ns
         if not len(times_ns) or time_ns < times_ns.item(0):
             return -1
-        if len(times_ns) == 1 or time_ns < times_ns.item(1):  # as at most starts: it is quicker
+        if len(times_ns) == 1 or time_ns < times_ns.item(1):  # most starts; this saves a search
             return 0
         return int(times_ns.searchsorted(time_ns, 'right')) - 1
 
     def held(self, row: int) -> tuple[Floats, bool, list[Floats]] | None:
         """
-        Return the torques that are held in a row, N m, shape (3,); None if they change in it.
+        Return the torques that are held in a row, N m; None if torques change within the row.
 
-        The first one acts on the body; the second result states whether it is in space axes. The
-        others are a torque in space axes in addition to one in body axes, the torque on the
-        rotors, and the torques that lag.
+        The result is the torque on the body, shape (3,), whether this torque is in space axes, and
+        a list of other torques. The list contains a torque in space axes that acts in addition to
+        a torque in body axes, the torque on the rotors, and the excess of torques that lag.
         """
         none = np.zeros(3)
         if self._summed is not None:
@@ -197,12 +199,12 @@ class Timeline:
         return self._log.torques[row], bool(self._log.in_space[row]), [none, none]
 
     def key(self, row: int) -> list[Floats]:
-        """Return what determines the friction in a row; empty without friction."""
+        """Return all numbers that determine the friction in a row; empty without friction."""
         terms = self._summed.terms if self._summed else None
         return [friction_key(terms.friction, row)] if terms and terms.friction else []
 
     def begin_earlier(self, begin_ns: int, momentum: Floats) -> None:
-        """Let the first row, in which torques are held, begin before the start."""
+        """Let the first row, whose torques are held, begin before the start."""
         if self._summed is None:
             return
         self.times_ns, terms = np.append(begin_ns, self.times_ns[1:]), self._summed.terms
@@ -215,19 +217,21 @@ class Timeline:
 
     def chunks(self, begun: NDArray[np.int64], stop: int) -> Iterable[tuple[int, int, Rows]]:
         """
-        Return the rows in chunks, each as the first, the one after the last, and the rows.
+        Return the rows in chunks.
 
         Parameters
         ----------
         begun : array of int, shape (n,)
-            The rows in force, -1 for the time before the first row; the least one begins.
+            The rows in force, -1 before the first row. The first row returned is the smallest
+            number in `begun`.
         stop : int
-            The row to end before.
+            The row after the last row returned.
 
         Returns
         -------
         iterable of (int, int, Rows)
-            A chunk is followed by one more row.
+            For each chunk, the first row, the row after the last row, and the rows. The rows
+            include one more row after the chunk.
 
         """
         if self._summed:
@@ -260,7 +264,7 @@ class Timeline:
         return Rows(times_ns, polynomials, log.in_space[samples] & acts, spans, self._terms)
 
     def acts(self) -> NDArray[np.bool_]:
-        """Return for each row whether torques, rotors, damping or fields act on it."""
+        """Return for each row whether torques, rotors, damping or fields act in it."""
         if self._always_acts:
             return np.ones(len(self.times_ns), np.bool_)
         if self._summed is not None:
@@ -282,7 +286,7 @@ class Timeline:
         Parameters
         ----------
         times_ns : array of int64, shape (m,)
-            In any order, none before the start.
+            The times, in any order, none before the start.
 
         Returns
         -------
@@ -306,7 +310,7 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
 
 def held_row(time_ns: int, torque: Floats, in_space: bool,
              terms: layout.AnyTerms | None = None) -> Rows:
-    """Return the row of a torque that is held from a time on, N m, shape (1, 3)."""
+    """Return the row of a torque, N m, shape (1, 3), that is held from a time on."""
     return Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms)
 
 

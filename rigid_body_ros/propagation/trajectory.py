@@ -46,11 +46,12 @@ class Trajectory:
     """
 
     times_ns: NDArray[np.int64]
-    #: See `motion_layout`; it may have rows after those of the times.
+    #: The motion as `motion_layout` defines it. The array may have more rows than there are times.
     _motion: Floats
-    #: For each part of the motion, in order; a part begins with each change of the body.
+    #: The parts of the motion, in order. A new part begins at each change of the body.
     _parts: tuple[SolverUsage, ...]
-    #: The axial momenta of wheels with friction, N m s, as rows; None without.
+    #: The axial momenta of wheels with friction, N m s, a row for each time; None without such
+    #: wheels.
     _momenta: Floats | None = None
 
     def __repr__(self) -> str:
@@ -63,7 +64,7 @@ class Trajectory:
 
     @property
     def body(self) -> RigidBody:
-        """Return the body, the first one if it changes."""
+        """Return the body; the first body if the body changes."""
         return self._parts[0].body
 
     @cached_property
@@ -71,7 +72,7 @@ class Trajectory:
         """
         Quaternions x y z w, body to space, shape (m, 4).
 
-        They are the continuous lift from the start, so the sign never flips.
+        The quaternions change continuously from the start on, so the sign never flips.
         """
         return motion_layout.attitude(self._motion)[:self.times_ns.size]
 
@@ -82,7 +83,7 @@ class Trajectory:
 
     @cached_property
     def rotation(self) -> Rotation:
-        """Attitudes as a SciPy Rotation, body to space; SciPy normalises them again."""
+        """Attitudes, body to space, as a SciPy Rotation, which normalises the quaternions."""
         from scipy.spatial.transform import Rotation  # takes as long to import as this package
         return Rotation.from_quat(self.attitude)
 
@@ -93,10 +94,10 @@ class Trajectory:
         Parameters
         ----------
         sequence : str
-            As for `euler.to_quaternion`.
+            See `euler.to_quaternion`.
         continuous : bool
-            Whether to remove jumps, see `euler.unwrap`; otherwise the ranges are those of
-            `euler.from_quaternion`.
+            Whether to remove jumps, as `euler.unwrap` does. Otherwise the angles are in the ranges
+            of `euler.from_quaternion`.
 
         Raises
         ------
@@ -109,19 +110,19 @@ class Trajectory:
 
     def degenerate(self, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
         """
-        Return where only a sum or difference of Euler angles is determined, shape (m,).
+        Return at which times the Euler angles are degenerate, shape (m,); see `euler.degenerate`.
 
         Raises
         ------
         ValueError
-            The sequence is not one of the twelve; see `euler.degenerate`.
+            The sequence is not one of the twelve.
 
         """
         return euler.degenerate(euler.from_quaternion(self.attitude, sequence), sequence)
 
     @cached_property
     def models(self) -> tuple[Model, ...]:
-        """Return the solver that was used for each span, and the reason."""
+        """Return which solver computed each span of the motion, and why."""
         found = list[Model]()
         for before, part in zip((None, *self._parts), self._parts):
             models = part.models()
@@ -135,7 +136,7 @@ class Trajectory:
         """
         Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3).
 
-        The momentum of wheels with names is included.
+        The momentum of named wheels is included.
         """
         def of_part(part: SolverUsage, rows: Any) -> Floats:
             momentum = part.timeline.momentum(self.times_ns[rows])[:, 0]
@@ -147,7 +148,7 @@ class Trajectory:
 
     @cached_property
     def wheel_speeds(self) -> Floats:
-        """Speeds of wheels with names relative to the body, rad/s, shape (m, wheels)."""
+        """Speeds of named wheels relative to the body, rad/s, shape (m, wheels)."""
         return self._by_part(
             lambda part, rows: part.wheels.wheels.speeds(
                 self._axial(part.wheels, rows), self.angular_velocity[rows])
@@ -162,7 +163,11 @@ class Trajectory:
 
     @cached_property
     def wheel_efforts(self) -> Floats:
-        """Torques that act on wheels with names, N m, shape (m, wheels); at a jump, after it."""
+        """
+        Torques of the motors on named wheels, N m, shape (m, wheels).
+
+        At a jump, these are the torques after the jump.
+        """
         return self._by_part(lambda part, rows: part.wheels.efforts(self.times_ns[rows])
                              if part.wheels else np.empty((len(self.times_ns[rows]), 0)))
 
@@ -177,12 +182,12 @@ class Trajectory:
 
     @cached_property
     def kinetic_energy(self) -> Floats:
-        """Kinetic energy w . J w / 2, J, shape (m,); without the rotors."""
+        """Kinetic energy w . J w / 2 of the body without the rotors, in joules, shape (m,)."""
         return self._by_part(
             lambda part, rows: part.body.kinetic_energy(self.angular_velocity[rows]))
 
     def _by_part(self, value: Callable[[SolverUsage, Any], Floats]) -> Floats:
-        """Return a quantity, given a function that returns its rows for a part."""
+        """Return a quantity at all times, given a function that returns the rows of a part."""
         if len(self._parts) == 1:
             return value(self._parts[0], slice(None))
         begins_ns = [part.start_ns for part in self._parts[1:]]
@@ -195,7 +200,7 @@ class Trajectory:
 
 
 def joined(times_ns: NDArray[np.int64], parts: Sequence[Trajectory]) -> Trajectory:
-    """Return the motion at times; each part has the times in its span, in their order."""
+    """Return the motion at given times; each of the parts covers the times in its span."""
     motion = motion_layout.allocate(times_ns.size)
     begins_ns = [part._parts[0].start_ns for part in parts[1:]]
     of_row = np.searchsorted(begins_ns, times_ns, 'right')

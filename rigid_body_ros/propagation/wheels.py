@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The efforts of wheels with names that act, and the momenta that follow."""
+"""The efforts that act on named wheels, and the momenta that result."""
 
 from __future__ import annotations
 
@@ -36,27 +36,27 @@ _NO_TIMES = np.empty(0, np.int64)
 
 class WheelTimeline:
     """
-    The wheels from a time on, up to which it is known which commands act.
+    The wheels from a start time on.
 
-    A command acts unless its wheel is too fast, which depends on the motion before it. Until that
-    is known, `assume` states what acts.
+    A command acts unless its wheel is too fast. Whether it is too fast depends on the motion
+    before the command. Until this motion is known, `assume` sets which commands act.
 
     Parameters
     ----------
     wheels : Wheels
     axial : Axial
-        What they do at that time.
+        The state of the wheels at the start time.
     log : EffortLog, optional
-        Their commands, including those in force at that time.
+        The commands, including those in force at the start time.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        See `TorqueLog.segments`.
     start_ns : int
-        That time, ns.
+        The start time, ns. For the commands up to this time, it is known which act.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,), ns
-        The stamps of the later commands.
+        The stamps of the commands after the start time.
 
     """
 
@@ -79,11 +79,11 @@ class WheelTimeline:
         self.__dict__.pop('_groups', None)
 
     def refused(self, rows: slice, speeds: Floats) -> NDArray[np.bool_]:
-        """Return which commands of some rows act as zero, given the speeds of the wheels."""
+        """Return which commands of some rows act as zero at given speeds of the wheels."""
         return self.wheels.refused(self._commanded[rows], speeds) & self._given[rows]
 
     def first_wrong(self, rows: slice, refused: NDArray[np.bool_]) -> int | None:
-        """Return the first row for which the assumption is wrong; None if there is none."""
+        """Return the first row whose assumption differs from `refused`; None if no row differs."""
         wrong = np.flatnonzero((refused != self._refused[rows]).any(axis=1))
         return rows.start + int(wrong[0]) if len(wrong) else None
 
@@ -99,13 +99,13 @@ class WheelTimeline:
 
     @property
     def log(self) -> TorqueLog | None:
-        """Return the torque of the motors on the wheels; None before the first command."""
+        """Return the total torque of the motors on the wheels; None if there is no command."""
         times_ns, efforts = self._held
         return TorqueLog(times_ns, self.wheels.torque(efforts)) if len(times_ns) else None
 
     @property
     def _held(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return the stamps of the commands, the one in force first, and the efforts that act."""
+        """Return stamps and efforts of the command at the start and of all later commands."""
         if self._axial.stamp_ns == -NEVER_NS:
             return self.times_ns, self._acting
         return (np.append(self._axial.stamp_ns, self.times_ns),
@@ -113,7 +113,7 @@ class WheelTimeline:
 
     @cached_property
     def _groups(self) -> list[Timeline]:
-        """Return three wheels at a time, as if they were the axes of rotors."""
+        """Return timelines, each with three wheels in place of the three axes of rotors."""
         assert self._axial.momenta is not None
         times_ns, efforts = self._held
         return [Timeline((), TorqueLog(times_ns, three) if len(times_ns) else None,
@@ -121,12 +121,12 @@ class WheelTimeline:
                 for three, momenta in zip(_threes(efforts), _threes(self._axial.momenta))]
 
     def momenta(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return axial momenta without friction, N m s, and their low-order parts, (m, 2, n)."""
+        """Return momenta, N m s, and low-order parts, (m, 2, n), of wheels without friction."""
         found = [group.momentum(times_ns) for group in self._groups]
         return np.concatenate(found, axis=2)[:, :, :len(self.wheels)]
 
     def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the torques that act at times, N m, shape (m, wheels)."""
+        """Return the efforts that act at given times, N m, shape (m, wheels)."""
         held_ns, efforts = self._held
         rows = held_ns.searchsorted(times_ns, 'right') - 1
         found = np.zeros((len(times_ns), len(self.wheels)))
@@ -137,7 +137,7 @@ class WheelTimeline:
         return found
 
     def axial(self, time_ns: int) -> Axial:
-        """Return the state of the wheels at a time that is not before the beginning."""
+        """Return the state of the wheels at a time, not before the start time."""
         row = int(self.times_ns.searchsorted(time_ns, 'right')) - 1
         stamp_ns, commanded, acting, refused = self._axial.stamp_ns, self._axial.commanded, \
             self._axial.acting, self._axial.refused
@@ -154,7 +154,7 @@ class WheelTimeline:
 
 
 def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
-    """Return the torque of the motors on the wheels through timelines that follow each other."""
+    """Return the total torque of the motors on the wheels over consecutive timelines."""
     logs = [log for each in timelines if (log := each.log)]
     # At equal stamps TorqueLog uses the later timeline, which knows whether the command acts.
     return TorqueLog(np.concatenate([_NO_TIMES, *(log.times_ns for log in logs)]),
@@ -162,7 +162,7 @@ def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
 
 
 def without_wheels(start: State) -> State:
-    """Return a start without named wheels, whose rotors have the momentum of all wheels."""
+    """Return a start in which rotors with the same momentum replace the named wheels."""
     if start._axial is None:
         return start
     return State(start.time_ns, start.attitude, start.angular_velocity, start.rotor_momentum)
@@ -170,10 +170,10 @@ def without_wheels(start: State) -> State:
 
 def check_named(wheels: Wheels | None, efforts: EffortLog | None,
                 fields: Sequence[Field]) -> None:
-    """Raise ValueError if efforts or fields do not go with the wheels that have names."""
+    """Raise ValueError if efforts or fields do not fit the named wheels."""
     count = len(wheels) if wheels else 0
     if efforts and efforts.efforts.shape[1] != count:
-        raise ValueError(f'efforts: expected those of {count} wheels with names, found those of '
+        raise ValueError(f'efforts: expected those of {count} named wheels, found those of '
                          f'{efforts.efforts.shape[1]}')
     if any(isinstance(one, GravityGradient) for one in fields):
         raise ValueError('fields: expected no gravity gradient with wheels that have names, '
@@ -182,18 +182,18 @@ def check_named(wheels: Wheels | None, efforts: EffortLog | None,
 
 def commanded(wheels: Wheels, before: Axial, row: Floats, state: State) -> Axial:
     """
-    Return the state of the wheels that begins with commands.
+    Return the state of the wheels from new commands on.
 
     Parameters
     ----------
     wheels : Wheels
         The wheels.
     before : Axial
-        What they do up to then.
+        The state of the wheels before the new commands.
     row : array, shape (n,), N m
-        The commands, NaN for wheels that keep theirs.
+        The new commands, with NaN for a wheel that keeps its command.
     state : State
-        Of the carrier, at the stamp of the commands or a later time at which they come into force.
+        The state of the carrier when the commands take effect, at their stamp or later.
 
     """
     momenta, given = momenta_of(before, state), ~np.isnan(row)
@@ -207,22 +207,22 @@ def commanded(wheels: Wheels, before: Axial, row: Floats, state: State) -> Axial
 def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, state: State,
              timeout_ns: int) -> Axial:
     """
-    Return what wheels do from a state on, under the commands in force then.
+    Return the state of the wheels from a state of the carrier on, under the commands in force.
 
-    A command from before has already begun to act or was refused; that does not change.
+    A command that has already begun to act, or has been refused, is not checked again.
 
     Parameters
     ----------
     wheels : Wheels
         The wheels.
     axial : Axial
-        What they do before.
+        The state of the wheels before `state`.
     log : EffortLog, optional
         The commands.
     state : State
-        Of the carrier.
+        The state of the carrier.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        See `TorqueLog.segments`.
 
     """
     time_ns = state.time_ns
@@ -241,7 +241,7 @@ def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, state: State,
 
 
 def momenta_of(axial: Axial, state: State) -> Floats:
-    """Return axial momenta and their low-order parts, N m s, shape (2, n), of the carrier."""
+    """Return axial momenta at a state, N m s, and their low-order parts, shape (2, n)."""
     if axial.momenta is None:
         return state_layout.momenta(state._packed)[:, :len(axial.acting)]
     if not axial.efforts.any():
@@ -253,7 +253,7 @@ def momenta_of(axial: Axial, state: State) -> Floats:
 
 
 def _threes(rows: Floats) -> list[Floats]:
-    """Return columns in groups of three, with zeros for the missing ones of the last."""
+    """Return columns in groups of three; the last group is padded with zeros."""
     count = rows.shape[1]
     padded = np.pad(rows, [(0, 0), (0, -count % 3)])
     return [np.ascontiguousarray(padded[:, k:k + 3]) for k in range(0, count, 3)]
