@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compiled arithmetic: vectors, elementary functions, and the methods that move a body."""
+"""The sources of the compiled kernels: vectors, elementary functions, solvers, the time loop."""

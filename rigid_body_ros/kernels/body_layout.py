@@ -15,10 +15,10 @@
 """
 The layout of the constants of a body: 128 doubles.
 
-They form 32 vectors of four doubles, the last of which is zero: the nine columns of coefficients
-of Euler's equations and the low-order part of each, the principal moments and their low-order
-parts, the three principal axes and the low-order part of each, the three columns of J^-1 D and
-the low-order part of each.
+The doubles form 32 vectors of four doubles. The last double of each vector is zero. The vectors
+form four groups: the nine columns of coefficients of Euler's equations, the principal moments, the
+three principal axes, and the three columns of J^-1 D. Each group is followed by its low-order
+parts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.linear_terms import Constants, from_columns, Linear, Matrix
 from rigid_body_ros.kernels.vector import Coefficients, Columns, of, PrincipalFrame, Vector
 
-#: Offsets of the parts; a vector or column takes four doubles.
+#: Offsets of the groups. A vector or column takes four doubles.
 EQUATIONS, LOST_EQUATIONS, MOMENTS, LOST_MOMENTS, AXES, LOST_AXES = 0, 36, 72, 76, 80, 92
 DAMPING, LOST_DAMPING = 104, 116
 SIZE = 128
@@ -45,11 +45,11 @@ def pack(coefficients: Floats, moments: Floats, axes: Floats, damping: Floats) -
     Parameters
     ----------
     coefficients : array, shape (2, 3, 9)
-        As returned by `tensor.euler_coefficients`.
+        The coefficients that `tensor.euler_coefficients` returns.
     moments, axes : array, shape (2, 3), (2, 3, 3)
-        As returned by `tensor.principal`.
+        The moments and axes that `tensor.principal` returns.
     damping : array, shape (2, 3, 3), 1/s
-        J^-1 D, as returned by `tensor.damping_coefficients`.
+        The matrix J^-1 D that `tensor.damping_coefficients` returns.
 
     """
     vectors = np.concatenate([coefficients[0].T, coefficients[1].T, moments,

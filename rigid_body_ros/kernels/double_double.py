@@ -35,7 +35,7 @@ PI = tables.PI
 
 @internal
 def quick_two_sum(a: float, b: float) -> DoubleDouble:
-    """Return the exact sum of two doubles, provided that |a| >= |b| or a is zero."""
+    """Return the exact sum of two doubles for which |a| >= |b| or a = 0."""
     total = a + b
     return total, b - (total - a)
 
@@ -112,5 +112,5 @@ def from_int(number: int) -> DoubleDouble:
 
 @internal
 def seconds(span_ns: int) -> DoubleDouble:
-    """Return a time span in seconds, given in nanoseconds."""
+    """Return a span of nanoseconds in seconds."""
     return divide(from_int(span_ns), (1e9, 0.0))

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Elementary functions for the compiled kernels, with the same bits on every machine.
+Elementary functions for the compiled kernels: the same results, bit for bit, on every machine.
 
 The functions of C libraries differ between machines in the last bit. The functions here use only
 operations whose results IEEE 754 defines to the last bit: + - * /, square root and fused
@@ -21,14 +21,14 @@ multiply-add.
 
 A function is evaluated in two phases, as in CORE-MATH (Sibidanov, Zimmermann and Glondu, "The
 CORE-MATH project", 2022). A quick evaluation with about 65 bits determines the rounded result for
-nearly all arguments. For the others a careful evaluation has an error below 1e-31 (Ziv, "Fast
-evaluation of elementary mathematical functions with correctly rounded last bit", 1991). Its result
-is wrong in the last bit only if the true value lies within this error of the midpoint between two
-doubles, which is expected for about one argument in 10^15.
+nearly all arguments. All other arguments need a careful evaluation with an error below 1e-31 (Ziv,
+"Fast evaluation of elementary mathematical functions with correctly rounded last bit", 1991). The
+careful evaluation is wrong in the last bit only if the true value lies within this error of the
+midpoint between two doubles, which is expected for about one argument in 10^15.
 
-Angles are reduced by the nearest multiple of pi / 128, ratios by that of 1 / 128. Tables hold
-the functions of these multiples (Gal and Bachelis, "An accurate elementary mathematical library
-for the IEEE floating point standard", 1991).
+Angles are reduced by the nearest multiple of pi / 128, ratios by the nearest multiple of 1 / 128.
+Tables hold the functions of these multiples (Gal and Bachelis, "An accurate elementary
+mathematical library for the IEEE floating point standard", 1991).
 """
 
 from __future__ import annotations
@@ -70,14 +70,16 @@ from rigid_body_ros.kernels.lanes import fma
 
 #: Bounds on the relative error of the quick evaluations.
 _SINE_ERROR, _ANGLE_ERROR = 2.0 ** -65, 2.0 ** -66
-#: Below the first, the sine rounds to the angle and the cosine to 1; below the second, the
-#: arctangent rounds to the ratio.
+#: Below _TINY_ANGLE, the sine of an angle rounds to the angle, and the cosine rounds to 1. Below
+#: _TINY_RATIO, the arctangent of a ratio rounds to the ratio.
 _TINY_ANGLE, _TINY_RATIO = 2.0 ** -27, 2.0 ** -60
-#: Above this, the reduction of an angle requires more bits of pi than `STEP` has.
+#: Above this angle, the reduction needs more bits of pi than `STEP` has.
 _LARGE_ANGLE = 2.0 ** 20
-#: Number of elements of `TURN_PARTS` that reduce one angle; later ones add 2^-179 of a step.
+#: Number of elements of `TURN_PARTS` that reduce an angle. The elements after these add less than
+#: 2^-179 of a step.
 _PARTS = 11
-#: Between these, the square of a number, times 2^-60, is far inside the range of doubles.
+#: If a number is between _SMALL and _LARGE, its square times 2^-60 is far inside the range of
+#: doubles.
 _SMALL, _LARGE = 2.0 ** -400, 2.0 ** 400
 _SCALE = 2.0 ** 600
 _STEPS_OF_RADIAN = STEPS / math.pi
@@ -87,7 +89,7 @@ _ONE, _TWO = (1.0, 0.0), (2.0, 0.0)
 
 @internal
 def sine_cosine(angle: float) -> tuple[float, float]:
-    """Return sine and cosine, correctly rounded; NaN for infinities and NaN."""
+    """Return correctly rounded sine and cosine; both are NaN if the angle is infinite or NaN."""
     if abs(angle) < _TINY_ANGLE:
         return angle, 1.0
     sine, cosine = sine_cosine_pairs(angle)
@@ -98,7 +100,7 @@ def sine_cosine(angle: float) -> tuple[float, float]:
 
 @internal
 def sine_cosine_pairs(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
-    """Return sine and cosine with 65 bits, as double-doubles."""
+    """Return sine and cosine as double-doubles, with 65 bits."""
     if abs(angle) < 0.5 * STEP[0]:
         return _of_small_angle(angle)
     count, rest = _reduce(angle) if abs(angle) < _LARGE_ANGLE else _reduce_large(angle)
@@ -110,7 +112,7 @@ def sine_cosine_pairs(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
 @internal
 def arctangent(y: float, x: float) -> float:
     """
-    Return the angle, rad, of the point (x, y), correctly rounded.
+    Return the correctly rounded polar angle, rad, of the point (x, y).
 
     Zeros, infinities and signs are treated as in C's atan2.
     """
@@ -133,7 +135,7 @@ def arctangent(y: float, x: float) -> float:
 
 @internal
 def arctangent_pair(y: DoubleDouble, x: DoubleDouble) -> DoubleDouble:
-    """Return the angle, rad, of the point (x, y) with 65 bits; signs of zeros are ignored."""
+    """Return the polar angle, rad, of (x, y) with 65 bits; signs of zeros are ignored."""
     a, b = (negative(y) if y[0] < 0.0 else y), (negative(x) if x[0] < 0.0 else x)
     steep = a[0] > b[0]
     if steep:
@@ -145,11 +147,11 @@ def arctangent_pair(y: DoubleDouble, x: DoubleDouble) -> DoubleDouble:
 
 @internal
 def log10(x: float) -> float:
-    """Return the decimal logarithm of a positive normal number, correctly rounded."""
+    """Return the correctly rounded decimal logarithm of a positive normal number."""
     fraction, exponent = math.frexp(x)
     if fraction < 0.7:
         fraction, exponent = 2.0 * fraction, exponent - 1
-    # ln x = 2 artanh((x - 1) / (x + 1)), and the difference is exact.
+    # ln x = 2 artanh((x - 1) / (x + 1)), where x - 1 is exact.
     ratio = divide((fraction - 1.0, 0.0), two_sum(fraction, 1.0))
     series = _polynomial(LOGARITHM_SERIES, multiply(ratio, ratio))
     natural = multiply((2.0 * ratio[0], 2.0 * ratio[1]), series)
@@ -159,9 +161,10 @@ def log10(x: float) -> float:
 @internal
 def exponential(x: float) -> float:
     """
-    Return e^x, correctly rounded.
+    Return correctly rounded e^x.
 
-    For |x| > 709, near the ends of the normal doubles, infinity or zero is returned; NaN for NaN.
+    For |x| > 709, near the ends of the range of normal doubles, the result is infinity or zero.
+    For NaN, the result is NaN.
     """
     if not abs(x) <= 709.0:
         return 0.0 if x < 0.0 else x * math.inf
@@ -172,10 +175,10 @@ def exponential(x: float) -> float:
 @internal
 def tanh_sech(x: float) -> tuple[float, float]:
     """
-    Return hyperbolic tangent and secant, correctly rounded.
+    Return correctly rounded hyperbolic tangent and secant.
 
     A secant below 1e-270 has an error of up to one unit in the last place. For |x| > 709 the
-    secant is below the range of normal doubles, and zero is returned.
+    secant is below the range of normal doubles, and the function returns zero.
     """
     if abs(x) < _TINY_ANGLE:
         return x, 1.0
@@ -190,13 +193,13 @@ def tanh_sech(x: float) -> tuple[float, float]:
 
 @internal
 def scale_of(size: float) -> float:
-    """Return a power of two. The squares of numbers of this size, times it, keep all digits."""
+    """Return a power of two by which to scale numbers, so that their squares keep all digits."""
     return _SCALE if size < _SMALL else 1.0 / _SCALE if size > _LARGE else 1.0
 
 
 @inlined
 def _rounds_uniquely(value: DoubleDouble, error: float) -> bool:
-    # Whether all numbers within this relative error round to the same double.
+    # Return whether all numbers within a relative error of a value round to the same double.
     high, low = value
     margin = error * abs(high)
     return high + (low - margin) == high + (low + margin)
@@ -212,8 +215,9 @@ def _polynomial(coefficients: Floats, x: DoubleDouble) -> DoubleDouble:
 
 @inlined
 def _reduce(angle: float) -> tuple[int, DoubleDouble]:
-    # Return the nearest step, and the rest. The first product and difference are exact: the angle
-    # has bits below those of the step only if there are few steps.
+    # Return the number of the nearest step, and the rest of the angle. The product of `steps` and
+    # STEP[0], and its difference from the angle, are exact, because only an angle of few steps has
+    # bits below the last bit of STEP[0].
     count = round(angle * _STEPS_OF_RADIAN)
     steps = float(count)
     product, rest = two_product(steps, STEP[1])
@@ -223,15 +227,16 @@ def _reduce(angle: float) -> tuple[int, DoubleDouble]:
 
 @internal
 def _reduce_large(angle: float) -> tuple[int, DoubleDouble]:
-    # Do the same for any angle, with 100 bits (Payne and Hanek, "Radian reduction for
-    # trigonometric functions", 1983). The count of steps is exact, modulo a whole turn.
+    # Reduce an angle of any size as `_reduce` does, with 100 bits (Payne and Hanek, "Radian
+    # reduction for trigonometric functions", 1983). The count of steps is exact, modulo a whole
+    # turn.
     if not abs(angle) < math.inf:
         return 0, (math.nan, math.nan)
     fraction, exponent = math.frexp(abs(angle))
     upper = math.floor(fraction * 2.0 ** 27)
     lower = (fraction * 2.0 ** 27 - upper) * 2.0 ** 26
     exponent -= 53
-    first = max(0, (exponent - 8) // PART_BITS + 1)  # the parts before make whole turns
+    first = max(0, (exponent - 8) // PART_BITS + 1)  # the earlier parts add up to whole turns
     a = b = c = d = 0.0
     for k in range(first, first + _PARTS):
         for half, place in ((float(upper), exponent + 26), (lower, exponent)):
@@ -298,8 +303,9 @@ def _careful_sine_cosine(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
 
 @internal
 def _ratio(a: float, b: float) -> float:
-    # Return the arctangent of a tiny ratio: the ratio itself. If the ratio is half way between two
-    # subnormal doubles, return the lower one, because the arctangent is less than the ratio.
+    # Return the arctangent of a tiny ratio, which is the ratio itself. If the ratio is halfway
+    # between two subnormal doubles, return the lower of them, because the arctangent is less than
+    # the ratio.
     if a == 0.0:
         return 0.0
     ratio = a / b
@@ -313,7 +319,7 @@ def _ratio(a: float, b: float) -> float:
 
 @inlined
 def _to_half_plane(angle: DoubleDouble, steep: bool, leftward: bool) -> DoubleDouble:
-    # Map an angle in the lower half of the first quadrant to the upper half plane.
+    # Return the polar angle, 0 to pi. `angle`, 0 to pi / 4, is the angle to the nearest axis.
     if steep:
         return add(_HALF_PI, angle if leftward else negative(angle))
     return subtract(PI, angle) if leftward else angle
@@ -326,8 +332,9 @@ def _nearest_ratio(a: float, b: float) -> int:
 
 @inlined
 def _quick_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
-    # Return the arctangent of a / b, where a / b is 0 to 1: the arctangent of the nearest ratio in
-    # the table, plus the arctangent of (a - b ratio) / (b + a ratio), whose numerator is exact.
+    # Return the arctangent of a / b, where a / b is 0 to 1. The result is the arctangent of the
+    # nearest ratio, from the table, plus the arctangent of (a - b ratio) / (b + a ratio), whose
+    # numerator is exact.
     row = _nearest_ratio(a[0], b[0])
     ratio = float(row) / STEPS
     above, above_rest = fma(-ratio, b[0], a[0]), fma(-ratio, b[1], a[1])
@@ -354,9 +361,9 @@ def _careful_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 @internal
 def expm1(x: float) -> DoubleDouble:
-    """Return exp(x) - 1 for x from 0 to 709, with 65 bits, as a double-double."""
-    # Split off a power of 2, sum the series of exp - 1 for a 64th of the rest, and square
-    # 1 + growth six times.
+    """Return exp(x) - 1 for x from 0 to 709 as a double-double, with 65 bits."""
+    # Split off a power of 2. For a 64th of the rest, sum the series of the growth, exp - 1.
+    # Then square 1 + growth six times.
     power = float(round(x / LN_2[0]))
     rest = subtract(subtract((x, 0.0), two_product(power, LN_2[0])),
                     two_product(power, LN_2[1]))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Elementary functions of the elements of arrays."""
+"""Elementary functions of arrays, element by element."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def fill_sines_cosines(angles: Annotated[Floats, 'n'], sines: Annotated[Floats, 
 @njit
 def fill_arctangents(points: Annotated[Floats, '2 n'],
                      angles: Annotated[Floats, 'n', WRITTEN]) -> None:
-    """Compute the angles of points, shape (2, n); see `elementary.arctangent`."""
+    """Compute the polar angles of points, shape (2, n); see `elementary.arctangent`."""
     for row in range(len(angles)):
         angles[row] = elementary.arctangent(float(points[0, row]), float(points[1, row]))
 

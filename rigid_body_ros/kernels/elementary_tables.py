@@ -15,8 +15,9 @@
 """
 Constants of the elementary functions, computed in integer arithmetic at import.
 
-A number is an integer multiple of a power of two. The tables hold it as a sum of two doubles, both
-correctly rounded. Python's integers are exact, so the tables are the same on every machine.
+During the computation, a number is an integer multiple of a power of two. The tables store each
+number as a sum of two doubles, both correctly rounded. Python's integers are exact, so the tables
+are the same on every machine.
 """
 
 from __future__ import annotations
@@ -30,13 +31,16 @@ from numpy.typing import NDArray
 
 Pair = tuple[float, float]
 
-#: Steps per half turn in the table of sines, and from 0 to 1 in the table of arctangents.
+#: Number of steps in half a turn in the table of sines, and from 0 to 1 in the table of
+#: arctangents.
 STEPS = 128
-#: Bits in each of `TURN_PARTS`. Its product with half of the bits of a double is exact.
+#: Number of bits of each of `TURN_PARTS`. The product of a part and half of the bits of a double
+#: is exact.
 PART_BITS = 24
-#: The last part is 2^-200 of a step for the largest double.
+#: Number of parts. For the largest double, the last bit of the last part contributes 2^-200 of a
+#: step.
 _PARTS = 52
-#: 1 in the units of the tables, and of `TURN_PARTS`.
+#: The number 1 in the units of the tables, and in the units of `TURN_PARTS`.
 _ONE, _FINE = 1 << 200, 1 << PART_BITS * (_PARTS + 2)
 
 
@@ -56,21 +60,21 @@ def _thrice(value: int) -> tuple[float, float, float]:
 
 def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
     """
-    Return arctan(above / below) if sign is -1, or artanh(above / below) if it is 1.
+    Return arctan(above / below) if sign is -1, or artanh(above / below) if sign is 1.
 
-    The sum of the power series, as a multiple of 1 / one.
+    The result is the sum of the power series, as a multiple of 1 / `one`.
     """
     power, total, odd = one * above // below, 0, 1
     while power:
         total += power // odd
         power, odd = sign * power * above * above // (below * below), odd + 2
-        if power == -1:  # integers round down
+        if power == -1:  # Python rounds quotients down, so a negative power never becomes zero
             break
     return total
 
 
 def _sine(angle: int) -> int:
-    """Return the sine of an angle up to pi / 2, both as multiples of 1 / _ONE, by its series."""
+    """Return the sine of an angle up to pi / 2; angle and sine are in units of 1 / _ONE."""
     power, total, order = angle, 0, 2
     while abs(power) > 1:
         total += power
@@ -80,7 +84,7 @@ def _sine(angle: int) -> int:
 
 
 def _half_turn(one: int) -> int:
-    """Return pi as a multiple of 1 / one, by Machin's formula."""
+    """Return pi as a multiple of 1 / `one`, by Machin's formula."""
     return 16 * _inverse_tangent(1, 5, one, -1) - 4 * _inverse_tangent(1, 239, one, -1)
 
 
@@ -92,7 +96,7 @@ def _sines() -> list[Pair]:
 
 
 def _arctangents() -> list[Pair]:
-    # atan(k + 1) - atan(k) in steps is the arctangent of one step over 1 + k (k + 1) steps^2.
+    # With s = 1 / STEPS, atan((k + 1) s) - atan(k s) = atan(s / (1 + k (k + 1) s^2)).
     increments = (_inverse_tangent(STEPS, STEPS * STEPS + k * (k + 1), _ONE, -1)
                   for k in range(STEPS))
     return [_split(angle) for angle in accumulate(increments, initial=0)]
@@ -120,16 +124,17 @@ PI = _split(_PI)
 STEP = _thrice(_PI // STEPS)
 LN_2 = _split(_LN_2)
 LOG10_2, LOG10_E = _split(_LN_2 * _ONE // _LN_10), _split(_ONE * _ONE // _LN_10)
-#: sin(k pi / STEPS) for a whole turn, and atan(k / STEPS); shape (n, 2), the second column is the
-#: low-order part of the first.
+#: sin(k pi / STEPS) for a whole turn, and atan(k / STEPS), both of shape (n, 2). The second column
+#: is the low-order part of the first.
 SINES, ARCTANGENTS = np.array(_sines()), np.array(_arctangents())
-#: Coefficients of power series, in the same format: sin x / x and (1 - cos x) / x^2 in -x^2,
-#: (e^x - 1) / x, arctan x / x in -x^2, and artanh x / x in x^2. They reach 100 bits for |x| up to
-#: half a step, ln 2 / 128, 1 / 256 and 0.18.
+#: Coefficients of power series, in the same format. The series of sin x / x, (1 - cos x) / x^2 and
+#: arctan x / x are in powers of -x^2, the series of artanh x / x is in powers of x^2, and the
+#: series of (e^x - 1) / x is in powers of x. A series gives 100 bits up to a limit of |x|: half a
+#: step for sine and cosine, ln 2 / 128 for e^x, 1 / 256 for arctan x, and 0.18 for artanh x.
 SINE_SERIES = _inverses(math.factorial(k) for k in range(1, 18, 2))
 COSINE_SERIES = _inverses(math.factorial(k) for k in range(2, 17, 2))
 GROWTH_SERIES = _inverses(math.factorial(k) for k in range(1, 13))
 ARCTANGENT_SERIES = _inverses(range(1, 16, 2))
 LOGARITHM_SERIES = _inverses(range(1, 44, 2))
-#: STEPS / pi: the sum of part k times 2^(-PART_BITS k).
+#: The parts of STEPS / pi, which is the sum of part k times 2^(-PART_BITS k).
 TURN_PARTS = np.array(_turn_parts())

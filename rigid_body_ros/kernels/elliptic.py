@@ -15,14 +15,15 @@
 """
 Elliptic integrals and functions for the compiled kernels, as functions of 1 - m.
 
-The argument is the complementary parameter m_c = 1 - m, because near the separatrix, where m_c is
-1e-12 or 1e-20, m rounds to 1. Complete integrals have 32 digits, because a long motion multiplies
-their errors by the number of periods.
+The functions take the complementary parameter m_c = 1 - m instead of m, because m rounds to 1 near
+the separatrix, where m_c is 1e-12 or 1e-20. Complete integrals have 32 digits, because a long
+motion multiplies their errors by the number of periods.
 
 SciPy's functions cannot be called from kernels, and their last bits depend on the machine.
-`scipy.special.ellipj` takes m, so its relative error is 1e-8 at m_c = 1e-9 and 2e-4 at 1e-15; the
-error of `jacobi` is 5e-15. `elliprf` and `elliprj` are as accurate as `carlson_f` and `carlson_j`,
-all within 2e-15; R_J takes 0.5 us in SciPy and 0.3 us here.
+The argument of `scipy.special.ellipj` is m. Therefore the relative error of `ellipj` is 1e-8 at
+m_c = 1e-9 and 2e-4 at m_c = 1e-15. The error of `jacobi` is 5e-15. SciPy's `elliprf` and `elliprj`
+are as accurate as `carlson_f` and `carlson_j`: the errors of all four are up to 2e-15. R_J takes
+0.5 us in SciPy and 0.3 us here.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ from rigid_body_ros.kernels import elementary
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import inlined, internal
 
-#: Limit of iterations. Landen's transformation converges quadratically: m_c = 1e-300 takes 13.
+#: Largest number of iterations. Landen's transformation converges quadratically, and takes 13
+#: iterations for m_c = 1e-300.
 _MOST = 16
-#: Room for a number of each iteration. Unlike a list, a tuple takes no memory from the heap.
+#: Space for one number from each iteration. Unlike a list, a tuple takes no memory from the heap.
 _NONE = (0.0,)
 _ROOM = _NONE * _MOST
 
@@ -97,7 +99,7 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     dn = 1.0
     a = cn / sn
     c = a * c
-    for _ in range(count + 1):  # from the last iteration, which is the first in the tuples
+    for _ in range(count + 1):  # go back from the last iteration, which is first in the tuples
         a = c * a
         c = dn * c
         dn = (roots[0] + a) / (means[0] + a)
@@ -110,7 +112,7 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
 
 @inlined
 def _shifted(numbers: tuple[float, ...], first: float) -> tuple[float, ...]:
-    # Return numbers of which the last one gives way to a new first one.
+    # Return the numbers with a new first number in front, and without the last number.
     return (first, *numbers[:-1])
 
 
@@ -136,7 +138,7 @@ def carlson_f(x: float, y: float, z: float) -> float:
 
 @internal
 def carlson_j(x: float, y: float, z: float, p: float) -> float:
-    """Return the integral R_J, p >= x, y, z (Carlson 1995; duplication, with R_C(1, 1 + e))."""
+    """Return R_J for p >= x, y, z, by duplication with R_C(1, 1 + e) (Carlson 1995)."""
     mean = (x + y + z + 2.0 * p) / 5.0
     bound = 400.0 * max(abs(mean - x), abs(mean - y), abs(mean - z), abs(mean - p))
     dx, dy, dz = mean - x, mean - y, mean - z
@@ -165,7 +167,7 @@ def carlson_j(x: float, y: float, z: float, p: float) -> float:
 
 @internal
 def _carlson_c1(e: float) -> float:
-    # R_C(1, 1 + e) for e >= 0.
+    # Return R_C(1, 1 + e) for e >= 0.
     if e < 1e-2:
         return 1.0 - e * (1 / 3 - e * (1 / 5 - e * (1 / 7 - e * (1 / 9 - e * (
             1 / 11 - e * (1 / 13 - e * (1 / 15 - e / 17)))))))

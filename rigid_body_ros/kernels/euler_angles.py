@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Kernels that convert between attitudes and Euler angles with 65 bits and round once.
+Kernels that convert between attitudes and Euler angles, computing with 65 bits and rounding once.
 
-A sequence is given as intrinsic rotations about body axes i, j, k: the first two axes, whether it
-is proper (k = i), and the parity, which is 1 if i, j and the third axis are right-handed, else -1.
+A sequence consists of intrinsic rotations about the body axes i, j and k. The arguments of the
+kernels are i, j, whether the sequence is proper (k = i), and the parity. The parity is 1 if i, j
+and the remaining body axis form a right-handed system, and -1 otherwise.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.elementary import arctangent_pair, scale_of, sine_cosine_pairs
 from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 
-#: Smallest and largest double in the range of the first and third angle.
+#: Smallest and largest double in the range of the first and the third angle.
 _PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)
 _TAIT_BRYAN = math.nextafter(-math.pi, 0.0), math.pi
 _TURN = 2.0 * np.pi
@@ -46,9 +47,9 @@ def fill_attitudes(angles: Annotated[Floats, 'm 3'], attitudes: Annotated[Floats
     Parameters
     ----------
     angles : float64 (m, 3), rad
-        In the order of the intrinsic rotations.
+        The angles in the order of the intrinsic rotations.
     attitudes : float64 (m, 4)
-        Output: x y z w, body to space.
+        The output: x y z w, body to space.
     i, j, proper, parity : int, int, bool, float
         The sequence.
 
@@ -57,7 +58,8 @@ def fill_attitudes(angles: Annotated[Floats, 'm 3'], attitudes: Annotated[Floats
         s1, c1 = sine_cosine_pairs(0.5 * float(angles[row, 0]))
         s2, c2 = sine_cosine_pairs(0.5 * float(angles[row, 1]))
         s3, c3 = sine_cosine_pairs(0.5 * float(angles[row, 2]))
-        # The first two rotations multiplied, then the third; x, y, z are along i, j and i x j.
+        # Multiply the first two rotations, then multiply by the third. The components x, y and z
+        # are along i, j and i x j.
         w, x = dd.multiply(c1, c2), dd.multiply(s1, c2)
         y, z = dd.multiply(c1, s2), dd.multiply(s1, s2)
         if proper:
@@ -83,7 +85,7 @@ def fill_angles(attitudes: Annotated[Floats, 'm 4'], angles: Annotated[Floats, '
     attitudes : float64 (m, 4)
         x y z w, body to space, of any norm.
     angles : float64 (m, 3), rad
-        Output, in the order of the intrinsic rotations.
+        The output, in the order of the intrinsic rotations.
     i, j, proper, parity : int, int, bool, float
         The sequence.
 
@@ -117,9 +119,9 @@ def _rotated(a: DoubleDouble, b: DoubleDouble, sine: DoubleDouble,
 @internal
 def _angles(w: float, x: float, y: float, z: float,
             proper: bool) -> tuple[DoubleDouble, DoubleDouble, DoubleDouble, float]:
-    # Return the angles of a proper sequence, and the cosine of the middle one.
+    # Return the angles of a proper sequence, and the cosine of the middle angle.
     a, b, c, d = (w, 0.0), (x, 0.0), (y, 0.0), (z, 0.0)
-    if not proper:  # a quarter turn about the middle axis makes it proper
+    if not proper:  # a quarter turn about the middle axis makes the sequence proper
         a, b, c, d = (dd.two_sum(w, -y), dd.two_sum(x, -z), dd.two_sum(w, y), dd.two_sum(x, z))
     half_sum, half_difference = arctangent_pair(b, a), arctangent_pair(d, c)
     along, across = _hypotenuse(a, b), _hypotenuse(c, d)
@@ -140,13 +142,13 @@ def _hypotenuse(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 @internal
 def _rounded(angle: DoubleDouble, low: float, high: float) -> float:
-    # Return the nearest double in the range, modulo whole turns; never -0.0.
+    # Return the double in the range that is nearest to the angle, modulo whole turns; never -0.0.
     return min(max(_wrapped(angle, 0.5 * (low + high))[0], low), high) + 0.0
 
 
 @internal
 def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
-    # Return the angle less whole turns, within half a turn of the centre.
+    # Return the angle, shifted by whole turns to within half a turn of the centre.
     turns = 2.0 * float(round((angle[0] - centre) / (2.0 * dd.PI[0])))
     return dd.subtract(angle, (turns * dd.PI[0], turns * dd.PI[1]))
 
@@ -155,17 +157,18 @@ def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
 def make_rows_continuous(angles: Annotated[Floats, 'm 3', WRITTEN], anchor: int,
                          poles: Annotated[Floats, 'm'], proper: bool) -> None:
     """
-    Choose, for each attitude, the triple that is closest to that of its neighbour.
+    Choose for each attitude the triple of angles that is closest to the neighbouring triple.
 
     Parameters
     ----------
     angles : float64 (m, 3), rad
-        Changed: from the row `anchor` on to the last row, and back to the first, each row is made
-        continuous with its neighbour on the side of the anchor.
+        The angles, which the kernel changes. In both directions from the row `anchor`, the kernel
+        makes each row continuous with the neighbouring row on the side of the anchor.
     anchor : int
-        A row.
+        The row that does not change.
     poles : float64 (m,)
-        0 for a row that is not at a pole; 1 or -1 if only a + c or a - c is determined there.
+        0 for a row that is not at a pole, 1 for a row in which only a + c is determined, and -1
+        for a row in which only a - c is determined.
     proper : bool
         See `fill_angles`.
 
@@ -179,7 +182,7 @@ def make_rows_continuous(angles: Annotated[Floats, 'm 3', WRITTEN], anchor: int,
 @internal
 def _make_continuous(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
     a, b, c = triple
-    if pole != 0.0:  # a + pole c is determined; a - pole c is not, and is copied
+    if pole != 0.0:  # a + pole c is determined; a - pole c is not, so copy it
         free = last[0] - pole * last[2]
         determined = _nearest(a + pole * c, last[0] + pole * last[2])
         triple[0] = 0.5 * (determined + free)

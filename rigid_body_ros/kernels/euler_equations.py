@@ -17,8 +17,8 @@ Euler's equations for the compiled kernels, solved for the angular acceleration.
 
     dw/dt = J^-1 ((J w) x w) + J^-1 tau
 
-The first term is linear in the six products of the components of w, the second in the torque
-tau. `tensor.euler_coefficients` computes the coefficients of both.
+The first term is linear in the six products of the components of w. The second term is linear in
+the torque tau. `tensor.euler_coefficients` computes the coefficients of both terms.
 """
 
 from __future__ import annotations
@@ -40,14 +40,15 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Products (y z, z x, x y) and (x x, y y, z z) of the components of two vectors, or sums of these.
+#: The products (y z, z x, x y) and (x x, y y, z z) of the components of two vectors, or sums of
+#: such products.
 Products = tuple[Vector, Vector]
 
-#: Form of the inertia tensor: diagonal; full; or full and thin, where the smallest moment is so
-#: much less than the others that cancellation in J^-1 tau may cost more than a digit.
+#: Form of the inertia tensor: diagonal, full, or full and thin. The smallest moment of a thin body
+#: is so much less than the others that cancellation in J^-1 tau may cost more than a digit.
 DIAGONAL, FULL, THIN = range(3)
-#: Ratio of the largest moment to the smallest above which a full tensor is THIN. A loss of 16 eps
-#: is a tenth of the other rounding errors of a motion.
+#: A full tensor is THIN if the ratio of the largest moment to the smallest is above this value.
+#: At this ratio, cancellation costs 16 eps, a tenth of the other rounding errors of a motion.
 THIN_RATIO = 16.0
 
 
@@ -55,7 +56,7 @@ THIN_RATIO = 16.0
 def gyroscopic_acceleration(coefficients: Coefficients, products: Products) -> Vector:
     """Return J^-1 ((J w) x w), linear in the products of the components of w."""
     mixed, squares = products
-    if coefficients.form == DIAGONAL:  # rounding errors of these average to zero over a period
+    if coefficients.form == DIAGONAL:  # the rounding errors here average to zero over a period
         return four.multiply(coefficients.main, mixed)
     columns, low = coefficients.columns, coefficients.low
     rest = add(combine(low[:3], mixed), combine(low[3:6], squares))
@@ -65,7 +66,7 @@ def gyroscopic_acceleration(coefficients: Coefficients, products: Products) -> V
 @inlined
 def add_gyroscopic_acceleration(rest: Vector, coefficients: Coefficients,
                                 products: Products) -> Vector:
-    """Return the same plus a vector."""
+    """Return `gyroscopic_acceleration` plus a vector."""
     if coefficients.form == DIAGONAL:
         return four.fma(coefficients.main, products[0], rest)
     return add(rest, gyroscopic_acceleration(coefficients, products))
@@ -89,7 +90,7 @@ def add_jacobian(matrix: Matrix, coefficients: Coefficients, w: Vector) -> Matri
 
 @inlined
 def _add_combined(rest: Vector, columns: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
-    # Round each sum once: with more roundings the energy of a long run drifts.
+    # Round each sum only once. With more roundings, the energy would drift in a long run.
     rest = add_scaled(rest, a[2], columns[2])
     return add_scaled(add_scaled(rest, a[1], columns[1]), a[0], columns[0])
 
@@ -97,7 +98,7 @@ def _add_combined(rest: Vector, columns: tuple[Vector, Vector, Vector], a: Vecto
 @inlined
 def acceleration_from_torque(coefficients: Coefficients, torque: Vector) -> Vector:
     """
-    Return J^-1 tau, rad/s^2, of a torque in body axes.
+    Return J^-1 tau, rad/s^2, for a torque in body axes.
 
     For a thin rod the result may be a difference of terms a million times larger, so it is
     computed in twice the working precision.
@@ -113,7 +114,7 @@ def acceleration_from_torque(coefficients: Coefficients, torque: Vector) -> Vect
 @inlined
 def acceleration_polynomial(coefficients: Coefficients, torque: Polynomial,
                             low: Polynomial) -> Polynomial:
-    """Return J^-1 tau, rad/s^2, of a torque polynomial in body axes with low-order parts."""
+    """Return J^-1 tau, rad/s^2, for a torque polynomial in body axes with low-order parts."""
     a, b, c, d = torque
     if coefficients.form != THIN:
         return (acceleration_from_torque(coefficients, a),
@@ -143,7 +144,7 @@ def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coeffici
         for vector in drive:
             bound += math.sqrt(dot(vector, vector))
         return bound
-    norm = size = 0.0  # a torque fixed in space may come to lie along any body axis
+    norm = size = 0.0  # a torque fixed in space may turn to any body axis
     for column in coefficients.columns[6:]:
         norm += dot(column, column)
     for vector in drive:

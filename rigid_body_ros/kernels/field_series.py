@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The Taylor series of torques that depend on the attitude, see `fields`.
+The Taylor series of torques that depend on the attitude; see `fields`.
 
-A uniform field is fixed in space, so its body components obey v' = v x w. On a circular orbit the
-unit vectors to the body, r, and along the orbit, s, turn at the rate n in space: r' = r x w + n s
-and s' = s x w - n r. All are linear, so the series need no products of the attitude.
+A uniform field is fixed in space, so its body components obey v' = v x w. On a circular orbit, the
+unit vectors to the body, r, and along the orbit, s, turn in space at the rate n: r' = r x w + n s
+and s' = s x w - n r. These equations do not contain the attitude, so the series need no products
+with the attitude.
 """
 
 from __future__ import annotations
@@ -51,22 +52,22 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Size of the vectors of one order: the uniform fields, then the unit vectors to the body and
-#: along the orbit, each in its three permutations.
+#: Size of the vectors of one order. The vectors are the uniform fields, the unit vector to the
+#: body and the unit vector along the orbit, each in its three permutations.
 _ORDER = PERMUTED * (fields.MOST + 2)
-#: After the vectors of all orders, there is a matrix of each uniform field.
+#: The vectors of all orders are followed by a matrix for each uniform field.
 _MATRICES = _ORDER * (MAX_ORDER + 1)
 WORKSPACE = _MATRICES + PERMUTED * fields.MOST
-#: The two sums of products in a vector product.
+#: The two sums of products whose difference is a vector product.
 Turn = tuple[Vector, Vector]
 
 
 class StepFields(NamedTuple):
     """The fields of a step, and the series of their vectors."""
 
-    #: Of fields.FIELDS, shape (1,).
+    #: Array of `fields.FIELDS`, shape (1,).
     fields: NDArray[Any]
-    #: Angle of the orbit at the beginning of the step, see `fields.angle_at`.
+    #: Angle of the orbit at the beginning of the step; see `fields.angle_at`.
     angle: DoubleDouble
     #: The terms of the vectors, and the matrices.
     vectors: Floats
@@ -75,16 +76,16 @@ class StepFields(NamedTuple):
 @optional
 def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> Floats:
     """
-    Store J^-1 [m]x of each uniform field, which each step needs.
+    Store the matrix J^-1 [m]x of each uniform field, which all steps need.
 
     Parameters
     ----------
     found : array of fields.FIELDS, shape (1,), or None
         The fields of the scene.
     work : float64 (WORKSPACE,)
-        Changed.
+        The array in which to store the matrices.
     coefficients : Coefficients
-        Of Euler's equations.
+        The coefficients of Euler's equations.
 
     Returns
     -------
@@ -104,7 +105,7 @@ def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> F
 
 @optional
 def of_step(found: NDArray[Any], angle: DoubleDouble, work: Floats) -> StepFields:
-    """Return the fields of a step, with series that are not yet filled; None without fields."""
+    """Return the fields of a step, with series not yet filled; None without fields."""
     return StepFields(found, angle, work)
 
 
@@ -116,16 +117,16 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
     Parameters
     ----------
     step : StepFields or None
-        Its vectors are changed.
+        The fields. The function fills their vectors.
     state : KernelState
-        At the beginning.
+        The state at the beginning of the step.
     coefficients : Coefficients
-        Of Euler's equations.
+        The coefficients of Euler's equations.
 
     Returns
     -------
     float
-        The acceleration by the fields there, rad/s^2.
+        The size of the acceleration that the fields cause at the beginning of the step, rad/s^2.
 
     """
     if step is None:
@@ -160,10 +161,11 @@ def no_turn(vectors: Floats) -> Turn:
 @optional
 def add_turn(turn: Turn, vectors: Floats, k: int, yzx: Vector, zxy: Vector) -> Turn:
     """
-    Add the term of order k of the first vector, times a vector in two permutations.
+    Add the term of order k of the first vector times a vector that is given in two permutations.
 
-    In the loop over the products of the rates, it costs nothing: the processor waits for the
-    latest sum anyway. In a loop of its own, it would take as long as all of them.
+    Inside the loop over the products of the rates, this addition costs nothing, because the
+    processor waits for the latest sum anyway. A separate loop would take as long as the loop over
+    the products.
     """
     _, v_yzx, v_zxy = load_permuted(vectors, _ORDER * k)
     return four.fma(v_yzx, zxy, turn[0]), four.fma(v_zxy, yzx, turn[1])
@@ -181,22 +183,23 @@ def store_turn(turn: Turn | None, vectors: Floats, k: int) -> None:
 def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, seconds: float,
                      coefficients: Coefficients) -> Vector:
     """
-    Return the sum of a vector and the term of order k of the acceleration.
+    Return a vector plus seconds^2 times the term of order k of the acceleration.
 
     Parameters
     ----------
     u : Vector
         The sum of other terms, radians per step.
     step : StepFields or None
-        The terms of order k + 1 are added to its vectors, but for the first one, which has them.
+        The fields. The function stores the terms of order k + 1 of all vectors except the first,
+        whose terms `store_turn` stores.
     table : array
-        The terms of the step up to order k, see `series_table`.
+        The terms of the step up to order k; see `series_table`.
     k : int
         The order.
     seconds : float
         Length of the step.
     coefficients : Coefficients
-        Of Euler's equations.
+        The coefficients of Euler's equations.
 
     """
     if step is None:
@@ -252,8 +255,8 @@ def _squares(vectors: Floats, place: int, k: int) -> Products:
 
 @internal
 def _expand_orbit(vectors: Floats, count: int, angle: float, table: Floats, k: int) -> None:
-    # The position follows `count` uniform fields. The angle is that by which the orbit turns in a
-    # step.
+    # Store the terms of order k + 1 of the position, which follows `count` uniform fields, and of
+    # the direction along the orbit. `angle` is the angle by which the orbit turns in a step.
     place, place_along = PERMUTED * count, PERMUTED * (count + 1)
     position, along = (four.load(vectors, _ORDER * k + place),
                        four.load(vectors, _ORDER * k + place_along))
@@ -272,7 +275,7 @@ def _store(vectors: Floats, place: int, k: int, value: Vector) -> None:
 
 @inlined
 def lowest_order(step: StepFields | None) -> int:
-    """Return a bound on how many terms in a row may be zero by chance, see `taylor.step`."""
+    """Return a bound on how many consecutive terms may be zero by chance; see `taylor.step`."""
     if step is None:
         return 0
     return 0 if step.fields[0].mean_motion == 0.0 else 1

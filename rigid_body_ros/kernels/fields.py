@@ -17,8 +17,8 @@ Torques that depend on the attitude: uniform fields and the gravity gradient.
 
 A uniform field f, space axes, exerts the torque m x R^T f on a moment m, body axes. On a circular
 orbit of rate n, the gravity gradient exerts 3 n^2 r x J r, where r is the unit vector from the
-planet to the body, in body axes (Hughes, "Spacecraft attitude dynamics", 1986). Its acceleration
-is -3 n^2 times the gyroscopic acceleration with r in place of w.
+planet to the body, in body axes (Hughes, "Spacecraft attitude dynamics", 1986). The acceleration
+by the gravity gradient is -3 n^2 times the gyroscopic acceleration with r in place of w.
 """
 
 from __future__ import annotations
@@ -45,11 +45,13 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Most uniform fields in a record: more of them add up to three, one along each axis of space.
+#: Largest number of uniform fields in a record. A larger number of fields is replaced by three
+#: fields, one along each space axis.
 MOST = 3
-#: The fields of a scene: how many are uniform, the moment and the field of each, one after the
-#: other; the rate of the orbit, rad/s, 0 without one, the unit vectors from the planet to the body
-#: and along the orbit, space axes, at a time, ns.
+#: The record of the fields of a scene. For uniform fields, the record contains their number, their
+#: moments and their fields. For an orbit, it contains the rate, rad/s (0 without an orbit), the
+#: unit vectors from the planet to the body and along the orbit, space axes, at a time, and this
+#: time, ns.
 FIELDS = record([
     ('count', np.int64), ('moments', np.float64, 3 * MOST), ('fields', np.float64, 3 * MOST),
     ('mean_motion', np.float64), ('position', np.float64, 3), ('along', np.float64, 3),
@@ -58,15 +60,15 @@ FIELDS = record([
 
 @inlined
 def exist(fields: Any) -> bool:
-    """Return whether a scene has fields, or other terms that may be None."""
-    if fields is None:  # noqa: SIM103 (the compiler resolves it by type)
+    """Return whether fields, or other terms that may be None, exist in a scene."""
+    if fields is None:  # noqa: SIM103 (the compiler resolves this by type)
         return False
     return True
 
 
 @inlined
 def act(fields: NDArray[Any] | None) -> bool:
-    """Return whether there are fields; with lags, a scene without fields has a record, too."""
+    """Return whether fields act; with lags, even a scene without fields has a record of fields."""
     if fields is None:
         return False
     return fields[0].count > 0 or fields[0].mean_motion != 0.0
@@ -74,13 +76,13 @@ def act(fields: NDArray[Any] | None) -> bool:
 
 @inlined
 def moment(fields: NDArray[Any], i: int) -> Vector:
-    """Return the moment of a uniform field, body axes."""
+    """Return the moment of a uniform field in body axes."""
     return _vector(fields[0].moments, 3 * i)
 
 
 @inlined
 def field(fields: NDArray[Any], i: int) -> Vector:
-    """Return a uniform field, space axes."""
+    """Return a uniform field in space axes."""
     return _vector(fields[0].fields, 3 * i)
 
 
@@ -94,7 +96,8 @@ def angle_at(fields: NDArray[Any] | None, time_ns: int) -> DoubleDouble:
     """
     Return the angle, rad, by which the orbit has turned since the time of the given position.
 
-    After many turns, a rounded angle would shake the orbit: the energy of the body would grow.
+    After many turns, the error of a rounded angle would shift the orbit differently in each step,
+    and the energy of the body would grow.
     """
     if fields is None:
         return 0.0, 0.0
@@ -107,7 +110,7 @@ def angle_at(fields: NDArray[Any] | None, time_ns: int) -> DoubleDouble:
 
 @inlined
 def turned_on(angle: DoubleDouble, rate: float, seconds: float) -> DoubleDouble:
-    """Return the angle after a time, s, so short that the turn in it may be rounded."""
+    """Return the angle after a time, s, that is so short that the turn may be rounded."""
     high, low = two_sum(angle[0], rate * seconds)
     return high, low + angle[1]
 
@@ -150,7 +153,7 @@ def acceleration_bound(fields: NDArray[Any] | None, coefficients: Coefficients) 
 def acceleration(fields: NDArray[Any], angle: DoubleDouble, q: Quaternion,
                  coefficients: Coefficients) -> Vector:
     """Return the acceleration by fields, rad/s^2, body axes; see `angle_at`."""
-    # The solvers with fixed steps treat every tensor alike.
+    # The solvers with fixed steps, which use this function, treat all tensors as full.
     full = Coefficients(coefficients.columns, coefficients.low, coefficients.main,
                         coefficients.diagonal, euler_equations.FULL)
     torque = four.broadcast(0.0)

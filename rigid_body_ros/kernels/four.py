@@ -15,12 +15,13 @@
 """
 Four doubles: a quaternion, or a vector and a zero.
 
-The compiled kernels hold them in one SIMD register. Operations act on each element and round as
-operations on single doubles do, so results do not depend on the size of a machine's registers.
-Kernels read the elements as a[0] to a[3]. In plain Python, four doubles are a tuple.
+The compiled kernels hold four doubles in one SIMD register. Operations act on each element and
+round as operations on single doubles do, so results do not depend on the size of a machine's
+registers. Kernels read the elements as a[0] to a[3]. In plain Python, four doubles are a tuple.
 
-The compiled operations also take the quaternions or vectors of several bodies, four registers with
-a lane for each body, see `lanes`. If one argument has lanes, so has the result.
+The compiled operations also take the quaternions or vectors of several bodies. Such an argument
+fills four registers with a lane for each body; see `lanes`. If one argument has lanes, the result
+has lanes.
 """
 
 from __future__ import annotations
@@ -43,22 +44,22 @@ def broadcast(value: float) -> Four:
 
 
 def add(a: Four, b: Four) -> Four:
-    """Return the sum of each element."""
+    """Return the sum, element by element."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
 
 
 def subtract(a: Four, b: Four) -> Four:
-    """Return the difference of each element."""
+    """Return the difference, element by element."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
 
 
 def multiply(a: Four, b: Four) -> Four:
-    """Return the product of each element."""
+    """Return the product, element by element."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]
 
 
 def negative(a: Four) -> Four:
-    """Return each element with the other sign."""
+    """Return each element with its sign changed."""
     return -a[0], -a[1], -a[2], -a[3]
 
 
@@ -68,7 +69,7 @@ def absolute(a: Four) -> Four:
 
 
 def fma(a: Four, b: Four, c: Four) -> Four:
-    """Return a b + c of each element, rounded once."""
+    """Return a b + c, element by element, rounded once."""
     return (lanes.fma(a[0], b[0], c[0]), lanes.fma(a[1], b[1], c[1]),
             lanes.fma(a[2], b[2], c[2]), lanes.fma(a[3], b[3], c[3]))
 
@@ -102,14 +103,14 @@ def load(values: NDArray[np.float64], start: int) -> Four:
     """
     Return four successive elements of an array, shape (n,), from an index on.
 
-    In lanes these are four rows of an array, shape (n, LANES).
+    With lanes, these are four rows of an array, shape (n, LANES).
     """
     a, b, c, d = values[start:start + 4].tolist()
     return a, b, c, d
 
 
 def store(values: NDArray[np.float64], start: int, four: Four) -> None:
-    """Write the elements that `load` returns."""
+    """Write four elements to where `load` reads them."""
     values[start:start + 4] = four
 
 
@@ -119,10 +120,10 @@ def zero(like: Four) -> Four:
 
 
 def choose(condition: bool, one: Four, other: Four) -> Four:
-    """Return one of two fours: the first if a condition holds, with lanes in each of them."""
+    """Return, in each lane, the first of two fours if a condition holds, otherwise the second."""
     return one if condition else other
 
 
 def has_lanes(values: NDArray[np.float64]) -> bool:
-    """Return whether an array has lanes; the compiler leaves out code for the other case."""
+    """Return whether an array has lanes; the compiler leaves out the branch that is not taken."""
     return values.ndim == 2

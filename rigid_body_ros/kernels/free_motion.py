@@ -13,19 +13,21 @@
 # limitations under the License.
 
 """
-Exact torque-free motion: any body, any start, any time in one evaluation.
+Exact torque-free motion of any body from any start, at any time in one evaluation.
 
-In principal axes the angular momentum m is an elliptic function of time; the attitude requires one
-more angle, an integral of the third kind. The formulas are those of Celledoni, Fasso, Saefstroem
-and Zanna, "The exact computation of the free rigid body motion and its use in splitting methods",
-2008, with the corrections of Principia's `Celledoni.tex`, rearranged so that nothing cancels:
+In principal axes the angular momentum m is an elliptic function of time. The attitude needs one
+more angle, an elliptic integral of the third kind. The formulas are those of Celledoni, Fasso,
+Saefstroem and Zanna, "The exact computation of the free rigid body motion and its use in splitting
+methods", 2008, with the corrections of Principia's `Celledoni.tex`. Here the formulas are
+rearranged so that nothing cancels:
 
     m = (B1 cn u, -B2 sn u, B3 dn u),   u = u0 + lambda t,
     q(t) = q(0) conj(P(0)) exp(psi e3 / 2) P(t),
 
 where P is the shortest rotation from m to axis 3. The axes are numbered such that m stays in the
-half space around axis 3: the axis of the largest moment or, beyond the separatrix, the smallest.
-With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I1 I3),
+half space around axis 3. Axis 3 is the axis of the largest moment or, beyond the separatrix, the
+axis of the smallest moment. With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and
+C = G (I3 - I1) / (lambda I1 I3),
 
     psi = (G / I3) t + [C Pi(n; u) + atan2(sqrt(1 - n) sn u, cn u)] from u0 to u,
     Pi(n; u) = u + n sn^3 R_J(cn^2, dn^2, 1, 1 - n sn^2) / 3                   if n >= -1,
@@ -34,8 +36,9 @@ With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I
                g^2 = (1 - n) (1 - k^2 / n)                                     if n < -1,
 
 with Carlson's integral R_J and the elliptic parameter k^2. DLMF 19.21.12 transforms one form of Pi
-into the other. In the first case C u and (G / I3) t add up to (G / I1) t. The half period and its
-angle have 32 digits: a long motion multiplies their errors by the number of half periods.
+into the other. If n >= -1, C u and (G / I3) t add up to (G / I1) t. The half period, and the
+increment of psi per half period, have 32 digits, because a long motion multiplies the errors of
+these two numbers by the number of half periods.
 """
 
 from __future__ import annotations
@@ -61,12 +64,13 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Relative rounding error of numbers of 32 digits, and largest accepted relative error of m_c,
-#: which near the separatrix is a difference of such numbers. Above it the series is more accurate.
+#: Relative rounding error of numbers of 32 digits, and largest accepted relative error of m_c.
+#: Near the separatrix, m_c is a difference of such numbers. If the error of m_c is larger than
+#: accepted, the Taylor series is more accurate than the closed form.
 _ROUNDING, _ACCEPTED = 1e-31, 1e-12
-#: Delta_1 or Delta_3 below which a body turns about a principal axis.
+#: If Delta_1 or Delta_3 is below this value, the body turns about a principal axis.
 _NEGLIGIBLE = 1e-70
-#: Below this, the low-order part of a double-double leaves the range of doubles.
+#: Below this value, the low-order part of a double-double leaves the range of doubles.
 _UNDERFLOW = 1e-250
 
 NEAR_SEPARATRIX, STEADY, PERIODIC, SEPARATRIX = range(4)
@@ -81,21 +85,22 @@ class Motion(NamedTuple):
 
     kind: int
     start: KernelState
-    #: Unit of all rates here, 1/s: a power of two.
+    #: Unit of all rates in this record, 1/s; a power of two.
     scale: float
     #: The canonical axes as rows, in body axes.
     axes: tuple[Vector, Vector, Vector]
-    #: Amplitudes of the angular velocity, and of the unit vector along m.
+    #: Amplitudes of the components of the angular velocity, and of the unit vector along m.
     rates: Vector
     directions: Vector
-    #: m_c; the characteristic n; C.
+    #: The complementary parameter m_c, the characteristic n, and C.
     complement: float
     n: float
     factor: float
-    #: u0, and whether cn is negative at the start: u is counted from the nearest zero of sn.
+    #: u0, counted from the nearest zero of sn, and whether cn is negative at the start.
     phase: float
     cn_negative: bool
-    #: lambda; 2 K; rate of the linear part of psi; increment of psi per half period, rad.
+    #: lambda, 2 K, the rate of the linear part of psi, and the increment of psi per half period,
+    #: rad.
     speed: DoubleDouble
     half_period: DoubleDouble
     psi_rate: DoubleDouble
@@ -107,30 +112,30 @@ class _Principal(NamedTuple):
 
     rates: Triple
     momentum: Triple
-    #: I w^2 along each axis: twice the kinetic energy.
+    #: I w^2 along each axis; the sum is twice the kinetic energy.
     energies: Triple
     moments: Triple
     #: The axes as rows, in body axes.
     axes: tuple[Vector, Vector, Vector]
     #: Unit of the rates, 1/s.
     scale: float
-    #: -1 if the moments descend, else 1.
+    #: 1 if the moments are in ascending order, -1 if they are in descending order.
     sign: float
 
 
 class _Invariants(NamedTuple):
     """
-    Constants of a motion, which determine its kind.
+    The constants of a motion that determine its kind.
 
-    Delta_k = G^2 - 2 T I_k as in the paper, with angular momentum G and kinetic energy T. They are
-    computed from sums in which only the two terms of Delta_2 can cancel.
+    As in the paper, Delta_k = G^2 - 2 T I_k, with the angular momentum G and the kinetic energy T.
+    The Delta_k are computed from sums in which only the two terms of Delta_2 can cancel.
     """
 
     #: |I2 - I1|, |I3 - I1| and |I3 - I2|.
     i21: DoubleDouble
     i31: DoubleDouble
     i32: DoubleDouble
-    #: |Delta_1|; Delta_2, negative if the axes have to be renamed; |Delta_3|.
+    #: |Delta_1|, Delta_2, and |Delta_3|. Delta_2 is negative if the axes must be renumbered.
     delta_1: DoubleDouble
     delta_2: DoubleDouble
     delta_3: DoubleDouble
@@ -151,8 +156,8 @@ def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
     Returns
     -------
     Motion
-        Of kind NEAR_SEPARATRIX if it is not on the separatrix, but so close to it that rounding in
-        the 32nd digit makes the closed form inaccurate.
+        The motion. The kind is NEAR_SEPARATRIX if the motion is not on the separatrix, but so
+        close to the separatrix that rounding in the 32nd digit makes the closed form inaccurate.
 
     """
     body = _principal(state, frame)
@@ -186,7 +191,7 @@ def _invariants(body: _Principal) -> _Invariants:
 
 @internal
 def _is_steady(w: Triple, invariants: _Invariants) -> bool:
-    # Whether the body turns about a principal axis.
+    # Return whether the body turns about a principal axis.
     i21, i31, i32 = invariants.i21[0], invariants.i31[0], invariants.i32[0]
     return (i32 * w[1][0] * w[2][0] == i31 * w[2][0] * w[0][0] == i21 * w[0][0] * w[1][0] == 0
             or invariants.delta_1[0] < _NEGLIGIBLE or invariants.delta_3[0] < _NEGLIGIBLE)
@@ -194,7 +199,8 @@ def _is_steady(w: Triple, invariants: _Invariants) -> bool:
 
 @internal
 def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: PrincipalFrame) -> bool:
-    # Whether the relative rounding error of Delta_2, a difference of two terms, may be too large.
+    # Return whether the relative rounding error of Delta_2, a difference of two terms, may be too
+    # large.
     w, m, e = body.rates, body.momentum, body.energies
     i21, i32, delta_2 = invariants.i21[0], invariants.i32[0], invariants.delta_2[0]
     uncertain = terms = abs(e[2][0] * i32) + abs(e[0][0] * i21)
@@ -207,7 +213,7 @@ def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: Princi
 
 @internal
 def _renumber_axes(body: _Principal, invariants: _Invariants) -> tuple[_Principal, _Invariants]:
-    # Number the axes such that m stays in the half space around axis 3.
+    # Renumber the axes such that m stays in the half space around axis 3.
     w, m, e, i, axes, scale, sign = body
     if invariants.delta_2[0] < 0.0:  # axes 3, -2, 1: all differences change their signs
         i, e = (i[2], i[1], i[0]), (e[2], e[1], e[0])
@@ -268,7 +274,8 @@ def _psi_increment(complement: DoubleDouble, n: DoubleDouble,
 
 @internal
 def _phase(sine: float, cosine: float, cn_negative: bool, complement: float) -> float:
-    # Return u0 from sn and |cn| at u0, which rounding has moved slightly off the unit circle.
+    # Return u0 from sn and |cn| at u0. Rounding has moved the point (cn, sn) slightly off the unit
+    # circle.
     norm = dd.sqrt(dd.add(dd.two_product(sine, sine), dd.two_product(cosine, cosine)))[0]
     sine, cosine = (-sine / norm if cn_negative else sine / norm), cosine / norm
     return sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
@@ -277,7 +284,7 @@ def _phase(sine: float, cosine: float, cn_negative: bool, complement: float) -> 
 
 @internal
 def at(motion: Motion, span_ns: int) -> KernelState:
-    """Return the state a number of nanoseconds after the start; not for NEAR_SEPARATRIX."""
+    """Return the state some nanoseconds after the start; not for the kind NEAR_SEPARATRIX."""
     if motion.kind == STEADY:
         return _steady_rotation(motion, span_ns)
     t = dd.seconds(span_ns)
@@ -340,7 +347,7 @@ def _steady_rotation(motion: Motion, span_ns: int) -> KernelState:
 
 @internal
 def _state(motion: Motion, w: Vector, rotation: Quaternion) -> KernelState:
-    # Return the state with these rates, and with the attitude at the start times this rotation.
+    # Return the state with the rates `w` and the attitude q R: q at the start, R the rotation.
     _, q, _, low = motion.start
     q = add(multiply(q, rotation), multiply(low, rotation))
     return w, add_scaled(q, -0.5 * (dot(q, q) - 1.0), q), four.broadcast(0.0), four.broadcast(0.0)
@@ -348,8 +355,8 @@ def _state(motion: Motion, w: Vector, rotation: Quaternion) -> KernelState:
 
 @internal
 def _principal(state: KernelState, frame: PrincipalFrame) -> _Principal:
-    # Rates and moments are scaled to about 1, so that neither fourth powers of rates nor products
-    # of moments leave the range of doubles.
+    # Scale rates and moments to about 1, so that neither fourth powers of rates nor products of
+    # moments leave the range of doubles.
     w, low = state[0], state[2]
     high, low_moments, axes, low_axes = frame
     scale = _power_of_two(max(abs(w[0]), abs(w[1]), abs(w[2])))
@@ -367,7 +374,7 @@ def _principal(state: KernelState, frame: PrincipalFrame) -> _Principal:
 
 @internal
 def _power_of_two(value: float) -> float:
-    # Return the largest power of two up to a value, but at least 2^-1000; 1 for zero.
+    # Return the largest power of two up to a value; 2^-1000 below 2^-1000, 1 for zero.
     return math.ldexp(1.0, max(math.frexp(value)[1] - 1, -1000)) if value > 0.0 else 1.0
 
 
@@ -380,7 +387,7 @@ def _component(v: Triple, axis: Vector, low: Vector) -> DoubleDouble:
 
 @internal
 def _is_along_body_axes(frame: PrincipalFrame) -> bool:
-    # Whether the principal axes are body axes: products with zeros and ones are exact.
+    # Return whether the principal axes are body axes, so that products with them are exact.
     total = 0.0
     for axis in frame[2]:
         total += abs(axis[0]) + abs(axis[1]) + abs(axis[2])
@@ -389,7 +396,7 @@ def _is_along_body_axes(frame: PrincipalFrame) -> bool:
 
 @internal
 def _modulo_4_pi(angle: DoubleDouble) -> DoubleDouble:
-    # Return the angle less a multiple of 4 pi, the period of a quaternion.
+    # Return the angle minus a multiple of 4 pi, the period of a quaternion.
     turns = float(round(angle[0] / (4.0 * dd.PI[0])))
     return dd.subtract(angle, dd.multiply((4.0 * turns, 0.0), dd.PI))
 

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Viscous friction of wheels with names.
+Viscous friction of named wheels.
 
-The torque along the axis a of a wheel is that of its motor, u, less f W, where W = H / I - a . w
-is its speed relative to the body. So its axial momentum obeys H' = u - f W, and the body feels
--H' a. H depends on the motion: it is a part of the state, and its series follows from that of the
-rates.
+The torque on a wheel along its axis a is the torque u of its motor minus f W. Here f is the
+friction, and W = H / I - a . w is the speed of the wheel relative to the body. So the axial
+momentum H obeys H' = u - f W, and the body feels the torque -H' a. H depends on the motion.
+Therefore H is a part of the state, and the series of H follows from the series of the rates.
 
 Wheels are computed four at a time.
 """
@@ -58,26 +58,26 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Doubles for four wheels: the components of their axes, 1 / I and its low-order part, and f.
+#: Number of doubles for four wheels: components of the axes, 1 / I with low-order parts, and f.
 SIZE = 24
 _X, _Y, _Z, _INVERSE, _LOST_INVERSE, _FRICTION = range(0, SIZE, 4)
-#: Layout of the series of one order: the momenta, and the sum of H a in its three permutations,
-#: but for that of order 0, which is in the linear terms.
+#: Layout of the series of one order: the momenta, and the sum of H a in its three permutations.
+#: The sum of order 0 is left out, because it is in the linear terms.
 _SUM, _ORDER = MOST_WHEELS, MOST_WHEELS + PERMUTED
-#: After the series, there are the torques on the wheels at the beginning of the step, and the
-#: weights of their momenta.
+#: The series are followed by the torques on the wheels at the beginning of the step, and by the
+#: weights of the momenta.
 _TORQUES = _ORDER * (MAX_ORDER + 1)
 _WEIGHTS = _TORQUES + MOST_WHEELS
 WORKSPACE = _WEIGHTS + MOST_WHEELS
 
 
 class WheelStates(NamedTuple):
-    """States with the momenta of wheels, see `state_layout`: those of a `layout.GridStates`."""
+    """The packed states of a `layout.GridStates`, with the momenta of wheels."""
 
     grid: Floats
     begin: Floats
     latest: Floats
-    #: The momenta at the requested times, see `layout.Friction`.
+    #: The momenta at the requested times; see `layout.Friction`.
     requested: Floats
 
 
@@ -88,7 +88,7 @@ class RowFriction(NamedTuple):
     efforts: Floats
     wheels: Floats
     row: int
-    #: Those of the motion.
+    #: The states of the motion.
     states: WheelStates
 
 
@@ -96,7 +96,7 @@ class StepFriction(NamedTuple):
     """The wheels in a step, and their series."""
 
     friction: RowFriction
-    #: See WORKSPACE.
+    #: Array of size WORKSPACE.
     series: Floats
 
 
@@ -108,7 +108,7 @@ def states_of(found: Any, progress: NDArray[Any]) -> WheelStates:
 
 @inlined
 def accept(found: RowFriction | None) -> None:
-    """Let the latest momenta be those of the grid."""
+    """Copy the latest momenta to the grid."""
     if found is None:
         return
     _copy(found.states.latest, found.states.grid)
@@ -116,7 +116,7 @@ def accept(found: RowFriction | None) -> None:
 
 @inlined
 def begin_segment(states: WheelStates | None) -> None:
-    """Let the latest momenta be those of the grid and of the beginning of a segment."""
+    """Copy the latest momenta to the grid and to the beginning of a segment."""
     if states is None:
         return
     _copy(states.latest, states.grid)
@@ -125,7 +125,7 @@ def begin_segment(states: WheelStates | None) -> None:
 
 @inlined
 def go_back(states: WheelStates | None) -> None:
-    """Let the momenta of the grid be the latest ones."""
+    """Copy the momenta on the grid to the latest momenta."""
     if states is None:
         return
     _copy(states.grid, states.latest)
@@ -139,7 +139,7 @@ def _copy(source: Floats, target: Floats) -> None:
 
 @inlined
 def store(states: WheelStates | None, row: int) -> None:
-    """Store the latest momenta at a requested time."""
+    """Store the latest momenta as the momenta at a requested time."""
     if states is None:
         return
     for k in range(states.requested.shape[1]):
@@ -148,7 +148,7 @@ def store(states: WheelStates | None, row: int) -> None:
 
 @inlined
 def momentum(found: RowFriction | None, others: Vector, low: Vector) -> tuple[Vector, Vector]:
-    """Return the momentum of all rotors on the grid, and its low-order part, from the others'."""
+    """Add the wheel momenta on the grid to the momenta of other rotors, in two parts."""
     if found is None:
         return others, low
     high, grid = others, found.states.grid
@@ -170,9 +170,9 @@ def _axis(wheels: Floats, k: int) -> Vector:
 @inlined
 def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
     """
-    Return the square of the rate of rotation that limits a step as much as friction, 1/s^2.
+    Return the square, 1/s^2, of the rate of rotation that limits a step as much as friction does.
 
-    It is half a bound on the rate at which speeds decay, as that of `linear_terms.square_rate`.
+    The rate is half a bound on the rate at which speeds decay, as in `linear_terms.square_rate`.
     """
     largest = coupled = 0.0
     if found is None:
@@ -187,7 +187,7 @@ def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
 
 @inlined
 def acceleration(found: RowFriction | None, w: Vector, coefficients: Coefficients) -> float:
-    """Return the acceleration of the body by its wheels on the grid, rad/s^2."""
+    """Return the size of the acceleration that wheels cause at a grid point, rad/s^2."""
     if found is None:
         return 0.0
     torque = four.broadcast(0.0)
@@ -199,7 +199,7 @@ def acceleration(found: RowFriction | None, w: Vector, coefficients: Coefficient
 
 @inlined
 def _torques(found: RowFriction, w: Vector, place: int) -> Four:
-    # Return the torques on four wheels on the grid.
+    # Return the torques on four wheels, given their momenta on the grid.
     pull = _friction(found.wheels, place, w, four.load(found.states.grid, MOMENTA + place))
     row = max(found.row, 0)
     return add(pull, four.of(found.efforts[row, place], found.efforts[row, place + 1],
@@ -229,19 +229,19 @@ def _along(wheels: Floats, place: int, amounts: Four) -> Vector:
 
 @optional
 def workspace(_found: RowFriction, work: Floats) -> Floats:
-    """Return the workspace, None without friction."""
+    """Return the workspace; None without friction."""
     return work
 
 
 @optional
 def of_step(found: RowFriction, work: Floats) -> StepFriction:
-    """Return the wheels in a step, with series that are not yet filled; None without friction."""
+    """Return the wheels in a step, with series not yet filled; None without friction."""
     return StepFriction(found, work)
 
 
 @inlined
 def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficients) -> float:
-    """Store the momenta at the beginning of a step, and return what `acceleration` does."""
+    """Store the momenta at the beginning of a step, and return the result of `acceleration`."""
     if step is None:
         return 0.0
     found, series = step
@@ -258,7 +258,7 @@ def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficie
 
 @inlined
 def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
-    """Store the weights that make momenta comparable to an angle by which the body turns."""
+    """Store the weights that make momenta comparable to the angle by which the body turns."""
     if step is None:
         return
     found, series = step
@@ -273,7 +273,7 @@ def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
 def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int, seconds: float,
                      coefficients: Coefficients) -> Vector:
     """
-    Return the sum of a vector and the term of order k of the acceleration, times seconds^2.
+    Return a vector plus seconds^2 times the term of order k of the acceleration.
 
     The arguments are those of `field_series.add_acceleration`.
     """
@@ -288,7 +288,7 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
             _friction(found.wheels, place, w, four.load(series, row + place))
         torque = add(torque, _along(found.wheels, place, torques))
         four.store(series, row + _ORDER + place, scale(factor, torques))
-    # The momentum changes by the torque, and the body turns it.
+    # In body axes, the momentum changes because of the torque and because the body turns.
     turn = scale((k + 1) / seconds, turned(series, _SUM, _ORDER, table, k))
     store_permuted(series, row + _ORDER + _SUM, scale(factor, torque))
     return add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
@@ -297,7 +297,7 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
 
 @inlined
 def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
-    """Return the size of the terms of order k, that of the momenta included."""
+    """Return the size of the terms of order k, including the terms of the momenta."""
     if step is None:
         return size
     found, series = step
@@ -309,7 +309,7 @@ def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
 
 @inlined
 def end(step: StepFriction | None, order: int) -> None:
-    """Add the terms up to an order to the momenta."""
+    """Store the latest momenta: the momenta on the grid plus the terms up to an order."""
     if step is None:
         return
     found, series = step
@@ -326,5 +326,5 @@ def end(step: StepFriction | None, order: int) -> None:
 
 @inlined
 def lowest_order(step: StepFriction | None) -> int:
-    """Return a bound on how many terms in a row may be zero by chance, see `taylor.step`."""
+    """Return a bound on how many consecutive terms may be zero by chance; see `taylor.step`."""
     return 0 if step is None else 1

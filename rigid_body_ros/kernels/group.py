@@ -38,15 +38,17 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.layout import Method
 
-#: Steps in a segment, or stamps before the next output, from which it pays to gather a group.
+#: Smallest number of steps in a segment, or of stamps before the next output, for which gathering
+#: a group saves time.
 FEWEST = 4
-#: Steps after which to return, so that Python handles signals.
+#: Number of steps after which to return, so that Python handles signals.
 BUDGET = 20_000
-#: ns; the group steps no further at once, so that doubles count the time left.
+#: Longest time that a group steps at once, ns. Up to this time, doubles represent the remaining
+#: nanoseconds exactly.
 FARTHEST = 2 ** 52
-#: Rows of a workspace: the states on the grid and those computed last, the coefficients of Euler's
-#: equations, the factors of the torque, the torques, N m, the time left, ns, whether more than one
-#: step is left, and the table of the series.
+#: Offsets of the rows of a workspace: the states on the grid, the latest states, the coefficients
+#: of Euler's equations, the factors of the torque, the torques, N m, the time left, ns, whether
+#: more than one step is left, and the table of the series.
 STATE, LATEST, CONSTANTS = 0, state_layout.SIZE, 2 * state_layout.SIZE
 GAIN = CONSTANTS + body_layout.MOMENTS
 TORQUE = GAIN + 1
@@ -55,27 +57,27 @@ ROWS = TABLE + series_table.WORKSPACE_OF_LANES
 
 
 class Group(NamedTuple):
-    """The arrays of all runs, and which of them are in the group."""
+    """The arrays of all runs, and which runs are in the group."""
 
-    #: intp (LANES,); the last run may fill several lanes.
+    #: intp (LANES,): the run in each lane. The last run may fill several lanes.
     rows: NDArray[np.intp]
-    #: See `loop.run`; an element or row for each run.
+    #: An element or row for each run; see `loop.run`.
     progress: NDArray[Any]
     motions: Floats
     constants: Floats
     #: Factors of the torque, an element for each run.
     gains: Floats
-    #: Torques of the rows, shape (k, ...): of run i those at i % k.
+    #: Torques of the rows, shape (k, ...). Run i uses the torques at index i % k.
     torques: Floats
-    #: See `workspace`.
+    #: The array that `workspace` returns.
     work: Floats
-    #: bool (LANES,), int64 (LANES,), ns: whether the run in a lane steps, and up to which time.
+    #: bool (LANES,) and int64 (LANES,): whether the run in a lane steps, and up to which time, ns.
     going: NDArray[np.bool_]
     limits_ns: NDArray[np.int64]
 
 
 def workspace(lanes: int) -> Floats:
-    """Return an array, shape (n, lanes), with each row in one cache line."""
+    """Return an array, shape (n, lanes), in which each row is in one cache line."""
     line = 64 // 8
     buffer = np.empty(ROWS * lanes + line)
     start = -(buffer.ctypes.data // 8) % line
@@ -84,7 +86,7 @@ def workspace(lanes: int) -> Floats:
 
 @inlined
 def load(group: Group, lane: int) -> None:
-    """Gather the state on the grid, the coefficients of the body and the factor of the torque."""
+    """Copy the state on the grid, the body and the torque factor of a run to the lane."""
     row = group.rows[lane]
     group.work[GAIN, lane] = group.gains[row]
     grid = group.progress[row].grid
@@ -96,7 +98,7 @@ def load(group: Group, lane: int) -> None:
 
 @inlined
 def store(group: Group, lane: int) -> None:
-    """Put the state on the grid back."""
+    """Copy the state on the grid from a lane back to the run in this lane."""
     grid = group.progress[group.rows[lane]].grid
     for k in range(state_layout.SIZE):
         grid[k] = group.work[STATE + k, lane]
@@ -104,7 +106,7 @@ def store(group: Group, lane: int) -> None:
 
 @inlined
 def begin_segment(group: Group, lane: int, time_ns: int, row: int, done: int) -> None:
-    """Put the state on the grid back as the beginning of a segment."""
+    """Copy the state on the grid from a lane back to the run, as the beginning of a segment."""
     store(group, lane)
     progress = group.progress[group.rows[lane]]
     for k in range(state_layout.SIZE):
@@ -114,7 +116,7 @@ def begin_segment(group: Group, lane: int, time_ns: int, row: int, done: int) ->
 
 @inlined
 def torque(group: Group, lane: int, index: int) -> vector.Vector:
-    """Return the torque of a run, N m, without its factor."""
+    """Return the torque of a run, N m, not multiplied by the factor of the run."""
     torques = group.torques
     slot = group.rows[lane] % len(torques)
     return vector.of(torques[slot, index, 0, 0], torques[slot, index, 0, 1],
@@ -140,7 +142,7 @@ def step(state: vector.KernelState, seconds: float, coefficients: vector.Coeffic
 
 @inlined
 def full_steps_ns(square: float, bound: float, method: Method) -> float:
-    """`stepping.full_step_ns` in lanes."""
+    """Return, in each lane, the length of a step on the grid, ns, as `stepping.full_step_ns`."""
     seconds = 2.0 * method.angle / taylor.turning_rate(square, bound, method.angle)
     longest, step_ns = float(method.max_step_ns), seconds * 1e9
     step_ns = lanes.truncated(lanes.where(step_ns < longest, step_ns, longest))
@@ -149,7 +151,7 @@ def full_steps_ns(square: float, bound: float, method: Method) -> float:
 
 @inlined
 def is_one_step(rest_ns: float, square: float, bound: float, method: Method) -> bool:
-    """`stepping.is_one_step` in lanes."""
+    """Return, in each lane, whether one step covers the time left, as `stepping.is_one_step`."""
     rest = rest_ns / 1e9
     return lanes.both(rest_ns <= float(method.max_step_ns),
                       rest * rest * (square + bound) < 0.01)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Steps of a group on the grids of a segment, to the outputs in it and to its end.
+Steps of a group on the grids of a segment, to the outputs in the segment and to its end.
 
-Each lane has a grid and outputs of its own. A run that has filled its outputs gives its lane to
-one that waits.
+Each lane has its own grid and outputs. A run that has filled its outputs gives its lane to a
+waiting run.
 """
 
 from __future__ import annotations
@@ -47,23 +47,23 @@ from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 
-#: A step of the group takes about as long as steps of so many runs one by one.
+#: A step of the group takes about as long as this many steps of single runs.
 _FEWEST_RUNS = 3
-#: Steps that a lane waits for others before it gets another run: alike runs that begin together
-#: need series of similar orders.
+#: Number of steps for which an idle lane waits before lanes get new runs. Similar runs that begin
+#: together need series of similar orders.
 _PATIENCE = 64
 
 
 class Shared(NamedTuple):
-    """What the runs of a group have in common in a segment."""
+    """The inputs that all runs of a group have in common in a segment."""
 
-    #: The row in force, and when the next one follows; NEVER_NS if none does.
+    #: The row in force, and when the next row begins, ns; NEVER_NS if there is none.
     row: int
     end_ns: int
-    #: Requested times, see `layout.Requested`.
+    #: The requested times; see `layout.Requested`.
     times_ns: NDArray[np.int64]
     order: NDArray[np.intp]
-    #: Of the inertia tensors, see `vector.Coefficients`.
+    #: The form of the inertia tensors; see `vector.Coefficients`.
     form: int
 
 
@@ -71,27 +71,27 @@ class Shared(NamedTuple):
 def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared, body: Body,
             method: Method) -> tuple[int, int]:
     """
-    Advance the runs of a group, and those that wait, in a segment.
+    Advance the runs of a group, and runs that wait, in a segment.
 
     Parameters
     ----------
     group : Group
-        `rows` is changed where a run gives way to another.
+        The runs. The kernel updates `group.rows` where one run replaces another.
     count : int
-        How many lanes have a run of their own.
+        The number of lanes that contain distinct runs: the first `count` lanes.
     waiting : intp (n,)
         Runs that have not begun.
     segment : Shared
-        What the runs have in common.
+        The inputs that all runs have in common.
     body : Body
-        Of the first run; other runs step only if they have its form.
+        The body of the first run. Other runs step only if their tensors have the same form.
     method : Method
         The method of a step.
 
     Returns
     -------
     int, int
-        The number of steps, and how many runs no longer wait.
+        The number of steps, and the number of runs that no longer wait.
 
     """
     if not _are_many(group, segment, body, method):
@@ -112,7 +112,7 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared
         more, is_slow = _step_together(group.work, segment.form, method, replace_at - steps)
         steps += more
         if not is_slow:
-            break  # `loop.run` reports it
+            break  # `loop.run` reports that a body is too fast
         for lane in range(LANES):
             if going[lane] and group.work[runs.MOVES, lane] == 0.0:
                 going[lane] = _arrive(group, lane, segment, method)
@@ -135,7 +135,7 @@ def _count(going: NDArray[np.bool_]) -> int:
 
 @inlined
 def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool:
-    # Return whether the first run has so many steps left that it pays to gather the group.
+    # Return whether the first run has enough steps left to make a group worthwhile.
     first = group.rows[0]
     place = layout.load_place(group.progress[first:first + 1])
     acceleration = euler_equations.acceleration_from_torque(
@@ -149,7 +149,7 @@ def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool
 
 @inlined
 def _output_ns(k: int, segment: Shared) -> int:
-    # Return the requested time that is k-th in ascending order.
+    # Return the k-th requested time in ascending order.
     return segment.times_ns[_row(k, segment)]
 
 
@@ -166,7 +166,7 @@ def _torque(group: Group, lane: int, segment: Shared) -> vector.Vector:
 
 @internal
 def _enter(group: Group, lane: int, segment: Shared, method: Method) -> bool:
-    # Load a run that can step with the others into its lane, or return False.
+    # Load a run into its lane and return True if the run can step with the other runs.
     row = group.rows[lane]
     place, torque = layout.load_place(group.progress[row:row + 1]), _torque(group, lane, segment)
     if (_is_done(group, row, segment) or place.row != segment.row
@@ -181,8 +181,8 @@ def _enter(group: Group, lane: int, segment: Shared, method: Method) -> bool:
 
 @inlined
 def _aim(group: Group, lane: int, segment: Shared, method: Method) -> bool:
-    # Set the time up to which a run steps: that of its next output, or the end of the segment.
-    # Return False if there is nothing left, or `loop.run` has to go on.
+    # Set the time up to which a run steps: the time of the next output, or the end of the segment.
+    # Return False if the run is finished, or if `loop.run` has to continue it.
     row = group.rows[lane]
     progress = group.progress[row]
     grid_ns, done = progress.grid_ns, progress.done
@@ -213,7 +213,7 @@ def _is_short(group: Group, lane: int, rest_ns: int, segment: Shared, method: Me
 
 @inlined
 def _idle(work: Floats, lane: int) -> None:
-    # Let the body in a lane rest: its series has no terms, and its steps never end.
+    # Put a body at rest into a lane: its series has no terms, and it never reaches its limit.
     for k in range(3):
         work[runs.STATE + state_layout.RATES + k, lane] = 0.0
         work[runs.TORQUE + k, lane] = 0.0
@@ -222,7 +222,8 @@ def _idle(work: Floats, lane: int) -> None:
 
 @internal
 def _step_together(work: Floats, form: int, method: Method, budget: int) -> tuple[int, bool]:
-    # Step until a run arrives. Return how many steps there were, and whether no body is too fast.
+    # Step until a run reaches its limit. Return the number of steps, and whether no body is too
+    # fast.
     lanes.align_stack()
     coefficients = body_layout.coefficients(work[runs.CONSTANTS:], form)
     acceleration = euler_equations.acceleration_from_torque(
@@ -253,15 +254,15 @@ def _step_together(work: Floats, form: int, method: Method, budget: int) -> tupl
 @inlined
 def _choose(condition: bool, one: vector.KernelState,
             other: vector.KernelState) -> vector.KernelState:
-    # Return one of two states, in each lane: the first where a condition holds.
+    # Return, in each lane, the first of two states if a condition holds, otherwise the second.
     return (four.choose(condition, one[0], other[0]), four.choose(condition, one[1], other[1]),
             four.choose(condition, one[2], other[2]), four.choose(condition, one[3], other[3]))
 
 
 @inlined
 def _arrive(group: Group, lane: int, segment: Shared, method: Method) -> bool:
-    # Fill the output of a run that has reached its limit. Return whether it goes on; otherwise its
-    # state is put back.
+    # Fill the output of a run that has reached its limit. Return whether the run continues in its
+    # lane; otherwise its state is copied back.
     row, limit_ns = group.rows[lane], group.limits_ns[lane]
     progress = group.progress[row]
     grid_ns, done = _grid_ns(group, lane, limit_ns), progress.done
@@ -291,15 +292,16 @@ def _grid_ns(group: Group, lane: int, limit_ns: int) -> int:
 
 @inlined
 def _leave(group: Group, lane: int, limit_ns: int) -> None:
-    # Put the state on the grid back, and its time.
+    # Copy the state on the grid, and the time of this state, back to the run.
     runs.store(group, lane)
     group.progress[group.rows[lane]].grid_ns = _grid_ns(group, lane, limit_ns)
 
 
 @internal
 def _replace(group: Group, waiting: NDArray[np.intp], segment: Shared, method: Method) -> int:
-    # Give the lanes of runs that have filled their outputs to the next that can step with the
-    # others. Return how many runs no longer wait; those passed over are left to another group.
+    # If a run has filled its outputs, give its lane to the next waiting run that can step with the
+    # others. Return the number of runs that no longer wait. Runs that cannot step with the others
+    # are left to another group.
     taken, going = 0, group.going
     for lane in range(LANES):
         row = group.rows[lane]

@@ -38,22 +38,22 @@ from rigid_body_ros.kernels.layout import Body, Method, Place, Rows
 def advance(group: Group, place: Place, limit_ns: int, rows: Rows, stop: int, body: Body,
             method: Method) -> int:
     """
-    Step from row to row, up to a time, as long as one step is enough.
+    Step from row to row, up to a time, as long as one step from row to row is enough.
 
     Parameters
     ----------
     group : Group
         Runs with the same next output, and the same row in force.
     place : Place
-        Of the first run.
+        The progress of the first run.
     limit_ns : int
-        Next output.
+        The time of the next output.
     rows : Rows
-        Of all runs.
+        The rows of all runs.
     stop : int
-        The row to stop at.
+        The row at which to stop.
     body : Body
-        Of the first run; all have its form.
+        The body of the first run; the tensors of all runs have the same form.
     method : Method
         The method of a step.
 
@@ -100,7 +100,7 @@ def advance(group: Group, place: Place, limit_ns: int, rows: Rows, stop: int, bo
 
 @inlined
 def _begin_together(group: Group, time_ns: int) -> bool:
-    # Return whether all runs are at the beginning of a segment, at the same time.
+    # Return whether all runs are at the beginning of a segment at the same time.
     for row in group.rows:
         progress = group.progress[row]
         if progress.grid_ns != time_ns or progress.begin_ns != time_ns:
@@ -122,7 +122,8 @@ def _torques(group: Group, index: int, gain: float) -> vector.Vector:
 
 @inlined
 def _acts_in_every_lane(torque: vector.Vector) -> bool:
-    # Return whether no torque is zero: without torque, `loop.run` may use the closed form.
+    # Return whether the torque in every lane is nonzero. Without torque, `loop.run` may use the
+    # closed form.
     return lanes.every(vector.total(four.absolute(torque)) > 0.0)
 
 

@@ -15,10 +15,10 @@
 """
 Steps of a group of runs, one in each lane.
 
-A group takes over the common part of the loop, with the bits of `loop.run`: steps of the series on
-the grid of a segment and to the outputs in it, and single steps from stamp to stamp, under held
-torques in body axes. It leaves each run where `loop.run` can continue, which handles all other
-cases.
+Under held torques in body axes, a group takes two kinds of steps in place of `loop.run`, with the
+same bits: steps of the series on the grid of a segment and to the outputs in the segment, and
+single steps from stamp to stamp. All other steps are left to `loop.run`, which continues each run
+from where the group leaves the run.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from rigid_body_ros.kernels.layout import Method, Place, Rows
 class Advanced(NamedTuple):
     """The result of `advance`."""
 
-    #: The number of steps. After `group.BUDGET` of them there may be more.
+    #: The number of steps. If this number reaches `group.BUDGET`, there may be more steps to do.
     steps: int
-    #: How many runs no longer wait.
+    #: The number of runs that no longer wait.
     taken: int
-    #: The row to which `loop.run` brings the runs of the group before they step together again.
+    #: The row to which `loop.run` must bring the runs before they step together again.
     until: int
 
 
@@ -55,15 +55,15 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], times_ns: NDArr
     Parameters
     ----------
     group : Group
-        Rows, progress and motions are changed.
+        The runs. The kernel updates their rows, progress and motions.
     count : int
-        How many lanes have a run of their own.
+        The number of lanes that contain distinct runs: the first `count` lanes.
     waiting : intp (n,)
-        Runs that have not begun, which take the place of those that end.
+        Runs that have not begun. They replace runs that end.
     times_ns, order : array
-        As for `loop.run`.
+        See `loop.run`.
     rows : Rows
-        Of all runs.
+        The rows of all runs.
     method : Method
         The method of a step.
 
@@ -93,8 +93,8 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], times_ns: NDArr
 
 @internal
 def _are_alike(group: Group, place: Place, form: int) -> bool:
-    # Return whether the runs have bodies of one form, the same next output, and the same row
-    # in force.
+    # Return whether the runs have inertia tensors of the same form, the same next output, and the
+    # same row in force.
     for row in group.rows:
         other = group.progress[row]
         if (other.row != place.row or other.done != place.done

@@ -27,8 +27,8 @@ from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 
 #: Number of samples that determine a slope of the cubic interpolation.
 _NEAREST = 5
-#: Workspace of `fill_cubics`: the weights of these samples, and from this row on the slopes at two
-#: nodes.
+#: In the workspace of `fill_cubics`, the rows before `_SLOPES` are the weights of the nearest
+#: samples, and the rows from `_SLOPES` on are the slopes at two nodes. `WORKSPACE` is the shape.
 _SLOPES, WORKSPACE = _NEAREST, (_NEAREST + 2 * 3, 2)
 
 
@@ -36,18 +36,19 @@ _SLOPES, WORKSPACE = _NEAREST, (_NEAREST + 2 * 3, 2)
 def fill_slopes(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3'],
                 slopes: Annotated[Floats, 'n 3', WRITTEN]) -> None:
     """
-    Compute the slopes of straight lines through samples, and zero for the last.
+    Compute the slopes of straight lines through samples; the slope after the last sample is zero.
 
-    Each line begins where the line before it ends with its rounded slope, not at the sample.
+    Because slopes are rounded, a line does not end exactly at the next sample. The next line
+    begins at this end, so that rounding errors do not accumulate.
 
     Parameters
     ----------
     times_ns : int64 (n,), ns
-        When the samples were taken.
+        The times of the samples.
     values : float64 (n, 3)
         The samples.
     slopes : float64 (n, 3), 1/s
-        Output, zero before.
+        The output, which the caller sets to zero.
 
     """
     for axis in range(3 if len(values) else 0):
@@ -66,20 +67,21 @@ def fill_cubics(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3']
     """
     Compute cubics through samples.
 
-    At each sample, the slope is that of the polynomial through the nearest samples. The low-order
-    parts matter for a thin rod, where torques may cancel.
+    The slope at each sample is the slope of the polynomial through the nearest samples. The
+    low-order parts of the coefficients matter for a thin rod, where torques may cancel.
 
     Parameters
     ----------
     times_ns, values
-        As for `fill_slopes`.
+        See `fill_slopes`.
     first, stop : int
-        The first sample, and the one after the last.
+        Index of the first sample, and index after the last sample.
     work : float64, shape WORKSPACE
         Workspace.
     cubics : float64 (stop - first, 7, 3)
-        Output: for each sample four coefficients of a polynomial in the fraction of the time to
-        the next sample, then the low-order parts of all but the first.
+        The output. For each sample, the output contains four coefficients of a polynomial in the
+        fraction of the time to the next sample, followed by the low-order parts of all
+        coefficients except the first.
 
     """
     last = len(times_ns) - 1
@@ -109,7 +111,7 @@ def _first_of(node: int, count: int, last: int) -> int:
 
 @internal
 def _are_alike(times_ns: NDArray[np.int64], node: int, count: int, last: int) -> bool:
-    # Return whether the samples nearest to a node and to the one before have the same spacing.
+    # Return whether the samples nearest to a node and to the previous node have the same spacing.
     here, before = min(node, last), node - 1
     begin, begin_before = _first_of(node, count, last), _first_of(before, count, last)
     for k in range(count):
@@ -121,9 +123,9 @@ def _are_alike(times_ns: NDArray[np.int64], node: int, count: int, last: int) ->
 @internal
 def _fill_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int,
                   weights: Floats) -> None:
-    # Fill the weights, 1/ns, with which the differences between the samples and a node add up to
-    # the slope at the node: the derivatives of the Lagrange polynomials there. They depend on the
-    # spacing only.
+    # Fill the weights, 1/ns. The slope at a node is the weighted sum of the differences between
+    # the samples and the value at the node. The weights are the derivatives of the Lagrange
+    # polynomials at the node, which depend on the spacing only.
     for k in range(count):
         distance = times_ns[begin + k] - times_ns[node]
         above, below = (1.0, 0.0), dd.from_int(distance)
@@ -138,7 +140,7 @@ def _fill_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int
 @internal
 def _store_cubic(row: Floats, here: float, following: float, span: DoubleDouble,
                  start: DoubleDouble, end: DoubleDouble) -> None:
-    # Store the coefficients on one axis, from the values and the slopes, 1/ns, at both ends.
+    # Store the coefficients on one axis, given the values and the slopes, 1/ns, at both ends.
     delta = dd.two_sum(following, -here)
     start, end = dd.multiply(start, span), dd.multiply(end, span)
     curved = dd.subtract(delta, start)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-What acts between two changes.
+What acts on a body between two changes.
 
-A row of `layout.Rows` is in force from its time to that of the next; row -1 stands for the time
-before the first. Consecutive intervals in which nothing acts are one *coast*.
+A row of `layout.Rows` is in force from its time to the time of the next row. Row -1 stands for the
+time before the first row. Consecutive intervals in which nothing acts are one *coast*.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from rigid_body_ros.kernels.layout import Body
 
 
 class BodyTerms(NamedTuple):
-    """The terms of rows, see `layout.Terms`, with what they need of the body and its motion."""
+    """The terms of rows, with the constants and states for these terms; see `layout.Terms`."""
 
     momentum: Floats
     motors: Floats | None
@@ -53,19 +53,20 @@ class BodyTerms(NamedTuple):
     lags: layout.Lags | None
     friction: layout.Friction | None
     constants: linear_terms.Constants
-    #: None without friction.
+    #: The states with the momenta of wheels; None without friction.
     wheel_states: friction.WheelStates | None
 
 
 class Interval(NamedTuple):
     """A span of time in which one polynomial describes the torque."""
 
-    #: N m; its variable is 0 at the beginning, and grows by 1 in `span` seconds.
+    #: The torque, N m. The variable is 0 at the beginning, and grows by 1 in `span` seconds.
     torque: vector.Polynomial
     #: Whether the torque is zero throughout.
     is_zero: bool
     span: float
-    #: Time of the row in force (0 if none is) and of the next (NEVER_NS if there is none).
+    #: Time of the row in force (0 before the first row) and of the next row (NEVER_NS after the
+    #: last row).
     begin_ns: int
     end_ns: int
 
@@ -73,38 +74,40 @@ class Interval(NamedTuple):
 class Drive(NamedTuple):
     """The acceleration or the torque in Euler's equations during an interval."""
 
-    #: J^-1 tau, rad/s^2, or, in space axes, the torque, N m.
+    #: The acceleration J^-1 tau, rad/s^2, for a torque in body axes; otherwise the torque, N m.
     polynomial: vector.Polynomial
-    #: Coefficients of higher degree are zero.
+    #: The degree of the polynomial; coefficients of higher degree are zero.
     degree: int
     in_space: bool
-    #: Time at which the variable of the polynomial is 0, and the seconds until it is 1.
+    #: Time at which the variable of the polynomial is 0, ns, and seconds from then until it is 1.
     origin_ns: int
     span: float
-    #: Bound on the acceleration, that by the space torque of the loads included, rad/s^2.
+    #: Bound on the acceleration, including the acceleration by the space torque of the loads,
+    #: rad/s^2.
     bound: float
 
 
 class Loads(NamedTuple):
     """What acts during an interval besides the drive."""
 
-    #: Momentum of the rotors, N m s, in the same fraction as the drive, and the low-order part of
-    #: the first coefficient.
+    #: Momentum of the rotors, N m s, as a polynomial in the variable of the drive, and the
+    #: low-order part of its first coefficient.
     momentum: linear_terms.Momentum
     low_momentum: vector.Vector
-    #: Of the body.
+    #: The matrices of the body.
     constants: linear_terms.Constants
-    #: Degree of the momentum, without that of wheels with friction; negative: there are neither
-    #: rotors nor damping.
+    #: Degree of `momentum`, not counting wheels with friction. The degree is negative if there are
+    #: neither rotors nor damping.
     linear_degree: int
-    #: Torque in space axes, N m, beside a drive in body axes, and its degree; negative: none.
+    #: Torque in space axes, N m, that acts in addition to a drive in body axes, and the degree of
+    #: this torque, which is negative if there is no such torque.
     space_torque: vector.Polynomial
     space_degree: int
-    #: The torques that depend on the attitude, see `fields.FIELDS`; None without.
+    #: The torques that depend on the attitude, see `fields.FIELDS`; None without fields.
     fields: NDArray[Any] | None
-    #: The torques that lag; None without.
+    #: The torques that lag; None without lags.
     lags: lags.RowLags | None
-    #: The wheels with friction; None without.
+    #: The wheels with friction; None without such wheels.
     friction: friction.RowFriction | None
 
 
@@ -119,7 +122,7 @@ def load_terms(terms: layout.AnyTerms, body_constants: Floats,
 
 @optional
 def wheel_states(terms: BodyTerms) -> friction.WheelStates | None:
-    """Return the states with the momenta of wheels, None without friction."""
+    """Return the states with the momenta of wheels; None without friction."""
     return terms.wheel_states
 
 
@@ -135,7 +138,7 @@ def interval(times_ns: NDArray[np.int64], torques: Floats, spans: Floats, row: i
 @inlined
 def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool, body: Body,
           loads: Loads | None) -> Drive:
-    """Return the drive of an interval: the acceleration by a body torque, or a space torque."""
+    """Return the drive of an interval: the acceleration by a body torque, or the space torque."""
     polynomial = now.torque
     if not in_space and not now.is_zero:
         polynomial = euler_equations.acceleration_polynomial(
@@ -173,9 +176,9 @@ def store_coefficient(polynomials: Floats, row: int, k: int, value: vector.Vecto
 @inlined
 def torque_of(torques: Floats, row: int) -> vector.Polynomial:
     """
-    Return the torque of a row, or zeros before the first.
+    Return the torque of a row; zeros before the first row.
 
-    It is a tuple, because making an array takes half the time of a short step.
+    The result is a tuple, because making an array takes half the time of a short step.
     """
     none = four.broadcast(0.0)
     if row < 0:
@@ -215,9 +218,10 @@ def is_zero(torque: vector.Polynomial) -> bool:
 
 @optional
 def loads_of(terms: BodyTerms, row: int, span: float) -> Loads:
-    """Return what acts besides the drive in a row."""
+    """Return what acts in a row besides the drive."""
     first, low = _momentum(terms, row)
-    # If the compiler knew these zeros, it would inline `stepping.advance`, which takes longer.
+    # Hide from the compiler that `zero` is zero. A compiler that knew this would inline
+    # `stepping.advance`, and the inlined code takes longer.
     zero = vector.scale(0.0, first)
     (a, b, c, d), degree = _polynomial_or(zero, terms.motors, row)
     torque, space_degree = _polynomial_or(zero, terms.space, row)
@@ -245,8 +249,8 @@ def _row_friction(found: layout.Friction, row: int,
 
 @inlined
 def _momentum(terms: BodyTerms, row: int) -> tuple[vector.Vector, vector.Vector]:
-    # Return the momentum of the rotors at a row, and its low-order part. Of a constant momentum
-    # there is one row. Before the first row nothing else acts.
+    # Return the momentum of the rotors at a row, and its low-order part. A constant momentum has a
+    # single row. Before the first row, the momentum of the first row applies.
     row = max(min(row, len(terms.momentum) - 1), 0)
     return coefficient(terms.momentum, row, 0), coefficient(terms.momentum, row, 1)
 
@@ -289,7 +293,7 @@ def vary(terms: BodyTerms | None) -> bool:
 
 @inlined
 def are_polynomials(terms: BodyTerms | None) -> bool:
-    """Return whether nothing acts but torques that are held or polynomials."""
+    """Return whether all torques that act are polynomials in time."""
     if terms is None:
         return True
     return not (fields.exist(terms.fields) or fields.exist(terms.lags)
@@ -304,11 +308,11 @@ def coasts(torques: Floats, terms: BodyTerms | None, row: int) -> bool:
 
 @optional
 def during_step(terms: BodyTerms, row: int, seconds: float) -> short_step.HeldLoads:
-    """Return what acts besides the drive in a step from the beginning of held torques."""
+    """Return what acts besides the drive in a step from the beginning of a row of held torques."""
     constants, momentum = terms.constants, _momentum(terms, row)
     on_rotors, torque = _held(terms.motors, row), _held(terms.space, row)
     linear, is_linear = _linear(constants, momentum, on_rotors)
-    # Squares of Frobenius norms: that of a vector product with tau is 2 |tau|^2.
+    # The matrix of a vector product with tau has the squared Frobenius norm 2 |tau|^2.
     square_torque = 0.5 * _square(on_rotors) + _square(torque)
     return short_step.HeldLoads(
         linear, is_linear, _change(on_rotors, seconds), torque,
@@ -319,10 +323,11 @@ def during_step(terms: BodyTerms, row: int, seconds: float) -> short_step.HeldLo
 @inlined
 def _linear(constants: linear_terms.Constants, momentum: tuple[vector.Vector, vector.Vector],
             on_rotors: vector.Vector | None) -> tuple[linear_terms.Linear, bool]:
-    # Return the linear terms, and whether there are any.
+    # Return the linear terms, and whether there are linear terms.
     first, low = momentum
     if on_rotors is not None and not vector.is_zero(on_rotors):
-        # The rounding error of the matrix changes from step to step, so it does not add up.
+        # The matrix may be rounded, because the rounding error differs from step to step, so that
+        # the errors do not add up.
         return linear_terms.rounded_at(constants, first), True
     return linear_terms.at(constants, first, low), not (
         vector.is_zero(first) and linear_terms.is_zero(constants.damping.matrix))

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Marks of the kernels, for the build step that compiles them.
+The marks of kernels, for the build step that compiles them.
 
-The build step replaces this module by one that compiles. Here the functions stay what they are:
-plain Python, which computes the same bits, hundreds of times slower.
+The build step replaces this module with a module that compiles the kernels. In this module, a mark
+does nothing. The functions stay plain Python, which computes the same bits but is hundreds of
+times slower.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from typing import Any, TypeVar
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 
-#: In an annotation: the kernel writes to the array.
+#: In the annotation of an array, this mark means that the kernel writes to the array.
 WRITTEN = 'written'
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
@@ -37,11 +38,11 @@ def njit(kernel: Kernel) -> Kernel:
     """
     Mark a kernel that Python calls.
 
-    It is compiled once for each combination of types that its annotations allow. An array is
-    annotated with its shape, ``Annotated[Floats, 'n 3']``, and with WRITTEN if the kernel writes
-    to it. A dimension is a number, a variable, or linear in a variable: '7m', '2d+1'; it is the
-    same in all arguments. With '|' follow other dimensions that are allowed: 'n|0'. L is the
-    number of lanes, see `lanes`.
+    The kernel is compiled once for each combination of types that its annotations allow. The
+    annotation of an array contains the shape, as in ``Annotated[Floats, 'n 3']``, and WRITTEN if
+    the kernel writes to it. A dimension is a number, a variable, or a linear function of a
+    variable, such as '7m' or '2d+1'. A variable has the same value in all arguments. '|' separates
+    alternatives, as in 'n|0'. L is the number of lanes; see `lanes`.
     """
     return kernel
 
@@ -55,7 +56,7 @@ def inlined(kernel: Kernel) -> Kernel:
     """
     Mark a function that is inlined into each kernel that calls it.
 
-    Without inlining, a call passes tuples in memory, which takes as long as the arithmetic of a
+    A call that is not inlined passes tuples in memory. This takes as long as the arithmetic of a
     short step.
     """
     return kernel
@@ -63,10 +64,10 @@ def inlined(kernel: Kernel) -> Kernel:
 
 def optional(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """
-    Mark an inlined function for a part that not every scene has.
+    Mark an inlined function for a part that is absent in some scenes.
 
-    If its first argument is None, it returns None. The compiler chooses by type, so a scene that
-    lacks the part is compiled without its code.
+    If the first argument is None, the function returns None. The compiler decides this by type, so
+    the kernels for scenes without the part are compiled without its code.
     """
     def choose(first: Any, *rest: Any) -> Any:
         return None if first is None else kernel(first, *rest)
@@ -80,8 +81,9 @@ def record(fields: list[tuple[Any, ...]]) -> Any:
 
 def scratch(count: int) -> Floats:
     """
-    Return an array of a constant size, not yet filled, for one call; compiled, on the stack.
+    Return an array of constant size, not yet filled, for use during one call.
 
-    It ends with the function that makes it, also if that is inlined: do not return it.
+    In compiled kernels the array is on the stack. The array is valid until the function that makes
+    it ends, even if that function is inlined. So do not return the array.
     """
     return np.empty(count)

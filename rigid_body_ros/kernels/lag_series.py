@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The Taylor series of torques that decay, see `lags`.
+The Taylor series of torques that decay; see `lags`.
 
-The terms of exp(-t / T) follow from each other, e' = -e / T. An excess in space axes has the body
-components v, with v' = v x w - v / T.
+By e' = -e / T, each term of e = exp(-t / T) follows from the previous term. The body components v
+of an excess in space axes obey v' = v x w - v / T.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Size of the vectors of one order: those in space axes, by time constant.
+#: Size of the vectors of one order: the excesses in space axes, one for each time constant.
 _ORDER = PERMUTED * lags.MOST
-#: After the vectors of all orders, there is the latest term of each excess in body axes.
+#: The vectors of all orders are followed by the latest term of each excess in body axes.
 _BODY = _ORDER * (MAX_ORDER + 1)
 WORKSPACE = _BODY + 4 * lags.MOST
 
@@ -56,21 +56,21 @@ class StepLags(NamedTuple):
     """The excesses of a step, and their series."""
 
     lags: RowLags
-    #: s; from the time of the row to the beginning of the step.
+    #: The time from the beginning of the row to the beginning of the step, s.
     since: float
-    #: See WORKSPACE.
+    #: Array of size WORKSPACE.
     vectors: Floats
 
 
 @optional
 def workspace(_found: RowLags, work: Floats) -> Floats:
-    """Return the workspace, None without lags."""
+    """Return the workspace; None without lags."""
     return work
 
 
 @optional
 def of_step(found: RowLags, since: float, work: Floats) -> StepLags:
-    """Return the excesses of a step, with series that are not yet filled; None without lags."""
+    """Return the excesses of a step, with series not yet filled; None without lags."""
     return StepLags(found, since, work)
 
 
@@ -91,7 +91,7 @@ def begin(step: StepLags | None, state: KernelState) -> None:
 def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, seconds: float,
                      coefficients: Coefficients) -> Vector:
     """
-    Return the sum of a vector and the term of order k of the acceleration, times seconds^2.
+    Return a vector plus seconds^2 times the term of order k of the acceleration.
 
     The arguments are those of `field_series.add_acceleration`.
     """
@@ -115,5 +115,5 @@ def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, se
 
 @inlined
 def lowest_order(step: StepLags | None) -> int:
-    """Return a bound on how many terms in a row may be zero by chance, see `taylor.step`."""
+    """Return a bound on how many consecutive terms may be zero by chance; see `taylor.step`."""
     return 0 if step is None else 1

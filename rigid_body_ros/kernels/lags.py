@@ -15,12 +15,13 @@
 """
 Torques that follow their commands with a first-order lag.
 
-With a time constant T and a command u, held from a time on, T y' + y = u: the torque is
+The torque y follows a command u with the time constant T: T y' + y = u. If the command is held
+from a time on, at which the torque is y0, the torque after t seconds is
 
-    y = u + (y0 - u) exp(-t / T),
+    y = u + (y0 - u) exp(-t / T).
 
-where y0 is the torque at that time. The command is part of the row. The rest is the *excess*,
-which decays, in body axes or in space axes as the command. After EXPIRY time constants it is zero.
+The row contains the command u. The difference y - u is the *excess*, which decays. The excess is
+in the axes of the command, body or space. After EXPIRY time constants, the excess is set to zero.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import double_double, elementary, vector
 from rigid_body_ros.kernels.jit import inlined, internal, njit, WRITTEN
 
-#: Time constants after which an excess is zero: exp(-40) is 4e-18.
+#: Number of time constants after which an excess is set to zero: exp(-40) is 4e-18.
 EXPIRY = 40.0
-#: Most different time constants in a scene.
+#: Largest number of distinct time constants in a scene.
 MOST = 4
 
 
@@ -49,7 +50,7 @@ class RowLags(NamedTuple):
 
 @inlined
 def excess(lags: RowLags, i: int, axes: int) -> vector.Vector:
-    """Return the excess with a time constant at the row's time, in body (0) or space axes (1)."""
+    """Return the excess of time constant i at the row's time, in body (0) or space axes (1)."""
     found = lags.excess
     return vector.of(found[lags.row, i, axes, 0], found[lags.row, i, axes, 1],
                      found[lags.row, i, axes, 2])
@@ -63,7 +64,7 @@ def acts(lags: RowLags | None) -> bool:
 
 @inlined
 def square_rate(lags: RowLags | None) -> float:
-    """Return the square of the largest rate at which an excess decays, 1/s^2; 0 without."""
+    """Return the square of the largest decay rate of an excess, 1/s^2; 0 without an excess."""
     largest = 0.0
     if lags is None:
         return largest
@@ -93,13 +94,13 @@ def torque_bound(lags: RowLags | None) -> float:
 
 @inlined
 def decay(seconds: float, time_constant: float) -> float:
-    """Return the factor by which an excess decays in a time."""
+    """Return the factor by which an excess decays in a time, s."""
     return elementary.exponential(-seconds / time_constant)
 
 
 @internal
 def torque(lags: RowLags, seconds: float, q: vector.Quaternion) -> vector.Vector:
-    """Return the sum of the excesses, N m, body axes, some time after that of the row."""
+    """Return the sum of the excesses, N m, body axes, some seconds after the time of the row."""
     body = space = vector.of(0.0, 0.0, 0.0)
     for i in range(len(lags.time_constants)):
         factor = decay(seconds, lags.time_constants[i])
@@ -111,11 +112,13 @@ def torque(lags: RowLags, seconds: float, q: vector.Quaternion) -> vector.Vector
 class CommandChanges(NamedTuple):
     """The commands of one source, and the torques that follow them."""
 
-    #: ns: when the command changes, ascending.
+    #: The times at which the command changes, ns, ascending.
     times_ns: Annotated[Ints, 'm']
-    #: N m: from each change on, in body axes and in space axes; one of them is zero.
+    #: The command from each change on, N m: a row in body axes and a row in space axes, one of
+    #: which is zero.
     commands: Annotated[Floats, 'm 2 3']
-    #: N m: the torque at each change, and its low-order part; that at the first change is given.
+    #: The torque at each change, N m, and the low-order part of this torque. The caller sets the
+    #: torque at the first change.
     torques: Annotated[Floats, 'm 2 6', WRITTEN]
 
 
@@ -123,22 +126,22 @@ class CommandChanges(NamedTuple):
 def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_constant: float,
             expiry_ns: int, which: int, into: Annotated[Floats, 'n l 2 3', WRITTEN]) -> None:
     """
-    Add the excess of one source at each row.
+    Add the excess of one source, at the time of each row, to an array.
 
     Parameters
     ----------
     row_times_ns : int64 (n,), ns
-        Ascending.
+        The times of the rows, ascending.
     source : CommandChanges
-        The torques are computed.
+        The commands. The kernel computes the torques after the first change.
     time_constant : float, s
-        T.
+        The time constant T of the source.
     expiry_ns : int, ns
         EXPIRY time constants.
     which : int
         Index of the time constant.
     into : float64 (n, l, 2, 3), N m
-        To which the excess is added.
+        The array to which the excess is added.
 
     """
     changes_ns, commands, torques = source
@@ -153,7 +156,9 @@ def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_con
                 high, low = command, 0.0
                 if span_ns < expiry_ns:
                     high, low = torques[k - 1, axes, j], torques[k - 1, axes, j + 3]
-                    # The errors of the changes add up to that of one: each is a share of the rest.
+                    # The torque changes by a share of its difference from the command. So the
+                    # errors of all changes together are only as large as the error of a single
+                    # change.
                     high, lost = double_double.two_sum(high, share * ((command - high) - low))
                     high, low = double_double.quick_two_sum(high, lost + low)
                 torques[k, axes, j], torques[k, axes, j + 3] = high, low
@@ -172,6 +177,6 @@ def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_con
 
 @internal
 def _share(seconds: float, time_constant: float) -> float:
-    # Return 1 - exp(-t / T), correct to the last digits for a short time, too.
+    # Return 1 - exp(-t / T), correct to the last digits even for a short time.
     growth = elementary.expm1(min(seconds / time_constant, 700.0))
     return double_double.divide(growth, double_double.add((1.0, 0.0), growth))[0]

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Lanes: a number of each of several bodies in one SIMD register, in the compiled kernels.
+Lanes: numbers of several bodies, one per body, in one SIMD register of the compiled kernels.
 
-If the arguments of a step have lanes, so has its result: the same source steps several bodies at
-once. Each lane rounds as a single double does, so a body has the bits that it has alone. Plain
-Python has no lanes: what stands here are the operations on single numbers.
+If the arguments of a step have lanes, its result has lanes as well, so the same source steps
+several bodies at once. Each lane rounds as a single double does, so each body has the same bits as
+when it is computed alone. Plain Python has no lanes: this module contains the operations on single
+numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import operator
 
 from rigid_body_ros.common.arrays import Floats
 
-#: Bodies in a step. The compiled kernels of each processor level have a number of their own.
+#: Number of bodies in a step. In the compiled kernels, the number depends on the processor level.
 LANES = 1
 
 
@@ -50,11 +51,11 @@ def store(values: Floats, row: int, number: float) -> None:
 
 
 def align_stack() -> None:
-    """Align the stack of a compiled function for registers."""
+    """Align the stack of a compiled function for SIMD registers; do nothing in plain Python."""
 
 
 def where(condition: bool, one: float, other: float) -> float:
-    """Return one of two numbers: the first if a condition holds."""
+    """Return the first of two numbers if a condition holds, otherwise the second."""
     return one if condition else other
 
 
@@ -64,17 +65,17 @@ def truncated(number: float) -> float:
 
 
 def zero(like: float) -> float:
-    """Return zero."""
+    """Return zero, with lanes if the argument has lanes."""
     return 0.0
 
 
 def no_count(like: float) -> int:
-    """Return zero to count from."""
+    """Return zero as the start of a count, with lanes if the argument has lanes."""
     return 0
 
 
 def counted(condition: bool, count: int) -> int:
-    """Return zero if a condition holds, and otherwise one more than the count."""
+    """Return zero if a condition holds, otherwise the count plus one."""
     return 0 if condition else count + 1
 
 

@@ -15,9 +15,10 @@
 """
 The records of the time loop.
 
-Python and the kernels share structured types: an array of one element is as fast to pass as any
-array, and a named tuple takes several microseconds. Inside the kernels, which keep them in
-registers, the same records are named tuples.
+Python passes a record such as PROGRESS to the kernels as a structured array with one element. Such
+an array is as fast to pass as any other array, whereas a named tuple takes several microseconds.
+Inside the kernels, the numbers are in named tuples such as `Place`, which the kernels keep in
+registers.
 """
 
 from __future__ import annotations
@@ -38,17 +39,19 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.jit import inlined, internal, record, WRITTEN
 
-#: Cost of a full step, or a state in closed form, in units of work; anything else costs 1.
+#: Cost of a full step or of a state in closed form, in units of work. Everything else,
+#: such as a short step, costs 1.
 STEP_COST = 16
-#: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
+#: After this many units of work, which take at most about 0.1 s, a kernel returns so that Python
+#: can handle signals.
 BUDGET = 20_000 * STEP_COST
-#: Results of `loop.run`. FINISHED: all outputs are filled, or the row to stop at is reached.
-#: UNFINISHED: the budget is used up; another call continues. TOO_FAST: the body turns faster than
-#: FASTEST.
+#: Results of `loop.run`. FINISHED: all outputs are filled, or the row at which to stop is reached.
+#: UNFINISHED: the budget is used up, and another call continues. TOO_FAST: the body turns faster
+#: than FASTEST.
 FINISHED, UNFINISHED, TOO_FAST = range(3)
-#: rad/s; up to this speed the series converges in a step of a nanosecond.
+#: Up to this speed, rad/s, the series converges in a step of a nanosecond.
 FASTEST = 1e9
-#: Value of `order` of `loop.run` if the times ascend.
+#: The argument `order` of `loop.run` if the times ascend.
 IN_ORDER = np.empty(0, np.intp)
 #: The codes of the solvers.
 AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER = range(6)
@@ -56,8 +59,8 @@ AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER = range(6)
 METHOD = record([
     ('solver', np.int64), ('fixed_step', np.bool_), ('closed_form_beyond', np.float64),
     ('tolerance', np.float64), ('angle', np.float64), ('max_step_ns', np.int64)])
-#: What a motion has reached, see `GridStates` and `Place`, and how far it is to go: the row to
-#: stop at, and the units of work after which to return.
+#: The progress of a motion (see `GridStates` and `Place`), the row at which to stop, and the units
+#: of work after which to return.
 PROGRESS = record([
     ('grid', np.float64, state_layout.WITH_WHEELS),
     ('begin', np.float64, state_layout.WITH_WHEELS),
@@ -66,7 +69,8 @@ PROGRESS = record([
     ('budget', np.int64)])
 #: The integers of PROGRESS.
 _COUNTS = struct.Struct('6q')
-#: Value of `stop` of a run, among many, whose body became too fast.
+#: Value of `stop` that marks a failed run among many runs. A run fails if its body becomes too
+#: fast or its inputs are invalid.
 FAILED = -2
 
 
@@ -84,7 +88,7 @@ class Method(NamedTuple):
     solver: int
     fixed_step: bool
     closed_form_beyond: float
-    #: Truncation error of the attitude per radian turned.
+    #: Bound on the truncation error of the attitude per radian turned.
     tolerance: float
     #: Angle of a full step of the series, rad.
     angle: float
@@ -94,20 +98,21 @@ class Method(NamedTuple):
 class Terms(NamedTuple):
     """What acts on a body besides the torques of the rows."""
 
-    #: N m s: momentum of the rotors, and its low-order part; one row if it is constant.
+    #: Momentum of the rotors and its low-order part, N m s; a single row if it is constant.
     momentum: Annotated[Floats, 'n|1 2 3']
-    #: N m: coefficients of the torque on the rotors, of degree d; None without.
+    #: Coefficients of the torque on the rotors, N m, of degree d; None without such a torque.
     motors: Annotated[Floats, 'n d+1 3'] | None
-    #: The same of a torque in space axes beside one in body axes; None if none is.
+    #: Coefficients of a torque in space axes that acts in addition to a torque in body axes; None
+    #: without such a torque.
     space: Annotated[Floats, 'n d+1 3'] | None
-    #: None without; see `FieldTerms`, `LagTerms` and `FrictionTerms`.
+    #: None in `Terms`; see `FieldTerms`, `LagTerms` and `FrictionTerms`.
     fields: None = None
     lags: None = None
     friction: None = None
 
 
 class FieldTerms(NamedTuple):
-    """The same with fields; torques of all kinds have rows, so that it is compiled once."""
+    """`Terms` with fields. No kind of torque is None, so that kernels are compiled only once."""
 
     momentum: Annotated[Floats, 'n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
@@ -119,17 +124,17 @@ class FieldTerms(NamedTuple):
 
 
 class Lags(NamedTuple):
-    """Torques that follow their commands with a lag, see `lags`."""
+    """Torques that follow their commands with a lag; see `lags`."""
 
-    #: N m: what remains of the torques at the time of each row beyond their commands, which are in
-    #: the rows, by time constant; in body axes and in space axes. It decays.
+    #: Torques minus commands at the time of each row, N m, one for each time constant, in body
+    #: axes and in space axes. The rows contain the commands; the excess decays.
     excess: Annotated[Floats, 'n l 2 3']
-    #: s.
+    #: The time constants, s.
     time_constants: Annotated[Floats, 'l']
 
 
 class LagTerms(NamedTuple):
-    """The same with torques that lag; the fields may be none."""
+    """`FieldTerms` with torques that lag; fields may be absent."""
 
     momentum: Annotated[Floats, 'n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
@@ -140,18 +145,18 @@ class LagTerms(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Wheels with friction, see `friction`, padded with zeros to a multiple of four."""
+    """Wheels with friction, see `friction`; their number is padded to a multiple of four."""
 
-    #: N m: the torque of the motor of each wheel in each row.
+    #: The torque of the motor of each wheel in each row, N m.
     efforts: Annotated[Floats, 'n 4g']
-    #: See `friction.SIZE`.
+    #: The constants of the wheels; see `friction.SIZE`.
     wheels: Annotated[Floats, '24g']
-    #: N m s: the axial momenta at the requested times.
+    #: The axial momenta at the requested times, N m s.
     momenta: Annotated[Floats, 'm 4g', WRITTEN]
 
 
 class FrictionTerms(NamedTuple):
-    """The same with friction; the fields and the lags may be none, and no motors act in rows."""
+    """`LagTerms` with friction; fields and lags may be absent, and `motors` contains zeros."""
 
     momentum: Annotated[Floats, 'n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
@@ -165,20 +170,20 @@ AnyTerms = Terms | FieldTerms | LagTerms | FrictionTerms
 
 
 class Rows(NamedTuple):
-    """What acts on a body: each row from its time to that of the next."""
+    """What acts on a body: each row acts from its time to the time of the next row."""
 
-    #: ns, strictly ascending. Before the first no torque acts.
+    #: When each row begins, ns, strictly ascending. Before the first row no torque acts.
     times_ns: Annotated[Ints, 'n']
-    #: N m, of degree d, see `TorqueLog.polynomials`; on the body in the axes that `in_space`
-    #: states. The torque on the rotors is subtracted from one in body axes.
+    #: Torques on the body, N m, as polynomials of degree d; see `TorqueLog.polynomials`. The
+    #: torque on the rotors is already subtracted from a torque in body axes.
     torques: Annotated[Floats, 'n 2d+1 3']
-    #: Whether these are in space axes.
+    #: Whether the torque of each row is in space axes.
     in_space: Annotated[NDArray[np.bool_], 'n']
-    #: s: in this time the variable of the polynomials grows from 0 to 1. Empty if they are
-    #: constant.
+    #: The time in which the variable of the polynomials grows from 0 to 1, s. Empty if the
+    #: polynomials are constant.
     spans: Annotated[Floats, 'n|0']
-    #: None if there are neither rotors nor damping, nor fields, nor torques in two frames or with
-    #: a lag.
+    #: What acts besides the torques of the rows. None if there are no rotors, no damping, no
+    #: fields, no lags and no torques in two frames.
     terms: AnyTerms | None = None
 
 
@@ -196,25 +201,25 @@ class Sums(NamedTuple):
 class Samples(NamedTuple):
     """The samples of all sources, one source after the other."""
 
-    #: N m, of degree d, as in `Rows`.
+    #: Torques, N m, as polynomials of degree d, as in `Rows`.
     coefficients: Annotated[Floats, 'p 2d+1 3']
     stamps_ns: Annotated[Ints, 'p']
     in_space: Annotated[NDArray[np.bool_], 'p']
-    #: Where each source begins, and the end.
+    #: The index at which each source begins, and the number of samples.
     offsets: Annotated[Ints, 's+1']
 
 
 class Requested(NamedTuple):
     """The requested times, and the arrays for the results."""
 
-    #: int64 (m,), ns: requested times, none before the beginning.
+    #: int64 (m,): the requested times, ns, none before the start of the motion.
     times_ns: NDArray[np.int64]
-    #: int (m,): rows of `times_ns` and of the motion in ascending order of time; (0,) if the times
-    #: ascend.
+    #: int (m,): the indices into `times_ns` and the motion, in ascending order of time; shape (0,)
+    #: if the times ascend.
     order: NDArray[np.intp]
-    #: float64 (7 m,), see `motion_layout`.
+    #: float64 (7 m,): the motion; see `motion_layout`.
     motion: Floats
-    #: bool (n + 1,): at index row + 1, whether a coast was computed in closed form.
+    #: bool (n + 1,): at index row + 1, whether the coast in this row was computed in closed form.
     closed: NDArray[np.bool_]
 
 
@@ -224,43 +229,43 @@ class Place(NamedTuple):
     #: Time of the state on the step grid, and of the beginning of the segment.
     grid_ns: int
     begin_ns: int
-    #: The row in force; -1: none yet.
+    #: The row in force; -1 before the first row.
     row: int
-    #: How many outputs are filled.
+    #: The number of outputs that are filled.
     done: int
 
 
 class GridStates(NamedTuple):
     """The states of the loop."""
 
-    #: On the step grid.
+    #: The state on the step grid.
     grid: vector.KernelState
-    #: At the beginning of the segment.
+    #: The state at the beginning of the segment.
     begin: vector.KernelState
-    #: Computed last.
+    #: The state that was computed last.
     latest: vector.KernelState
 
 
 def begun(grid: Floats, grid_ns: int, begin: Floats, begin_ns: int, row: int,
           stop: int) -> NDArray[Any]:
     """
-    Return the progress of a motion that is about to continue from a step grid.
+    Return the progress of a motion that continues from a step grid.
 
     Parameters
     ----------
     grid, begin : array, shape (state_layout.WITH_WHEELS,)
         The states on the grid and at the beginning of the segment.
     grid_ns, begin_ns : int
-        Their times.
+        The times of these states.
     row, stop : int
-        The row in force, and that to stop at.
+        The row in force, and the row at which to stop.
 
     Returns
     -------
     array of PROGRESS, shape (1,)
 
     """
-    # To assign the fields would take three times as long.
+    # Pack the bytes, because assigning the fields one by one would take three times as long.
     states, latest = grid.tobytes() + begin.tobytes(), grid.tobytes()
     return np.frombuffer(bytearray(states + latest + _COUNTS.pack(
         grid_ns, begin_ns, row, 0, stop, BUDGET)), PROGRESS)
@@ -295,7 +300,7 @@ def form_of(constants: Floats) -> int:
 
 @internal
 def load_states(progress: NDArray[Any]) -> GridStates:
-    """Return the states; the latest is that on the grid until another is computed."""
+    """Return the states; `latest` is the state on the grid until the loop computes another."""
     grid = state_layout.load(progress[0].grid, 0)
     return GridStates(grid, state_layout.load(progress[0].begin, 0), grid)
 
@@ -317,6 +322,6 @@ def load_place(progress: NDArray[Any]) -> Place:
 
 @internal
 def store_place(place: Place, progress: NDArray[Any]) -> None:
-    """Write the progress of the loop back."""
+    """Write the progress of the loop back to the record."""
     progress[0].grid_ns, progress[0].begin_ns = place.grid_ns, place.begin_ns
     progress[0].row, progress[0].done = place.row, place.done

@@ -18,8 +18,8 @@ The terms of Euler's equations that are linear in the angular velocity: rotors a
     J dw/dt = (J w + h) x w + tau - D w
 
 The momentum h of the rotors and the damping D contribute A w to the acceleration, where
-A = J^-1 ([h]x - D). The matrix is computed in twice the working precision: an error of A that is
-the same in every step would change the energy of a long run.
+A = J^-1 ([h]x - D). The matrix A is computed in twice the working precision, because an error that
+is the same in every step would change the energy in a long run.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.vector import add, of, scale, total, two_sum, Vector
 
-#: The entries (i, i + k) of a matrix, modulo 3, for k = 0, 1 and 2: a product with a vector takes
-#: three multiplications of four numbers each.
+#: The entries (i, i + k) of a matrix, modulo 3, for k = 0, 1 and 2. In this order, a product with
+#: a vector takes three multiplications of four numbers each.
 Matrix = tuple[Vector, Vector, Vector]
-#: N m s: coefficients of the momentum of the rotors, of degree 4 in the fraction of a span.
+#: Coefficients of the momentum of the rotors, N m s: a polynomial of degree 4 in the fraction of a
+#: span.
 Momentum = tuple[Vector, Vector, Vector, Vector, Vector]
 #: A vector and its low-order part.
 Pair = tuple[Vector, Vector]
@@ -69,14 +70,14 @@ def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
     Parameters
     ----------
     constants : Constants
-        Of the body.
+        The matrices of the body.
     momentum, low : Vector
         Momentum of the rotors and its low-order part, N m s, body axes.
 
     Returns
     -------
     Linear
-        In 1/s.
+        The matrix, 1/s.
 
     """
     (p, q, r), (low_p, low_q, low_r) = constants.inverse
@@ -95,7 +96,7 @@ def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
 
 @inlined
 def _diagonal(first: Pair, second: Pair, third: Pair, fourth: Pair, last: Pair) -> Pair:
-    # Return p a + q b - d and its low-order part.
+    # Return p a + q b - d, where p, a, q, b and d are the arguments, and its low-order part.
     (p, low_p), (a, low_a), (q, low_q), (b, low_b), (d, low_d) = first, second, third, fourth, last
     left, right = four.multiply(p, a), four.multiply(q, b)
     rest = add(four.fma(p, a, four.negative(left)), four.fma(q, b, four.negative(right)))
@@ -124,7 +125,7 @@ def times_cross(inverse: Matrix, momentum: Vector) -> Matrix:
 
 @inlined
 def rounded_at(constants: Constants, momentum: Vector) -> Linear:
-    """Return what `at` returns, without low-order parts, which take most of its time."""
+    """Return the matrix of `at` without low-order parts, which take most of the time of `at`."""
     x, y, z = rotor_matrix(constants, momentum)
     d, e, f = constants.damping.matrix
     none = four.broadcast(0.0)
@@ -135,10 +136,11 @@ def rounded_at(constants: Constants, momentum: Vector) -> Linear:
 @inlined
 def square_rate(matrix: Matrix) -> float:
     """
-    Return the square of the rate of rotation that limits a step as much as the matrix, 1/s^2.
+    Return the square, 1/s^2, of the rate of rotation that limits a step as much as this matrix.
 
-    The rate is half the Frobenius norm. Linear terms limit a step less than products of w do: on
-    their own they give an entire function, whose series converges everywhere.
+    The rate is half the Frobenius norm of the matrix. Linear terms limit a step less than products
+    of w do: with linear terms alone, the motion is an entire function, whose series converges
+    everywhere.
     """
     x, y, z = matrix
     return 0.25 * total(four.fma(x, x, four.fma(y, y, four.multiply(z, z))))
@@ -153,14 +155,14 @@ def is_zero(matrix: Matrix) -> bool:
 
 @inlined
 def add_product(rest: Vector, matrix: Matrix, w: Vector, w_yzx: Vector, w_zxy: Vector) -> Vector:
-    """Return the product with a vector, given in its three permutations, plus a rest."""
+    """Return `rest` plus a matrix times a vector w, whose three permutations are given."""
     x, y, z = matrix
     return add(four.fma(z, w_zxy, rest), four.fma(y, w_yzx, four.multiply(x, w)))
 
 
 @inlined
 def product(matrix: Matrix, w: Vector) -> Vector:
-    """Return the product with a vector."""
+    """Return the product of a matrix and a vector."""
     return add_product(four.broadcast(0.0), matrix, w, four.yzx(w), four.zxy(w))
 
 

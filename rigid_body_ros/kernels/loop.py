@@ -15,19 +15,20 @@
 """
 The loop from one torque change to the next.
 
-The contract of `run`, whatever the solver:
+This is the contract of `run` with every solver:
 
-1. The motion is a function of the start, the torque and the options. No bit of it depends on the
-   other requested times, on the number of calls of `run`, or on its budget.
-2. A *segment* runs from one torque change to the next; consecutive intervals without torque are
+1. The motion is a function of the start, the torque and the options. No bit of the motion
+   depends on the other requested times, on the number of calls of `run`, or on its budget.
+2. A *segment* runs from one torque change to the next. Consecutive intervals without torque are
    one segment, a *coast*. The state at the beginning of a segment is kept.
-3. Steps end on a grid that begins with the segment and depends only on the state there, the
-   torque and the method. The last grid point reached is kept, so that a later call computes only
-   new steps. A state between grid points is one more step, and no later state depends on it.
+3. Steps end on a grid that begins with the segment. The grid depends only on the state at the
+   beginning of the segment, the torque and the method. The last grid point reached is kept, so
+   that a later call computes only new steps. A state between grid points takes one more step, and
+   no later state depends on this step.
 4. A coast in closed form is always computed from its beginning.
-5. `run` returns when it has filled all outputs, has reached the row to stop at, has used up its
-   budget, or finds that the body is too fast. Another call continues from the progress that it
-   leaves.
+5. `run` returns when it has filled all outputs, has reached the row at which to stop, has used up
+   its budget, or finds that the body is too fast. Another call continues from the progress that
+   this call has stored.
 """
 
 from __future__ import annotations
@@ -80,11 +81,11 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
     Parameters
     ----------
     progress : array of layout.PROGRESS, shape (1,)
-        Changed.
+        The progress of the motion, which the kernel updates.
     times_ns, order, motion, closed
         See `layout.Requested`.
     rows : Rows
-        What acts on the body. The kernel is compiled for what they have.
+        What acts on the body. The kernel is compiled for each combination of terms.
     constants : float64 (128,)
         See `body_layout.pack`.
     methods : array of layout.METHOD, shape (1,)
@@ -107,16 +108,17 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
     return UNFINISHED if place.row < stop and place.done < len(times_ns) else FINISHED
 
 
-# A pass of the loop goes to the next requested time in the row, or to the end of the row. It is
-# one of these cases; each marks its code below:
-#   SKIP         a row of a coast in which nothing is asked for: the next row continues the coast
+# A pass of the loop goes to the next requested time in the row, or to the end of the row. Each
+# pass is one of these cases; a comment with the name of the case marks its code below:
+#   SKIP         a row of a coast without an output: the next row continues the coast
 #   CLOSED FORM  a coast, computed from its beginning
 #   REACHED      the time is that of the last grid point
-#   SHORT STEPS  of rows whose whole interval takes one short step, as many as follow each other
-#   SHORT STEP   one, to a time in such a row
-#   STEPS        on the grid of the segment: the series, or a solver with fixed steps
-# Then an output is stored, and at the end of a row a segment begins, unless a coast goes on.
-# Arrays are taken out of the records before the loop, not in each pass.
+#   SHORT STEPS  consecutive rows, each of which takes one short step
+#   SHORT STEP   one short step to a time within such a row
+#   STEPS        steps on the grid of the segment, by the series or by a solver with fixed steps
+# Then the pass stores the output, if there is one. At the end of a row a segment begins, unless a
+# coast continues. The code reads the arrays from the records once before the loop, not in each
+# pass.
 @internal
 def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: Body,
                   method: Method, terms: BodyTerms | None) -> tuple[Place, GridStates]:
@@ -200,7 +202,7 @@ def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
 @inlined
 def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vector,
               held: short_step.HeldLoads | None, body: Body, method: Method) -> bool:
-    # Return whether one short step is enough, if the torque is held in body axes.
+    # Return whether one short step is enough, given that the torque is held in body axes.
     seconds = rest_ns / 1e9
     return (rest_ns < method.max_step_ns and not method.fixed_step
             and short_step.is_accurate(grid, seconds, acceleration, method.tolerance, held))
@@ -210,10 +212,11 @@ def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vecto
 def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Requested,
                      rows: Rows, body: Body, method: Method,
                      terms: BodyTerms | None) -> tuple[vector.KernelState, int, int, int]:
-    # Step from row to row, at most to the beginning of the row `last`, under held body torques, as
-    # long as one short step is enough and no output lies between the rows. Fill the outputs at the
-    # beginnings of rows, except one at the last that is reached. Return state, grid_ns, row and
-    # done. In a function of its own, the compiler keeps the state in registers.
+    # Step from row to row under held body torques, at most to the beginning of the row `last`, as
+    # long as one short step is enough and no output lies within a row. Fill the outputs at the
+    # beginnings of rows, but not at the beginning of the last row that is reached. Return state,
+    # grid_ns, row and done. This is a separate function so that the compiler keeps the state in
+    # registers.
     grid_ns, row, done = place.grid_ns, place.row, place.done
     times_ns, order, motion, _ = outputs
     row_times_ns, torques, in_space, _, _ = rows

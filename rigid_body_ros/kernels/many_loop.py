@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop over many runs, without Python between them."""
+"""The loop over many runs, which does not return to Python between runs."""
 
 from __future__ import annotations
 
@@ -29,39 +29,40 @@ from rigid_body_ros.kernels.groups import Advanced
 from rigid_body_ros.kernels.jit import inlined, internal, njit, optional, WRITTEN
 from rigid_body_ros.kernels.layout import METHOD, PROGRESS, Rows, Terms
 
-#: Rows after which runs that could not step together are tried again.
+#: Number of rows after which runs that could not step together try again.
 _PIECE = 64
 
 
 class Runs(NamedTuple):
-    """All runs: an element or row of each array is for one run."""
+    """All runs. Each array has an element or a row for each run."""
 
-    #: See `loop.run`. A run that has failed is skipped; one whose body becomes too fast fails.
+    #: See `loop.run`. A run that has failed is skipped. A run fails if its body becomes too
+    #: fast.
     progress: Annotated[NDArray[Any], 'r', PROGRESS, WRITTEN]
     motions: Annotated[Floats, 'r 7m', WRITTEN]
     constants: Annotated[Floats, f'r {body_layout.SIZE}']
-    #: Factors of the torque; all 1 for a torque that is not held.
+    #: Factors of the torque. All factors are 1 if the torque is not held.
     gains: Annotated[Floats, 'r']
 
 
 class RunsWorkspace(NamedTuple):
     """The arrays that `run_each` needs besides its results."""
 
-    #: See `Group`: rows, going and limits_ns, an element for each lane, and the workspace.
+    #: See `rows`, `going`, `limits_ns` and `work` of `Group`.
     lanes: Annotated[Ints, 'L', WRITTEN]
     going: Annotated[NDArray[np.bool_], 'L', WRITTEN]
     limits_ns: Annotated[Ints, 'L', WRITTEN]
     table: Annotated[Floats, f'{group_of_runs.ROWS} L', WRITTEN]
     #: See `loop.run`.
     closed: Annotated[NDArray[np.bool_], 'n+1', WRITTEN]
-    #: Torques times the factor of a run.
+    #: The torques multiplied by the factor of a run.
     torques: Annotated[Floats, 'n 2d+1 3', WRITTEN]
 
 
 class ManyTerms(NamedTuple):
-    """What acts on the bodies of all runs besides the torques of the rows, see `Terms`."""
+    """What acts on the bodies of all runs besides the torques of the rows; see `Terms`."""
 
-    #: Of run i the element i % j.
+    #: Run i uses the element i % j.
     momentum: Annotated[Floats, 'j n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3'] | None
     space: Annotated[Floats, 'n d+1 3'] | None
@@ -69,20 +70,20 @@ class ManyTerms(NamedTuple):
 
 
 class ManyFieldTerms(NamedTuple):
-    """The same with fields, see `FieldTerms`."""
+    """`ManyTerms` with fields; see `FieldTerms`."""
 
     momentum: Annotated[Floats, 'j n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
     space: Annotated[Floats, 'n d+1 3']
-    #: Of run i the element i % f.
+    #: Run i uses the element i % f.
     fields: Annotated[NDArray[Any], 'f', FIELDS]
 
 
 class ManyRows(NamedTuple):
-    """What acts on the bodies of all runs, see `Rows`."""
+    """What acts on the bodies of all runs; see `Rows`."""
 
     times_ns: Annotated[Ints, 'n']
-    #: Of run i the element i % k.
+    #: Run i uses the element i % k.
     torques: Annotated[Floats, 'k n 2d+1 3']
     in_space: Annotated[NDArray[np.bool_], 'n']
     spans: Annotated[Floats, 'n|0']
@@ -90,7 +91,7 @@ class ManyRows(NamedTuple):
 
 
 def workspace(lanes: int, rows: ManyRows) -> RunsWorkspace:
-    """Return arrays, not yet filled, for rows of all runs; with one lane runs are not grouped."""
+    """Return unfilled arrays for the rows of all runs; with one lane there are no groups."""
     return RunsWorkspace(
         np.empty(lanes, np.intp), np.empty(lanes, np.bool_), np.empty(lanes, np.int64),
         group_of_runs.workspace(lanes), np.empty(len(rows.times_ns) + 1, np.bool_),
@@ -107,21 +108,22 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
     Parameters
     ----------
     which : array of int, shape (k,)
-        The runs to compute, elements or rows of the arrays that follow.
+        The runs to compute, as indices into the arrays of `runs`.
     runs : Runs
         All runs.
     times_ns, order, methods
-        As for `loop.run`, of all runs.
+        See `loop.run`. All runs have the same times and the same method.
     rows : ManyRows
-        Of all runs.
+        The rows of all runs.
     work : RunsWorkspace
-        Changed.
+        Arrays that the kernel overwrites.
 
     Returns
     -------
     int
-        How many runs are done, counted up to the first that is not. If that is fewer than given,
-        the budget is used up, and another call continues.
+        The number of runs that are done, counted up to the first run that is not done. If this
+        number is less than the number of runs in `which`, the budget is used up, and another call
+        continues.
 
     """
     progress, motions, constants, gains = runs
@@ -136,7 +138,7 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
         until, going, stop = -1, True, progress[group.rows[0]].stop
         while going:
             together = Advanced(0, 0, progress[group.rows[0]].row)
-            if rows.terms is None and count > 1:  # with terms the compiler leaves it out
+            if rows.terms is None and count > 1:  # if there are terms, this is not compiled
                 together = groups.advance(
                     group, count, which[ahead:], times_ns, order,
                     Rows(rows.times_ns, rows.torques[0], rows.in_space, rows.spans),
@@ -144,7 +146,7 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
                 ahead += together.taken
                 if together.steps >= BUDGET:
                     return k
-            # They finish the segment in which they were together one by one.
+            # One by one, the runs finish the segment in which they stepped together.
             until = max(until, together.until) + (_PIECE if together.steps == 0 else 0)
             until, going = min(stop, until), False
             for lane in range(count):
@@ -172,8 +174,9 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
 
 @internal
 def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int) -> tuple[int, int, int]:
-    # Fill the lanes with the next runs that are left. Return the position of the first of them, or
-    # the number of runs, how many they are, and the position after the last.
+    # Fill the lanes with the next runs that are not done. Return the position of the first of
+    # these runs (the length of `which` if there is none), their count, and the position after the
+    # last.
     begin, count = len(which), 0
     while k < len(which) and count < len(group.rows):
         i = which[k]
@@ -188,7 +191,7 @@ def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int) -> tupl
 
 @internal
 def _scaled(torques: Floats, first: int, stop: int, gain: float, results: Floats) -> Floats:
-    # Return some rows of torques times a factor, in the array for the results.
+    # Store some rows of torques times a factor in the array of results, and return these rows.
     count = min(stop, len(torques)) - first
     for row in range(count):
         for k in range(torques.shape[1]):

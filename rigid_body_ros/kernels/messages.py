@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages and their records in files, from bytes to arrays."""
+"""Decoding of messages, and of message records in files, from bytes to arrays."""
 
 from __future__ import annotations
 
@@ -38,15 +38,16 @@ class RawMessages(NamedTuple):
 class Contents(NamedTuple):
     """The contents of messages."""
 
-    #: ns, zero before.
+    #: The stamps, ns. The caller sets all stamps to zero.
     stamps: Annotated[Ints, 'n', WRITTEN]
     #: The bits of the doubles.
     bits: Annotated[Ints, 'n d', WRITTEN]
     #: Start and size of each frame_id.
     texts: Annotated[Ints, 'n 2', WRITTEN]
-    #: Whether the frame_id differs from the previous one; false before.
+    #: Whether the frame_id differs from the frame_id of the previous message. The caller sets all
+    #: elements to False.
     changes: Annotated[NDArray[np.bool_], 'n', WRITTEN]
-    #: The number of bytes after the doubles.
+    #: The number of bytes after the doubles of each message.
     after: Annotated[Ints, 'n', WRITTEN]
 
 
@@ -59,11 +60,11 @@ def decode(messages: RawMessages, has_header: bool, is_list: bool, has_child_fra
     Parameters
     ----------
     messages : RawMessages
-        Of one type.
+        Messages of one type.
     has_header, is_list, has_child_frame, before_doubles : bool, bool, bool, int
-        See `MessageType`; the last is a number of bytes.
+        The attributes of `MessageType`; instead of `before_doubles`, the number of its bytes.
     contents : Contents
-        Output.
+        The output.
 
     Returns
     -------
@@ -124,16 +125,17 @@ def find_transforms(messages: RawMessages, is_list: bool, parent: Annotated[Byte
     Parameters
     ----------
     messages, is_list
-        As for `decode`.
+        See `decode`.
     parent, child : uint8 (size,)
-        The frame_id and the child_frame_id, each followed by a zero.
+        The frame_id and the child_frame_id, each followed by a zero byte.
     rows, stamps, bits : int64 (m,), (m,), (m, doubles)
-        Outputs: the message of each transform, its stamp, ns, and the bits of its doubles.
+        Outputs: for each transform the index of its message, its stamp, ns, and the bits of its
+        doubles.
 
     Returns
     -------
     int, int
-        The number of transforms found, and the first invalid message or -1.
+        The number of transforms found, and the index of the first invalid message or -1.
 
     """
     (data, starts, sizes), found = messages, 0
@@ -184,19 +186,20 @@ def scan(data: Annotated[Bytes, 's'], position: int, count: int,
     data : array of uint8, shape (size,)
         Consecutive records, as in a decompressed chunk.
     position, count : int
-        Where to start in the data, and how many messages were found before.
+        Where to start in the data, and the number of messages found before.
     found : int64 (5, n)
-        Output, filled from column `count` on: the channel of each message, when it was logged and
-        published, ns, and the position and size of its content in the data.
+        The output, filled from column `count` on. The rows are the channel of each message, the
+        time at which it was logged and the time at which it was published, ns, and the position
+        and the size of its content in the data.
 
     Returns
     -------
     position, count : int
-        Where the scan stopped, and how many messages have been found so far.
+        Where the scan stopped, and the number of messages found so far.
 
     """
     end = len(data)
-    while position + 31 <= end and data[position] == 5:  # a message with all its fields
+    while position + 31 <= end and data[position] == 5:  # a complete message record
         length = _integer(data, position + 1, 8, True)
         if length < 22 or length > end - position - 9:
             break
@@ -211,7 +214,8 @@ def scan(data: Annotated[Bytes, 's'], position: int, count: int,
 
 @inlined
 def _integer(data: Bytes, start: int, size: int, little: bool) -> Any:
-    # Return an integer, little or big endian; eight bytes are signed, fewer are unsigned.
+    # Return a little or big endian integer. An integer of eight bytes is signed; a shorter integer
+    # is unsigned.
     value = np.int64(0)
     for k in range(size):
         place = size - 1 - k if little else k

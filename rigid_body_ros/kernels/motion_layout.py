@@ -15,9 +15,9 @@
 """
 The layout of a motion at m times: 7 m doubles.
 
-The block holds m attitudes x y z w, then m angular velocities, rad/s, body axes. It is a single
-block: the system reclaims the memory of two blocks that are freed together. To get their pages
-again would take the next run as long as its arithmetic.
+The block holds m attitudes x y z w, then m angular velocities, rad/s, body axes. The motion is one
+block instead of two, because the system reclaims the memory of two blocks that are freed together.
+The next run would then spend as much time on getting this memory back as on its arithmetic.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rigid_body_ros.kernels import four, state_layout, vector
 from rigid_body_ros.kernels.jit import inlined, internal
 
 _ATTITUDE, _RATES = 4, 3
-#: Doubles per time.
+#: Number of doubles for each time.
 SIZE = _ATTITUDE + _RATES
 
 
@@ -49,7 +49,7 @@ def angular_velocity(motion: Floats) -> Floats:
 
 @inlined
 def store(state: vector.KernelState, row: int, motion: Floats) -> None:
-    """Write attitude and angular velocity of a state into a row of a motion."""
+    """Write the attitude and the angular velocity of a state to a row of a motion."""
     rates, start = state[0], len(motion) // SIZE * _ATTITUDE + _RATES * row
     four.store(motion, _ATTITUDE * row, state[1])
     motion[start], motion[start + 1], motion[start + 2] = rates[0], rates[1], rates[2]
@@ -57,7 +57,7 @@ def store(state: vector.KernelState, row: int, motion: Floats) -> None:
 
 @internal
 def store_packed(packed: Floats, row: int, motion: Floats) -> None:
-    """Write attitude and angular velocity of a state, see `state_layout`, into a row."""
+    """Write the attitude and the angular velocity of a packed state to a row of a motion."""
     start = len(motion) // SIZE * _ATTITUDE + _RATES * row
     for k in range(_ATTITUDE):
         motion[_ATTITUDE * row + k] = packed[state_layout.ATTITUDE + k]

@@ -13,18 +13,18 @@
 # limitations under the License.
 
 """
-Principal moments and axes of many tensors, with the bits of `tensor.principal`.
+Principal moments and axes of many tensors, with the same bits as `tensor.principal`.
 
-Jacobi rotations in doubles give moments m_k and axes v_k. The exact axis i, but for its length, is
-the sum of v_k z_k with z_i = 1, and the exact moment is m_i + d, where
+Jacobi rotations in doubles give moments m_k and axes v_k. The exact axis i has the direction of
+the sum of v_k z_k with z_i = 1. The exact moment i is m_i + d. The z_k and d obey
 
     sum over k of (r_jk + (m_k - m_i - d) g_jk) z_k = 0  for each j,
     r_jk = v_j . (J v_k - m_k v_k),  g_jk = v_j . v_k.
 
-The residuals r_jk, and g_jk less 1 if j = k, are as small as rounding errors. Only they are
-computed beyond double precision; doubles suffice for their products. This is the iterative
-refinement of Ogita and Aishima, "Iterative refinement for symmetric eigenvalue decomposition",
-2018, carried on to convergence.
+The residuals are r_jk, g_jk for j != k, and g_kk - 1, all as small as rounding errors. Only the
+residuals are computed beyond double precision; doubles suffice for their products. This is the
+iterative refinement of Ogita and Aishima, "Iterative refinement for symmetric eigenvalue
+decomposition", 2018, continued until it converges.
 """
 
 from __future__ import annotations
@@ -48,12 +48,13 @@ from rigid_body_ros.kernels.triple_double import (
 
 #: Bounds on the relative errors of a product of residuals and of double-double arithmetic.
 _PRODUCT_ERROR, _PAIR_ERROR = 2.0 ** -48, 2.0 ** -100
-#: Of `tensor.principal`, which neglects off-diagonal entries below 1e-54, in units of ERROR.
+#: Bound, in units of ERROR, on the error of `tensor.principal`, which neglects off-diagonal
+#: entries below 1e-54.
 _EXACT_ERROR = 2.0 ** -178 / ERROR
-#: Difference of moments, relative to the sum of the absolute entries of the tensor, below which
-#: the iteration may not converge.
+#: If the ratio of a difference of moments to the sum of the absolute entries of the tensor is
+#: below this value, the iteration may not converge.
 _CLOSE = 2.0 ** -30
-#: More than the relative error of a rotation in doubles.
+#: Bound on the relative error of a rotation in doubles.
 _ROUNDING = 2.0 ** -49
 _SWEEPS, _ITERATIONS = 10, 3
 _AMBIGUOUS = math.inf
@@ -61,16 +62,16 @@ _ZERO = (0.0, 0.0, 0.0)
 
 
 class AxesWorkspace(NamedTuple):
-    """The arrays that principal moments and axes are computed in."""
+    """The arrays in which principal moments and axes are computed."""
 
-    #: The tensor in the axes found so far, these as columns, and the shares of `_refine`.
+    #: The tensor in the axes found so far, the axes as columns, and the shares of `_refine`.
     matrix: Annotated[Floats, '3 3', WRITTEN]
     axes: Annotated[Floats, '3 3', WRITTEN]
     shares: Annotated[Floats, '3 3', WRITTEN]
     #: See `_fill_residuals`.
     r: Annotated[Floats, '3 3 3', WRITTEN]
     g: Annotated[Floats, '3 3 3', WRITTEN]
-    #: The moments, and see `_iterate`.
+    #: The moments, and the results of `_iterate`.
     moments: Annotated[Floats, '3', WRITTEN]
     z: Annotated[Floats, '3', WRITTEN]
     sums: Annotated[Floats, '3', WRITTEN]
@@ -95,7 +96,7 @@ def fill_components(high: Annotated[Floats, '3 3'], low: Annotated[Floats, '3 3'
     vectors : float64 (n, 3)
         The vectors.
     components : float64 (n, 3, 2)
-        Output: high-order and low-order part of each component.
+        The output: high-order and low-order part of each component.
 
     """
     for row in range(len(vectors)):
@@ -115,16 +116,16 @@ def fill_principal(tensor: Floats, constants: Floats, work: AxesWorkspace) -> bo
     Parameters
     ----------
     tensor : float64 (3, 3), kg m^2
-        Symmetric.
+        The tensor, symmetric.
     constants : float64 (body_layout.SIZE,)
-        Output: the moments and axes.
+        The output; the kernel writes the moments and axes.
     work : AxesWorkspace
-        Changed.
+        Arrays that the function overwrites.
 
     Returns
     -------
     bool
-        Whether all bits are certain to be those of `tensor.principal`.
+        Whether it is certain that all bits are those of `tensor.principal`.
 
     """
     matrix, axes, moments = work.matrix, work.axes, work.moments
@@ -139,7 +140,8 @@ def fill_principal(tensor: Floats, constants: Floats, work: AxesWorkspace) -> bo
         return False
     if _refined(tensor, size, work, constants):
         return True
-    # Close moments leave the axes of Jacobi rotations inaccurate. The refined ones are not.
+    # If moments are close, the axes of Jacobi rotations are inaccurate, but the refined axes are
+    # accurate. So refine once more, from the refined axes.
     for i in range(3):
         moments[i] = constants[body_layout.MOMENTS + i]
         for c in range(3):
@@ -150,7 +152,7 @@ def fill_principal(tensor: Floats, constants: Floats, work: AxesWorkspace) -> bo
 @internal
 def _diagonalized(tensor: Floats, size: float, matrix: Floats, axes: Floats) -> bool:
     # Fill a nearly diagonal matrix, and the axes as columns, by Jacobi rotations in doubles.
-    # Return whether these are, but for rounding errors, the rotations of `tensor.principal`.
+    # Return whether these are the rotations of `tensor.principal`, except for rounding errors.
     for a in range(3):
         for b in range(3):
             matrix[a, b], axes[a, b] = tensor[a, b], 1.0 if a == b else 0.0
@@ -167,8 +169,9 @@ def _diagonalized(tensor: Floats, size: float, matrix: Floats, axes: Floats) -> 
 
 @internal
 def _rotated(matrix: Floats, axes: Floats, p: int, q: int, size: float, error: float) -> float:
-    # Rotate, given a bound on the error of the matrix, and return that bound after the rotation:
-    # infinity if the sign of the rotation, and so that of an axis, depends on the error.
+    # Apply a Jacobi rotation, given a bound on the error of the matrix. Return the bound after the
+    # rotation; infinity if the sign of the rotation, and therefore the sign of an axis, depends on
+    # the error.
     difference = matrix[q, q] - matrix[p, p]
     if abs(difference) < 64.0 * error:
         return _AMBIGUOUS
@@ -195,7 +198,8 @@ def _rotated(matrix: Floats, axes: Floats, p: int, q: int, size: float, error: f
 
 @internal
 def _sort(matrix: Floats, axes: Floats, moments: Floats) -> None:
-    # Fill the moments in ascending order, and sort the axes. An odd permutation turns the last.
+    # Fill the moments in ascending order, and sort the axes. If the permutation is odd, reverse
+    # the last axis, so that the axes stay right-handed.
     odd = False
     for i in range(3):
         moments[i] = matrix[i, i]
@@ -212,7 +216,7 @@ def _sort(matrix: Floats, axes: Floats, moments: Floats) -> None:
 
 @internal
 def _refined(tensor: Floats, size: float, work: AxesWorkspace, constants: Floats) -> bool:
-    # Store refined moments and axes; return whether their bits are certain.
+    # Store refined moments and axes, and return whether their bits are certain.
     axes, shares = work.axes, work.shares
     _fill_residuals(tensor, size, work.moments, axes, work.r, work.g)
     certain = True
@@ -233,8 +237,9 @@ def _refined(tensor: Floats, size: float, work: AxesWorkspace, constants: Floats
 @internal
 def _fill_residuals(tensor: Floats, size: float, moments: Floats, axes: Floats, r: Floats,
                     g: Floats) -> None:
-    # Fill r and g, the latter less 1 if j = k: high-order part, low-order part, and error bound in
-    # units of ERROR. An axis that is a body axis and its moment are exact in `tensor.principal`.
+    # Fill the residuals r and g (minus 1 if j = k), each as high-order part, low-order part, and
+    # error bound in units of ERROR. If an axis is a body axis, the axis and its moment are exact
+    # in `tensor.principal`.
     for k in range(3):
         a, a_size = _rest(tensor, moments[k], axes, 0, k)
         b, b_size = _rest(tensor, moments[k], axes, 1, k)
@@ -267,8 +272,8 @@ def _rest(tensor: Floats, moment: float, axes: Floats, row: int, k: int) \
 
 @internal
 def _square_less_one(axes: Floats, k: int) -> tuple[TripleDouble, float]:
-    # Return v . v - 1, and the sum of the absolute values of its terms. One term is x^2 - 1, with
-    # the largest component x, computed as (x - 1) (x + 1).
+    # Return v . v - 1, and the sum of the absolute values of its terms. One term is x^2 - 1, where
+    # x is the largest component. This term is computed as (x - 1) (x + 1).
     total, size, largest = _ZERO, 0.0, 0
     for c in range(1, 3):
         if abs(axes[c, k]) > abs(axes[largest, k]):
@@ -297,8 +302,9 @@ def _product(axes: Floats, j: int, k: int) -> tuple[TripleDouble, float]:
 
 @internal
 def _refine(i: int, work: AxesWorkspace) -> tuple[TripleDouble, float]:
-    # Return moment i and its error bound. Fill the shares of the v_k in its axis of unit length,
-    # less 1 for v_i: high-order part, low-order part and error bound.
+    # Return moment i and its error bound. Fill the shares of the v_k in the unit vector along axis
+    # i, each as high-order part, low-order part and error bound. Then 1 is subtracted from the
+    # share of v_i.
     _, _, shares, r, g, moments, z, sums = work
     for k in range(3):
         z[k] = sums[k] = 0.0
@@ -319,7 +325,8 @@ def _refine(i: int, work: AxesWorkspace) -> tuple[TripleDouble, float]:
 
 @internal
 def _iterate(i: int, moments: Floats, r: Floats, g: Floats, z: Floats, sums: Floats) -> float:
-    # Return d. Fill z, with 0 for z_i, and the sums of products of residuals for each row.
+    # Return d. Fill `z` (0 instead of 1 for z_i), and fill `sums` with the sum of the products of
+    # residuals in each row.
     d = 0.0
     for _ in range(_ITERATIONS):
         for k in (i, (i + 1) % 3, (i + 2) % 3):
@@ -334,7 +341,8 @@ def _iterate(i: int, moments: Floats, r: Floats, g: Floats, z: Floats, sums: Flo
 @internal
 def _products(row: int, i: int, d: float, moments: Floats, r: Floats, g: Floats, z: Floats) \
         -> tuple[float, float]:
-    # Return the products of residuals in a row, and the sum of their absolute values.
+    # Return the sum of the products of residuals in a row, and the sum of the absolute values of
+    # these products.
     total = -d * (g[row, i, 0] + z[row])
     size = abs(d) * (abs(g[row, i, 0]) + abs(z[row]))
     for k in range(3):
@@ -346,7 +354,7 @@ def _products(row: int, i: int, d: float, moments: Floats, r: Floats, g: Floats,
 
 @internal
 def _normalize(i: int, g: Floats, z: Floats, shares: Floats) -> None:
-    # Fill the share of v_i, less 1, and scale the others so that the axis has unit length.
+    # Fill the share of v_i, minus 1, and scale the other shares so that the axis has unit length.
     squares = size = 0.0
     for k in range(3):
         more = 2.0 * g[i, k, 0] + z[k]
@@ -354,7 +362,7 @@ def _normalize(i: int, g: Floats, z: Floats, shares: Floats) -> None:
             more += g[k, j, 0] * z[j]
         squares += z[k] * more
         size += abs(z[k]) * (2.0 * abs(g[i, k, 0]) + abs(z[k]))
-    high, low = dd.add((g[i, i, 0], g[i, i, 1]), (squares, 0.0))  # the square of the length, - 1
+    high, low = dd.add((g[i, i, 0], g[i, i, 1]), (squares, 0.0))  # the squared length minus 1
     series = high * high * (0.375 + high * (-0.3125 + high * 0.2734375))
     shares[i, 0], shares[i, 1] = dd.add((-0.5 * high, -0.5 * low), (series, 0.0))
     shares[i, 2] = (ERROR * g[i, i, 2] + _PRODUCT_ERROR * (size + high * high)

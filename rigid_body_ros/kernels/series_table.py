@@ -30,40 +30,41 @@ from rigid_body_ros.kernels.vector import of, Quaternion, scale, Vector
 Term = tuple[Vector, Vector, Vector, Quaternion]
 
 MAX_ORDER = 40
-#: Layout of the terms of one order in the table: u in its three permutations; the rotation since
-#: the start of the step; the coefficients of a torque fixed in space, up to four, each in its
-#: three permutations.
+#: Layout of the terms of one order in the table: u in its three permutations, the rotation since
+#: the start of the step, and up to four coefficients of a torque fixed in space, each in its three
+#: permutations.
 U, _U_YZX, _U_ZXY, _ROTATION, TORQUES = range(0, 20, 4)
 #: Size of a vector in its three permutations.
 PERMUTED = 3 * 4
 _TERM = TORQUES + 4 * PERMUTED
-#: The same in lanes, where a number takes a cache line: u and the rotation. Without gaps, no two
-#: terms compete for a place in the first cache.
+#: Layout with lanes: u and the rotation. With lanes, each number takes a cache line. The terms
+#: follow without gaps, so that no two terms compete for a place in the first-level cache.
 _ROTATION_IN_LANES, _TERM_IN_LANES = 4, 8
 #: Size of the table.
 WORKSPACE = _TERM * (MAX_ORDER + 1)
-#: Number of its rows with lanes.
+#: Number of rows of the table with lanes.
 WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
-#: 1 / (k + 1), looked up because a division takes longer.
+#: The factors 1 / (k + 1). They are looked up, because a division takes longer.
 RECIPROCALS = 1.0 / np.arange(1.0, MAX_ORDER + 1.0)
 
 
 @inlined
 def without_fourth(table: Floats, u: Vector) -> Vector:
-    """Return a vector; in lanes, its fourth component becomes a constant zero."""
-    # There it has a register of its own. The compiler leaves out the products of a constant zero.
+    """Return a vector; with lanes, its fourth component becomes a constant zero."""
+    # With lanes, the fourth component would take a register. The compiler leaves out the products
+    # of a constant zero.
     return of(u[0], u[1], u[2]) if four.has_lanes(table) else u
 
 
 @inlined
 def row_of(table: Floats, k: int) -> int:
-    """Return where the terms of an order begin."""
+    """Return the index at which the terms of an order begin."""
     return k * (_TERM_IN_LANES if four.has_lanes(table) else _TERM)
 
 
 @inlined
 def rotation_of(table: Floats) -> int:
-    """Return where the rotation is among the terms of an order."""
+    """Return the offset of the rotation among the terms of an order."""
     return _ROTATION_IN_LANES if four.has_lanes(table) else _ROTATION
 
 
@@ -80,14 +81,14 @@ def store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
 def store_permuted(table: Floats, row: int, vector: Vector) -> None:
     """Store a vector in its three permutations."""
     four.store(table, row, vector)
-    if not four.has_lanes(table):  # lanes are permuted for nothing
+    if not four.has_lanes(table):  # with lanes, a permutation costs nothing
         four.store(table, row + 4, four.yzx(vector))
         four.store(table, row + 8, four.zxy(vector))
 
 
 @inlined
 def load_term(table: Floats, row: int) -> Term:
-    """Return the terms that begin at a place, see `row_of`."""
+    """Return the terms that begin at an index; see `row_of`."""
     u, yzx, zxy = load_permuted(table, row + U)
     return u, yzx, zxy, four.load(table, row + rotation_of(table))
 
@@ -104,9 +105,10 @@ def load_permuted(table: Floats, row: int) -> tuple[Vector, Vector, Vector]:
 @internal
 def turned(vectors: Floats, place: int, size: int, table: Floats, k: int) -> Vector:
     """
-    Return the term of order k + 1 of a vector that is fixed in space, in body axes.
+    Return the term of order k + 1, in body axes, of a vector that is fixed in space.
 
-    It obeys dv/dt = v x w. Its terms up to order k are `size` doubles apart, from a place on.
+    The vector obeys dv/dt = v x w. Its terms up to order k begin at `place` and are `size` doubles
+    apart.
     """
     one = other = four.zero(four.load(table, U))
     for j in range(k + 1):

@@ -15,9 +15,9 @@
 """
 Short step of Euler's equations and the attitude quaternion, of order 3 to 5.
 
-If torque samples are close together, a step requires few terms of the Taylor series, and the
-loops of `taylor.step` take longer than the terms. Here the terms are written out. The rotation
-vector is integrated instead of the quaternion:
+If torque samples are close together, a step needs few terms of the Taylor series, and the loops of
+`taylor.step` take longer than the terms. Here the terms are written out, without loops. The step
+integrates the rotation vector instead of the quaternion:
 
     d theta / dt = w + theta x w / 2 + theta x (theta x w) / 12 + ...
 
@@ -55,32 +55,33 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Bounds on the local error of order 3, 4 and 5 for a step that turns by one radian. They are far
-#: above the error itself, because errors of w add up to errors of the attitude that grow with the
+#: Bounds on the local error at order 3, 4 and 5 of a step that turns by one radian. The bounds are
+#: far above the actual error, because errors of w cause errors of the attitude that grow with the
 #: square of the time.
 _ERROR_3 = 0.5
 _ERROR_4 = 0.2
 _ERROR_5 = 0.1
-#: Powers of these, as products: Python's ** calls the pow of the C library.
+#: Powers of these bounds. The powers are written as products, because Python's ** calls the pow of
+#: the C library.
 _SQUARE_3, _SQUARE_5 = _ERROR_3 * _ERROR_3, _ERROR_5 * _ERROR_5
 _FOURTH_4 = (_ERROR_4 * _ERROR_4) * (_ERROR_4 * _ERROR_4)
-#: Largest angle, to the fourth power, rad^4, for which these bounds hold and one step suffices.
+#: Square of the largest size of a step, rad^4, for which the bounds hold and one step suffices.
 _LARGEST = 1e-4
 
 
 class HeldLoads(NamedTuple):
-    """What acts during a step besides a torque in body axes; held torques."""
+    """What acts during a step besides a torque in body axes; all torques are held."""
 
     #: The matrix A of the linear terms, 1/s.
     linear: linear_terms.Linear
     #: Whether there are rotors or damping.
     is_linear: bool
-    #: Change of the momentum of the rotors during the step, N m s; None: it is constant.
+    #: Change of the momentum of the rotors during the step, N m s; None if it is constant.
     rotor_change: Vector | None
-    #: N m; None: no step of the scene has one.
+    #: Torque in space axes, N m; None if no step of the scene has such a torque.
     space_torque: Vector | None
-    #: `square_rate` of the matrix, 1/s^2, and the square of a bound on what changes the rates
-    #: besides, rad^2/s^4.
+    #: `linear_terms.square_rate` of the matrix, 1/s^2, and the square of a bound on the other
+    #: accelerations, rad^2/s^4.
     square_rate: float
     square_acceleration: float
 
@@ -94,7 +95,7 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
     Parameters
     ----------
     state : KernelState
-        Start of the step. Only its angular velocity is used.
+        The state at the start of the step. Only its angular velocity is used.
     seconds : float
         Length of the step.
     torque_acceleration : Vector
@@ -102,7 +103,7 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
     loads : HeldLoads or None
-        For scenes that have other terms.
+        What acts besides the torque; None in scenes without other terms.
 
     Returns
     -------
@@ -139,17 +140,17 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     Parameters
     ----------
     state : KernelState
-        Start of the step.
+        The state at the start of the step.
     seconds : float
         Length of the step.
     coefficients : Coefficients
-        Of Euler's equations.
+        The coefficients of Euler's equations.
     torque_acceleration : Vector
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
     loads : HeldLoads or None
-        For scenes that have other terms.
+        What acts besides the torque; None in scenes without other terms.
 
     Returns
     -------
@@ -168,7 +169,8 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
 def _step_with(state: KernelState, seconds: float, coefficients: Coefficients,
                torque_acceleration: Vector, sizes: tuple[float, float], loads: HeldLoads,
                rotor_change: Vector | None, space_torque: Vector | None) -> KernelState:
-    # Choose once: a branch in every order takes longer than the terms that it leaves out.
+    # Choose the code once, because a branch in every order takes longer than the terms that the
+    # branch skips.
     if rotor_change is None:  # noqa: SIM102 (the compiler resolves each by type)
         if space_torque is None:
             return _step(state, seconds, coefficients, torque_acceleration, sizes,
@@ -192,8 +194,9 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients,
           space_torque: Vector | None) -> KernelState:
     size, error_bound = sizes
     w = state[0]
-    # w0 = w, w1, w2 ... are the terms of w, rad/s, and u0, u1, u2 ... the same in radians per
-    # step. Factors multiply operands that are known early, so that no later term waits for them.
+    # w0 = w, w1, w2 ... are the terms of w, rad/s. u0, u1, u2 ... are the same terms in radians
+    # per step. Factors multiply operands that are known early, so that no later term waits for a
+    # factor.
     u0 = scale(seconds, w)
     if linear is not None:
         torque_acceleration = add(torque_acceleration, product(linear.low, w))
@@ -201,7 +204,8 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients,
                     torque_acceleration)
     t0 = t1 = t2 = four.broadcast(0.0)  # the terms of a space torque in body axes, times the step
     if linear is not None:
-        # The products of w0 and the latest term are linear in that, so they join the matrix.
+        # The products of w0 and the latest term are linear in the latest term, so these products
+        # are added to the matrix.
         jacobian = multiple(seconds, add_jacobian(linear.matrix, coefficients, w))
         w1 = add(w1, product(linear.matrix, u0))
     if space_torque is not None:
@@ -276,7 +280,7 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients,
 
 @inlined
 def _add_linear(rest: Vector, jacobian: linear_terms.Matrix, latest: Vector) -> Vector:
-    # The terms of higher order are too small for the low-order part.
+    # The terms of higher order are too small for the low-order part to matter.
     return add_product(rest, jacobian, latest, four.yzx(latest), four.zxy(latest))
 
 
@@ -291,7 +295,7 @@ def _order_5_rotation(u0: Vector, u1: Vector, u2: Vector, u3: Vector, u0_x_u1: V
 
 @inlined
 def _delta_q(rotation: Vector) -> Quaternion:
-    # Return the quaternion of a small rotation vector, minus 1.
+    # Return the quaternion of a small rotation vector, minus the identity.
     half = scale(0.5, rotation)
     square = dot(half, half)
     sinc = fma(-square, fma(-square, fma(-square, 1 / 5040, 1 / 120), 1 / 6), 1.0)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Hashes of the sources of the kernels; the compiled kernels carry those that they come from."""
+"""Hashes of the kernel sources, which are stored in the compiled kernels."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import Any
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-#: Fields of a syntax tree that not every version of Python has, or that change no kernel.
+#: Fields of a syntax tree that some versions of Python lack, or that do not change a kernel.
 _SKIPPED = ('kind', 'type_comment', 'type_params')
 
 
 def files_hash() -> str:
-    """Return a hash of the sources as they are."""
+    """Return a hash of the sources, including comments and docstrings."""
     digest = hashlib.sha256()
     for path in _sources():
         digest.update(path.read_bytes())
@@ -37,9 +37,10 @@ def files_hash() -> str:
 
 def sources_hash() -> str:
     """
-    Return a hash of the sources without comments and docstrings, the same in every Python.
+    Return a hash of the sources without comments and docstrings.
 
-    It takes a hundred times longer than `files_hash`.
+    The hash is the same in every version of Python. The computation takes a hundred times as long
+    as `files_hash`.
     """
     digest = hashlib.sha256()
     for path in _sources():
@@ -65,6 +66,6 @@ def _words(node: Any) -> Iterator[str]:
 
 
 def _sources() -> Iterator[Path]:
-    # The kernels take constants from common/.
+    # Include common/, from which the kernels take constants.
     for folder in ('common', 'kernels'):
         yield from sorted((_PACKAGE / folder).glob('*.py'))

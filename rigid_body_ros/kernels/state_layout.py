@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The layout of a state: 16 doubles, which are four vectors of four, and the momenta of wheels.
+The layout of a state: four vectors of four doubles, and the momenta of wheels.
 
-They are the angular velocity (rad/s, body axes) and a zero, the attitude x y z w, and the
-low-order parts of both, with which a restarted run continues bit for bit. If wheels have friction,
-their axial momenta (N m s) and the low-order parts follow; otherwise zeros do.
+The first vector is the angular velocity (rad/s, body axes) followed by a zero; the second is the
+attitude x y z w. The third and the fourth vector are the low-order parts of the first two, so that
+a restarted run continues bit for bit. The vectors are followed by the axial momenta of wheels with
+friction (N m s) and the low-order parts of these momenta, or by zeros if there are no such wheels.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import four, vector
 from rigid_body_ros.kernels.jit import internal
 
-#: Offsets.
+#: Offsets of the four vectors.
 RATES, ATTITUDE, _LOST_RATES, _LOST_ATTITUDE = range(0, 16, 4)
 SIZE = 16
-#: Most wheels with friction.
+#: Largest number of wheels if one of them has friction.
 MOST_WHEELS = 8
 MOMENTA, LOST_MOMENTA = SIZE, SIZE + MOST_WHEELS
 WITH_WHEELS = LOST_MOMENTA + MOST_WHEELS
@@ -83,7 +84,7 @@ def load(packed: Floats, start: int) -> vector.KernelState:
 
 @internal
 def store(state: vector.KernelState, packed: Floats, start: int) -> None:
-    """Write a state into an array, from an index on."""
+    """Write a state to an array, from an index on."""
     four.store(packed, start + RATES, state[0])
     four.store(packed, start + ATTITUDE, state[1])
     four.store(packed, start + _LOST_RATES, state[2])

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Classical one-step methods with fixed steps, to compare speed and accuracy.
+Classical one-step methods with fixed steps, for comparison of speed and accuracy.
 
 The drive is a polynomial in the fraction of the step, as for `taylor.step`. No method compensates
-for rounding, so that each has the rounding error of its usual implementation.
+for rounding errors, so each method has the rounding error of its usual implementation.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ _HALF = Fraction(1, 2)
 CLASSICAL = Tableau(
     order=4, nodes=(0, _HALF, _HALF, 1), matrix=((), (_HALF,), (0, _HALF), (0, 0, 1)),
     weights=(Fraction(1, 6), Fraction(1, 3), Fraction(1, 3), Fraction(1, 6)))
-#: Coefficients for `rk4`: each stage uses only the previous one, and the weights are symmetric.
+#: Coefficients for `rk4`, whose stages use only the previous stage, and whose weights are
+#: symmetric.
 _C1, _C2, _C3, _C4 = map(float, CLASSICAL.nodes)
 _A21, _A32, _A43 = (float(row[-1]) for row in CLASSICAL.matrix[1:])
 _OUTER_DIVISOR = float(1 / CLASSICAL.weights[0])
@@ -62,21 +63,21 @@ _INNER_RATIO = float(CLASSICAL.weights[1] / CLASSICAL.weights[0])
 
 
 class StageLoads(NamedTuple):
-    """What acts besides the drive."""
+    """What acts during a step besides the drive; polynomials are in the fraction of the step."""
 
-    #: Momentum of the rotors, N m s, body axes, in the fraction of the step.
+    #: Momentum of the rotors, N m s, body axes.
     momentum: Momentum
-    #: J^-1 D, 1/s.
+    #: The matrix J^-1 D, 1/s.
     damping: Matrix
-    #: N m, in the fraction of the step.
+    #: Torque in space axes, N m.
     space_torque: Polynomial
-    #: See `fields.FIELDS`; None without. The angle of the orbit at the beginning of the step, see
-    #: `fields.angle_at`, and the length of the step, s.
+    #: The fields (see `fields.FIELDS`; None without fields), the angle of the orbit at the
+    #: beginning of the step (see `fields.angle_at`), and the length of the step, s.
     fields: NDArray[Any] | None
     field_angle: DoubleDouble
     seconds: float
-    #: The torques that lag, None without; and the time from that of the row to the beginning of
-    #: the step, s.
+    #: The torques that lag (None without lags), and the time from the beginning of the row to the
+    #: beginning of the step, s.
     lags: lags.RowLags | None
     since: float
 
@@ -84,7 +85,7 @@ class StageLoads(NamedTuple):
 @internal
 def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
                    in_space: bool, loads: StageLoads | None) -> KernelState:
-    """Return the state after a step of Euler's method, order 1, with the norm of q restored."""
+    """Return the state after a step of Euler's method, order 1, with a normalised quaternion."""
     w, q = state[0], state[1]
     a, v = _derivative(w, q, 0.0, equations, drive, in_space, loads)
     return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
@@ -93,7 +94,7 @@ def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, 
 @internal
 def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
         in_space: bool, loads: StageLoads | None) -> KernelState:
-    """Return the state after a step of `CLASSICAL`, order 4, with the norm of q restored."""
+    """Return the state after a step of `CLASSICAL`, order 4, with a normalised quaternion."""
     w, q = state[0], state[1]
     a1, v1 = _derivative(w, q, _C1, equations, drive, in_space, loads)
     h = _A21 * seconds
@@ -117,10 +118,10 @@ def strang(state: KernelState, seconds: float, equations: Coefficients, frame: P
     """
     Return the state after a symmetric splitting into rotations about principal axes, order 2.
 
-    Each rotation is exact. So without torque the angular momentum in space is conserved to
+    Each rotation is exact. So without torque, the angular momentum in space is conserved within
     rounding, and the energy error stays bounded (McLachlan 1993; Reich 1994; Touma and Wisdom
-    1994). A torque acts as a kick of half a step before and after (Strang). Rotors and damping
-    are not taken into account.
+    1994). A torque acts as two kicks of half a step each, before and after the rotations (Strang).
+    Rotors and damping are ignored.
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
@@ -212,7 +213,7 @@ def _state(w: Vector, q: Quaternion) -> KernelState:
 
 @internal
 def _rotate_about_1(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
-    # The flow of the kinetic energy m1^2 / (2 I1): a rotation of the body about axis 1.
+    # The flow of the kinetic energy m1^2 / (2 I1) is a rotation of the body about axis 1.
     sine, cosine, s, c = _sines_cosines(step * m[0])
     return (of(m[0], c * m[1] + s * m[2], c * m[2] - s * m[1]),
             multiply(rotation, four.of(sine, 0.0, 0.0, cosine)))

@@ -17,18 +17,19 @@ Steps on the grid of one segment.
 
 A step may assume:
 
-1. The torque is one polynomial over the whole step, of the degree given, and the bound on the
-   acceleration holds over the whole interval: a step never crosses a torque change.
+1. The torque is one polynomial of the given degree over the whole step, and the bound on the
+   acceleration holds over the whole interval, because a step never crosses a torque change.
 2. The step is positive and, for the series, at most about `taylor.step_seconds` long.
-3. The angular velocity is at most FASTEST. It is checked after each step on the grid.
+3. The angular velocity is at most FASTEST. The loop checks this after each step on the grid.
 
-A step must leave:
+After a step:
 
-1. A state at the end of the step that depends on the state at its beginning, the torque, the
-   length and the method only, bit for bit.
-2. A unit attitude on the continuous path from the start: no change of sign.
-3. The low-order parts of both, or zeros.
-4. The state that it starts from unchanged: a step to an output is discarded afterwards.
+1. Every bit of the state at the end depends only on the state at the beginning, the torque, the
+   length of the step and the method.
+2. The attitude has unit norm and is on the continuous path from the start, without a change of
+   sign.
+3. The low-order parts of angular velocity and attitude are computed or set to zero.
+4. The state at the beginning is unchanged, because a step to an output is discarded afterwards.
 """
 
 from __future__ import annotations
@@ -66,9 +67,10 @@ class Reached(NamedTuple):
     #: The last state on the grid, and its time.
     grid: vector.KernelState
     grid_ns: int
-    #: The state at the requested time, if that was reached.
+    #: The state at the requested time, if this time was reached.
     latest: vector.KernelState
-    #: Whether the time was reached before the budget was used up or the body became too fast.
+    #: Whether the requested time was reached before the budget was used up or the body became too
+    #: fast.
     arrived: bool
     #: The budget that is left.
     budget: int
@@ -77,19 +79,19 @@ class Reached(NamedTuple):
 class LocalLoads(NamedTuple):
     """The linear terms, and the limits on a step, from a grid point on."""
 
-    #: N m s, in the fraction of the interval.
+    #: The momentum of the rotors, N m s, as a polynomial in the fraction of the interval.
     momentum: linear_terms.Momentum
     linear: linear_terms.Linear
-    #: The sum of `linear_terms.square_rate` of the matrix, the square of that of an orbit,
+    #: The sum of `linear_terms.square_rate` of the matrix, the square of the rate of the fields,
     #: `lags.square_rate` and `friction.square_rate`, 1/s^2.
     square_rate: float
-    #: Bound on the change of the rate, by the rotors, by fields and by friction, 1/s^2.
+    #: Bound on the change of the rate by rotors, fields and friction, 1/s^2.
     growth: float
     #: See `field_series.prepared`.
     field_work: Floats | None
-    #: Workspace of the lags; None without.
+    #: Workspace of the lags; None without lags.
     lag_work: Floats | None
-    #: Workspace of the wheels with friction; None without.
+    #: Workspace of the wheels with friction; None without such wheels.
     friction_work: Floats | None
 
 
@@ -97,14 +99,14 @@ class LocalLoads(NamedTuple):
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
             method: Method, table: Floats, budget: int, loads: Loads | None) -> Reached:
     """
-    Step to the last grid point before a time, and from there to the time.
+    Step to the last grid point before a time, and from this point to the time.
 
     Parameters
     ----------
     grid, grid_ns : KernelState, int
         The last grid point reached, and its time.
     time_ns : int
-        Within the segment.
+        The time, within the segment.
     drive, body, method : Drive, Body, Method
         The drive of the interval, the body and the method of a step.
     table : float64 (series_table.WORKSPACE,)
@@ -119,7 +121,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     Reached
 
     """
-    # Here, because what an inlined function has on the stack ends with it.
+    # Make these arrays here: an array is valid only within the function that makes it.
     work = scratch(WORKSPACE)
     works = work, scratch(LAG_WORKSPACE), scratch(FRICTION_WORKSPACE)
     latest, now = grid, _local(loads, drive, grid, grid_ns, body, works)
@@ -152,19 +154,19 @@ def _friction_of(loads: Loads) -> friction.RowFriction | None:
 
 @inlined
 def is_too_fast(state: vector.KernelState) -> bool:
-    """Return whether the speed is above FASTEST, or not a number."""
+    """Return whether the speed is above FASTEST or not a number."""
     return not vector.dot(state[0], state[0]) <= FASTEST * FASTEST
 
 
 @inlined
 def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method,
                 now: LocalLoads | None) -> int:
-    # Return the length of the next step on the grid. It depends on the time left only if the step
-    # would be longer than that.
+    # Return the length of the next step on the grid. The length depends on the time left only if a
+    # step would be longer than the time left.
     if method.fixed_step:
         return method.max_step_ns
     square = vector.dot(state[0], state[0])
-    if now is not None:  # linear terms change the motion as fast as a rotation at that rate
+    if now is not None:  # add the rates of a rotation that changes the motion as fast as the terms
         square, bound = square + now.square_rate, bound + now.growth
     if is_one_step(rest_ns, square, bound, method):
         return rest_ns
@@ -173,7 +175,7 @@ def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: M
 
 @inlined
 def is_one_step(rest_ns: int, square: float, bound: float, method: Method) -> bool:
-    """Return whether the time left is one step, in which a body turns by about 0.1 rad at most."""
+    """Return whether one step, in which a body turns by up to 0.1 rad, covers the time left."""
     rest = rest_ns / 1e9
     return rest_ns <= method.max_step_ns and rest * rest * (square + bound) < 0.01
 
@@ -233,7 +235,7 @@ def _rotors_from(momentum: linear_terms.Momentum,
 @optional
 def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
                  seconds: float) -> steppers.StageLoads:
-    # Return what acts besides the drive, in the fraction of a step.
+    # Return what acts besides the drive, with polynomials in the fraction of a step.
     offset, ratio = (grid_ns - drive.origin_ns) / 1e9 / drive.span, seconds / drive.span
     space = loads.space_torque
     if loads.space_degree > 0:
@@ -250,7 +252,7 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
 @optional
 def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
             seconds: float) -> taylor.SeriesLoads:
-    # Return the same for a step of the series.
+    # Return what acts besides the drive during a step of the series.
     none = vector.of(0.0, 0.0, 0.0)
     one = two = three = four = none, none, none
     if loads.linear_degree > 0:

@@ -30,7 +30,7 @@ from rigid_body_ros.kernels.vector import add, of, Polynomial, shifted, Vector
 
 
 class _Total(NamedTuple):
-    """The sum of torques, N m, in the fraction of an interval."""
+    """The sums of torques, N m, as polynomials in the fraction of an interval."""
 
     body: Polynomial
     #: Low-order parts of the coefficients.
@@ -49,12 +49,12 @@ def sum_rows(body: Annotated[Floats, 'n|1 3'], space: Annotated[Floats, 'n|1 3']
     Parameters
     ----------
     body, space, on_rotors : float64 (n, 3), N m
-        Sums of torques in body axes, in space axes and on the rotors; shape (1, 3) if one is the
-        same at all times.
+        Sums of torques in body axes, in space axes and on the rotors. A sum that is the same at
+        all times may have the shape (1, 3).
     momentum : float64 (2, 3), N m s
         Momentum of the rotors at the start, and its low-order part.
     sums : Sums
-        Output, but for the times, at which the torques change.
+        The output. The caller sets `times_ns`, the times at which the torques change.
 
     """
     times_ns, rotors = sums.times_ns, _loaded(momentum)
@@ -85,29 +85,29 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
              start_ns: int, marks_ns: Annotated[Ints, 'm'],
              momentum: Annotated[Floats, '2 3'], sums: Sums) -> int:
     """
-    Sum torques of any sources, the last of which is the torque on the rotors.
+    Sum the torques of several sources, the last of which is the torque on the rotors.
 
     Parameters
     ----------
     samples : Samples
         The torques.
     in_force : int (sources,)
-        The sample before the first of each source. Changed.
+        For each source, the index of its first sample minus 1. The kernel overwrites the array.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        See `TorqueLog.segments`.
     start_ns : int
         Start of the motion.
     marks_ns : int64 (m,), ns
-        Other times at which a row begins, ascending.
+        Further times at which a row begins, ascending.
     momentum : float64 (2, 3), N m s
-        As for `sum_rows`.
+        See `sum_rows`.
     sums : Sums
-        Output, with rows for all changes.
+        The output, with enough rows for all changes.
 
     Returns
     -------
     int
-        How many rows are filled.
+        The number of rows that are filled.
 
     """
     coefficients, stamps_ns, in_space, offsets = samples
@@ -124,7 +124,7 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
             next_ns = min(next_ns, _next_change(stamps_ns, in_force[k], offsets[k],
                                                 offsets[k + 1], time_ns, timeout_ns))
         length_ns = next_ns - time_ns if next_ns < NEVER_NS else NEVER_NS
-        if degree == 0:  # otherwise copies of zero coefficients take half of the time
+        if degree == 0:  # a separate case: copying zero coefficients would take half of the time
             body = space = on_rotors = four.broadcast(-0.0)
             for k in range(count):
                 row = in_force[k]
@@ -155,7 +155,7 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
 
 @inlined
 def _nothing() -> Polynomial:
-    # To add to -0 changes no bit of a torque.
+    # Adding a torque to -0 does not change any bit of the torque.
     nothing = four.broadcast(-0.0)
     return nothing, nothing, nothing, nothing
 
@@ -185,8 +185,9 @@ def _next_change(stamps_ns: NDArray[np.int64], sample: int, first: int, stop: in
 @inlined
 def _piece(coefficients: Floats, row: int, passed_ns: int, span_ns: int,
            length_ns: int) -> tuple[Polynomial, Polynomial]:
-    # Return a part of a polynomial that begins some time after its stamp; with the low-order parts
-    # if it is the whole polynomial.
+    # Return the polynomial of a sample on the interval that begins `passed_ns` after the stamp of
+    # the sample and lasts `length_ns`. If this interval is not the whole span of the sample, the
+    # low-order parts are zero.
     torque = intervals.torque_of(coefficients, row)
     if coefficients.shape[1] == 1 or (passed_ns == 0 and length_ns == span_ns):
         return torque, intervals.low_order_parts(coefficients, row)
@@ -218,8 +219,8 @@ def _minus(p: Polynomial, q: Polynomial) -> Polynomial:
 
 @inlined
 def _store(total: _Total, rotors: Rotor, row: int, sums: Sums) -> bool:
-    # Store the sum at a row. If only a torque in space axes acts, store it where a single one
-    # stands, and return True.
+    # Store the sum in a row. If only a torque in space axes acts, store it in `sums.torques`
+    # instead of `sums.space`, and return True.
     (body, low, space, on_rotors), degree = total, sums.torques.shape[1] // 2
     only_space = intervals.is_zero(body) and not intervals.is_zero(space)
     if only_space:

@@ -31,20 +31,20 @@ class Tableau:
     Parameters
     ----------
     order : int
-        From 1 to 4.
+        The order of convergence, from 1 to 4.
     nodes : sequence of n numbers
-        c: the time of each stage, as a fraction of the step.
+        The nodes c: the time of each stage, as a fraction of the step.
     matrix : sequence of n rows
-        A: row i has the i coefficients of the stages before stage i.
+        The matrix A: row i contains the i coefficients of the stages before stage i.
     weights : sequence of n numbers
-        b: the weight of each stage in the step.
+        The weights b of the stages in the step.
 
     Raises
     ------
     ValueError
-        The shapes disagree, a row of A does not add up to its node, or the coefficients violate a
-        condition for the order (Hairer, Norsett and Wanner, "Solving Ordinary Differential
-        Equations I", section II.2).
+        The shapes do not match, a row of A does not add up to its node, or the coefficients
+        violate a condition for the order (Hairer, Norsett and Wanner, "Solving Ordinary
+        Differential Equations I", section II.2).
 
     """
 
@@ -69,7 +69,8 @@ class Tableau:
                                  f'found {found}')
 
     def _conditions(self) -> list[tuple[int, str, Fraction | int, Fraction]]:
-        # One condition for each rooted tree with up to four nodes.
+        # Return the order, name, value and expected value of each order condition. There is one
+        # condition for each rooted tree with up to four vertices.
         c = self.nodes
         squares = [node * node for node in c]
         inner = self._matrix_times(c)

@@ -19,16 +19,18 @@ With body rates w, attitude q (x, y, z, w; body to space), inertia J and body to
 
     J dw/dt = (J w) x w + tau,     dq/dt = q (w, 0) / 2.
 
-Rotors and damping add a term that is linear in w, see `linear_terms`.
+Rotors and damping add a term that is linear in w; see `linear_terms`.
 
 The coefficients of the solution in powers of time follow from Cauchy products (Jorba and Zou,
 "A software package for the numerical integration of ODEs by means of high-order Taylor
-methods", 2005). A torque fixed in space is the series of v = R(q)^T tau, where dv/dt = v x w.
-There is no singular case: spheres, symmetric tops and the separatrix are like any other motion.
+methods", 2005). A torque fixed in space has the body components v = R(q)^T tau, and its series
+follows from dv/dt = v x w. There is no singular case: spheres, symmetric tops and the separatrix
+are like any other motion.
 
-The unit of time is the step: u = w h is the angular velocity in radians per step. The series of
-the attitude is that of the rotation since the start of the step, whose first term is 1 for any q.
-Only the increments are summed, and added to the state by compensated summation.
+The unit of time is the step h: u = w h is the angular velocity in radians per step. For the
+attitude, the series describes the rotation since the start of the step. Its first term is the
+identity, 1, for any q. Only the terms after the first are summed. The sum is added to the state by
+compensated summation.
 """
 
 from __future__ import annotations
@@ -82,17 +84,18 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Cauchy sums: products (y z, z x, x y) and squares of u, and the rotation times each of x, y, z.
+#: Cauchy sums: the products (y z, z x, x y) and the squares of the components of u, and the
+#: rotation times each component.
 _Sums = tuple[Vector, Vector, Quaternion, Quaternion, Quaternion]
 
 
 class SeriesDrive(NamedTuple):
     """The acceleration or the torque in Euler's equations during a step."""
 
-    #: In the fraction of the step, 0 to 1: J^-1 tau, rad/s^2, of a torque in body axes, or the
-    #: torque, N m, in space axes.
+    #: Polynomial in the fraction of the step, 0 to 1. For a torque in body axes, the polynomial is
+    #: J^-1 tau, rad/s^2; for a torque in space axes, it is the torque, N m.
     polynomial: Polynomial
-    #: Coefficients of higher degree are zero.
+    #: The degree of the polynomial; coefficients of higher degree are zero.
     degree: int
     in_space: bool
     #: Bound on |J^-1 tau|, rad/s^2.
@@ -100,14 +103,16 @@ class SeriesDrive(NamedTuple):
 
 
 class SeriesLoads(NamedTuple):
-    """What a step takes into account besides a torque in one frame."""
+    """What acts during a step besides the drive."""
 
-    #: The matrix A of the linear terms times the step: a polynomial in the fraction of the step,
-    #: its value at the beginning, the other coefficients, and its degree; negative: no such terms.
+    #: The matrix A of the linear terms times the step, as a polynomial in the fraction of the
+    #: step: the coefficient of order 0, the other coefficients, and the degree, which is negative
+    #: without linear terms.
     linear: linear_terms.Linear
     changes: tuple[Matrix, Matrix, Matrix, Matrix]
     linear_degree: int
-    #: Torque in space axes, N m, in the fraction of the step, and its degree; negative: none.
+    #: Torque in space axes, N m, as a polynomial in the fraction of the step, and the degree of
+    #: this polynomial, which is negative without such a torque.
     space_torque: Polynomial
     space_degree: int
     #: None without fields.
@@ -123,10 +128,10 @@ def step_angle(tolerance: float) -> float:
     """
     Return the angle of a full step, rad.
 
-    The cost of turning by a radian, about the square of the order divided by the angle, has a
-    flat minimum. It lies at about 0.5 rad for the tightest tolerance, for which shorter steps also
-    reduce the rounding error. It lies above 1 rad for loose tolerances, because the fixed cost of
-    a step is then a larger part of the cost.
+    The cost of turning by a radian is about the square of the order divided by the angle of a
+    step. This cost has a flat minimum. For the tightest tolerance, the minimum is at about
+    0.5 rad, and shorter steps also reduce the rounding error. For loose tolerances, the minimum is
+    above 1 rad, because the fixed cost of a step is a larger part of the cost.
     """
     return 0.5 + 0.09 * elementary.log10(tolerance / 1e-15)
 
@@ -134,9 +139,9 @@ def step_angle(tolerance: float) -> float:
 @inlined
 def step_seconds(square: float, acceleration: float, angle: float) -> float:
     """
-    Return the time, s, in which a body turns by an angle, rad, or infinity at rest.
+    Return the time, s, in which a body turns by an angle, rad; infinity for a body at rest.
 
-    The square is |w|^2, rad^2/s^2. The acceleration, rad/s^2, is a bound on |J^-1 tau|.
+    `square` is |w|^2, rad^2/s^2. `acceleration` is a bound on |J^-1 tau|, rad/s^2.
     """
     rate = turning_rate(square, acceleration, angle)
     return 2.0 * angle / rate if rate > 0.0 else math.inf
@@ -144,7 +149,7 @@ def step_seconds(square: float, acceleration: float, angle: float) -> float:
 
 @inlined
 def turning_rate(square: float, acceleration: float, angle: float) -> float:
-    """Return the sum of the rates, rad/s, before and after a turn; see `step_seconds`."""
+    """Return the rate before a turn plus the rate after it, rad/s; see `step_seconds`."""
     return math.sqrt(square) + math.sqrt(fma(2.0 * angle, acceleration, square))
 
 
@@ -158,20 +163,20 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     Parameters
     ----------
     state : KernelState
-        Start of the step.
+        The state at the start of the step.
     seconds : float
-        Length of the step; no more than about `step_seconds`.
+        Length of the step, at most about `step_seconds`.
     coefficients : Coefficients
-        Of Euler's equations.
+        The coefficients of Euler's equations.
     drive : SeriesDrive
-        With lanes, it is in body axes.
+        The drive. With lanes, the drive must be in body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
     table : float64 (WORKSPACE,) or (WORKSPACE_OF_LANES, LANES)
         Workspace.
     loads : SeriesLoads or None
-        Linear terms, and a torque in space axes beside a drive in body axes. For None, which
-        most scenes have, the compiler leaves this code out.
+        What acts besides the drive. In most scenes the argument is None, and the compiler leaves
+        out the code for loads.
 
     Returns
     -------
@@ -192,7 +197,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
         delta_q = add(delta_q, four.load(table, row_of(table, k) + rotation_of(table)))
     friction.end(_friction_of(loads), order)
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
-    norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series is not of unit norm
+    norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series does not have unit norm
     rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))
     return advance(state, scale(1.0 / seconds, delta_u), scale(1.0 / norm, add(delta_q, rest)))
 
@@ -230,7 +235,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
             store_permuted(table, TORQUES + PERMUTED * i,
                            to_body(state[1], loads.space_torque[i]))
     # The series of a body at rest under a torque ~ t^degree has a non-zero term only every
-    # degree + 2 orders, so the sum has converged only after that many small terms.
+    # degree + 2 orders. So the sum has converged only after degree + 2 consecutive small terms.
     small, powers = lanes.no_count(error_bound), degree
     if loads is not None:
         powers = max(degree, loads.space_degree, loads.linear_degree,
@@ -265,11 +270,11 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
         u = scale(reciprocal, u)
         rotation = scale(0.5 * reciprocal, rotation)
         u = without_fourth(table, u)
-        if four.has_lanes(table) and lanes.some(small >= powers + 2):  # of bodies that converged
+        if four.has_lanes(table) and lanes.some(small >= powers + 2):  # bodies that have converged
             u = four.choose(small >= powers + 2, zero, u)
             rotation = four.choose(small >= powers + 2, zero, rotation)
         latest = store_term(table, k + 1, u, rotation)
-        # The bound on errors of w is tighter, because the errors of attitude they cause add up.
+        # Errors of w count more, because the errors of attitude that they cause add up.
         size = friction.with_momenta(
             total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u))),
             _friction_of(loads), k + 1)
@@ -283,8 +288,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
 def _cauchy(table: Floats, k: int, first: Term, latest: Term, form: int,
             vectors: Floats | None) -> tuple[Products, Quaternion, field_series.Turn | None]:
     # Return the terms of order k of the products of u, of the rotation times (u, 0), and of the
-    # first of the vectors of fields times u. Products with the latest term come last, and from
-    # registers, so that the others do not wait for it.
+    # first vector of the fields times u. Products with the latest term come last, and from
+    # registers, so that the other products do not wait for this term.
     zero = four.zero(first[0])
     sums = (zero, zero, zero, zero, zero)
     turn = field_series.no_turn(vectors)
@@ -326,7 +331,7 @@ def _add_products(sums: Products, one: Term, other: Term, form: int) -> Products
 
 @inlined
 def _add_start(table: Floats, total: Quaternion, factor: float) -> Quaternion:
-    # Add a factor times the rotation at the start of the step, which is 1.
+    # Add a factor times the identity, which is the rotation at the start of the step.
     if four.has_lanes(table):
         return four.of(total[0], total[1], total[2], total[3] + factor)
     return add_scaled(total, factor, four.of(0.0, 0.0, 0.0, 1.0))
@@ -338,7 +343,7 @@ def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vecto
     # Return the linear terms of order k.
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
-    if (exist(loads.fields) or exist(loads.lags)) and loads.linear_degree < 0:  # as of most
+    if (exist(loads.fields) or exist(loads.lags)) and loads.linear_degree < 0:  # most scenes
         return rest
     if loads.linear_degree > 0:
         rest = product(loads.changes[0], past[0])

@@ -15,8 +15,9 @@
 """
 Constants of an inertia tensor, computed beyond double precision and rounded once.
 
-A long run multiplies the error of a constant by the angle turned, and for a thin rod by the ratio
-of its moments: (J w) x w of a rod is a difference of terms a million times larger.
+A long run multiplies the error of a constant by the angle turned. For a thin rod, the error is
+also multiplied by the ratio of the moments, because (J w) x w may be a difference of terms a
+million times larger.
 """
 
 from __future__ import annotations
@@ -29,10 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Digits for the principal axes: 32, twice the digits of a double, and 32 more for cancellation.
+#: Number of digits for the principal axes: 32 digits, which is twice the digits of a double, and
+#: 32 more digits for cancellation.
 _DIGITS = 64
 _SWEEPS = 20
-#: Off-diagonal entry, relative to the smaller moment, below which no rotation is necessary.
+#: An off-diagonal entry needs no rotation if the ratio of the entry to the smaller moment is below
+#: this value.
 _NEGLIGIBLE = Decimal(1).scaleb(10 - _DIGITS)
 
 
@@ -41,20 +44,21 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
     Return the coefficients of Euler's equations, solved for the acceleration.
 
     dw/dt is linear in the products (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2) and in the torque
-    (tau1, tau2, tau3): (J w) x w contains only products of inertia and differences of moments.
-    For a diagonal tensor the first three products have the coefficients (I2 - I3) / I1 and so on.
+    (tau1, tau2, tau3). The coefficients of (J w) x w are only products of inertia and differences
+    of moments. For a diagonal tensor the first three products have the coefficients
+    (I2 - I3) / I1 and so on.
 
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        About the centre of mass, body axes; symmetric. Doubles, or Fractions that are sums of
-        doubles.
+        The tensor about the centre of mass, symmetric, in body axes. The entries are doubles, or
+        Fractions that are sums of doubles.
 
     Returns
     -------
     array, shape (2, 3, 9)
-        The coefficients, correctly rounded, and their low-order parts: without these the energy
-        of a body with a full tensor would drift.
+        The correctly rounded coefficients, and their low-order parts. Without the low-order parts,
+        the energy of a body with a full tensor would drift.
 
     Raises
     ------
@@ -79,9 +83,9 @@ def damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        As for `euler_coefficients`.
+        See `euler_coefficients`.
     damping : array, shape (3, 3), N m s/rad
-        D, body axes.
+        The damping tensor D, body axes.
 
     Returns
     -------
@@ -93,17 +97,17 @@ def damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
 
 
 def _integers(entries: NDArray[Any]) -> tuple[list[list[int]], int]:
-    # Return entries times their common denominator, and that. Doubles are integers over a power
-    # of two. Integer arithmetic takes a fraction of the time of Fractions in lowest terms, and
-    # Python rounds quotients of integers correctly.
+    # Return entries times their common denominator, and the denominator. A double is an integer
+    # divided by a power of two. Integer arithmetic takes a fraction of the time of Fractions,
+    # which Python reduces to lowest terms. Python rounds quotients of integers correctly.
     ratios = [[entry.as_integer_ratio() for entry in row] for row in entries.tolist()]
     one = max(below for row in ratios for _, below in row)
     return [[above * (one // below) for above, below in row] for row in ratios], one
 
 
 def _solved(tensor: list[list[int]], right: list[list[int]]) -> Floats:
-    # Return the solutions for columns of right-hand sides by Cramer's rule, and their low-order
-    # parts. The tensor is symmetric, and so are its cofactors.
+    # Solve for columns of right-hand sides by Cramer's rule. Return the solutions and their
+    # low-order parts. The tensor is symmetric, and so are its cofactors.
     cofactors = [_cross(tensor[a - 2], tensor[a - 1]) for a in range(3)]
     determinant = _dot(tensor[0], cofactors[0])
     exact = [[_dot(row, column) for column in zip(*right)] for row in cofactors]
@@ -133,7 +137,7 @@ def principal(tensor: Floats) -> tuple[Floats, Floats]:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        About the centre of mass, body axes; symmetric.
+        The tensor about the centre of mass, symmetric, in body axes.
 
     Returns
     -------
@@ -159,7 +163,7 @@ def principal(tensor: Floats) -> tuple[Floats, Floats]:
 
 
 def _rotate(matrix: list[list[Decimal]], axes: list[list[Decimal]], p: int, q: int) -> None:
-    # Golub and Van Loan, Matrix Computations, section 8.5.2.
+    # A Jacobi rotation; see Golub and Van Loan, Matrix Computations, section 8.5.2.
     least = min(abs(matrix[p][p]), abs(matrix[q][q]))
     if abs(matrix[p][q]) <= _NEGLIGIBLE * least:
         return

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Constants of many tensors: a hundred times faster than `tensor`, with the same bits.
+Constants of many tensors, a hundred times faster than with `tensor`, and with the same bits.
 
-Each number is computed with an error bound. If two numbers within the bound differ in a bit of the
-result, `tensor` must compute that body.
+Each number is computed with an error bound. If two numbers within the bound would give different
+bits of the result, the caller must compute the body with `tensor`.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from rigid_body_ros.kernels.triple_double import (
     TripleDouble,
 )
 
-#: Between these, and for entries of a tensor that are at least _LEAST times the largest, products
-#: of three entries neither overflow nor underflow.
+#: If the largest entry is between these values, and every other entry is zero or at least _LEAST
+#: times the largest entry, products of three entries neither overflow nor underflow.
 _SMALL, _LARGE = 2.0 ** -100, 2.0 ** 100
 _LEAST = 2.0 ** -100
 _ZERO = (0.0, 0.0, 0.0)
 
 
 class BodyWorkspace(NamedTuple):
-    """The arrays that the constants of a body are computed in."""
+    """The arrays in which the constants of a body are computed."""
 
     cofactors: Annotated[Floats, '3 3 4', WRITTEN]
     right: Annotated[Floats, '3 12 2', WRITTEN]
@@ -73,13 +73,13 @@ def fill_constants(tensors: Annotated[Floats, 'n 3 3'], damping: Annotated[Float
     Parameters
     ----------
     tensors, damping : float64 (n, 3, 3)
-        In kg m^2 and N m s/rad, both symmetric.
+        Inertia, kg m^2, and damping, N m s/rad, both symmetric.
     constants : float64 (n, body_layout.SIZE)
-        Output, zero before.
+        The output, which the caller sets to zero.
     certain : bool (n,)
-        Output: whether the tensor is positive definite and all bits are those of `tensor`.
+        The output: whether a tensor is positive definite and all bits are those of `tensor`.
     work : BodyWorkspace
-        Changed.
+        Arrays that the kernel overwrites.
 
     """
     for row in range(len(tensors)):
@@ -120,7 +120,7 @@ def _is_diagonal(tensor: Floats) -> bool:
 
 @internal
 def _is_alone(tensor: Floats, row: int) -> bool:
-    # Return whether the body axis is a principal axis.
+    # Return whether the body axis with the index `row` is a principal axis.
     return tensor[row, (row + 1) % 3] == 0.0 and tensor[row, (row + 2) % 3] == 0.0
 
 
@@ -167,8 +167,9 @@ def _fill_coefficients(tensor: Floats, damping: Floats, cofactors: Floats, right
 
 @internal
 def _fill_right_hand_sides(j: Floats, damping: Floats, right: Floats) -> int:
-    # The gyroscopic terms, in columns (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2), the torque and the
-    # damping: high-order and low-order parts. Return how many columns are not zero.
+    # Fill the columns of the gyroscopic terms (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2), of the
+    # torque and of the damping, with high-order and low-order parts. Return the number of columns:
+    # 12, or 9 without damping.
     for a in range(3):
         for column in range(12):
             right[a, column, 0] = right[a, column, 1] = 0.0
@@ -188,7 +189,7 @@ def _fill_right_hand_sides(j: Floats, damping: Floats, right: Floats) -> int:
 
 @internal
 def _fill_cofactors(j: Floats, cofactors: Floats) -> None:
-    # Three parts each, and the sum of the absolute values of the terms.
+    # Fill three parts of each cofactor, and the sum of the absolute values of its terms.
     for a in range(3):
         for b in range(a, 3):
             c, d, e, f = (a + 1) % 3, (a + 2) % 3, (b + 1) % 3, (b + 2) % 3
@@ -207,7 +208,7 @@ def _cofactor(cofactors: Floats, a: int, b: int) -> TripleDouble:
 
 @internal
 def _places(column: int) -> tuple[int, int]:
-    # Return where the solutions for a column of right-hand sides are stored.
+    # Return the indices of the high-order and low-order solutions for a right-hand side.
     if column < 9:
         return body_layout.EQUATIONS + 4 * column, body_layout.LOST_EQUATIONS + 4 * column
     return body_layout.DAMPING + 4 * (column - 9), body_layout.LOST_DAMPING + 4 * (column - 9)
@@ -260,7 +261,8 @@ def _store_quotients(row: int, columns: int, right: Floats, moment: float,
 
 @internal
 def _quotient(dividend: DoubleDouble, divisor: float) -> tuple[TripleDouble, float]:
-    # Long division. The remainders are exact, so a quotient that ends is exact, too.
+    # Use long division. The remainders are exact, so the quotient is exact if the division
+    # terminates.
     first = dividend[0] / divisor
     rest, lost = two_sum(fma(-first, divisor, dividend[0]), dividend[1])
     second = rest / divisor

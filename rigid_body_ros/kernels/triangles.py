@@ -32,9 +32,10 @@ def fill_triangle(columns: Annotated[Floats, 'n m', WRITTEN],
     Parameters
     ----------
     columns : float64 (n, m)
-        The columns of the matrix as rows; they are overwritten.
+        The input and workspace. The rows of this array are the columns of the matrix. The kernel
+        overwrites the array.
     triangle : float64 (n, n)
-        Output, zero before.
+        The output, which the caller sets to zero.
 
     """
     count, length = columns.shape
@@ -58,7 +59,7 @@ def fill_triangle(columns: Annotated[Floats, 'n m', WRITTEN],
 
 @internal
 def _product(one: Floats, other: Floats, first: int) -> float:
-    # Four sums at once, which a processor adds in parallel.
+    # Use four partial sums, which a processor computes in parallel.
     a = b = c = d = 0.0
     i = first
     while i + 3 < len(one):

@@ -15,8 +15,9 @@
 """
 Triple-double arithmetic for the compiled kernels: a number is the sum of three doubles.
 
-Such a number has about 47 digits: enough to round a result of many operations to a double-double
-number as exact arithmetic would, unless the result is very close to a tie. `store` detects that.
+Such a number has about 47 digits. Even after many operations, 47 digits are enough to round the
+result to a double-double number as exact arithmetic would, unless the result is very close to a
+tie. `store` detects results that are so close to a tie.
 
 The algorithms are those of `double_double` with one more part.
 """
@@ -28,19 +29,19 @@ from rigid_body_ros.kernels.double_double import two_product, two_sum
 from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.lanes import fma
 
-#: Parts in descending order of magnitude.
+#: The parts, in descending order of magnitude.
 TripleDouble = tuple[float, float, float]
 
 #: Bound on the error of a sum of up to ten products, relative to the sum of their absolute values,
-#: provided that nothing underflows. The error is less than 2^-148 of it.
+#: provided that nothing underflows. The actual relative error is less than 2^-148.
 ERROR = 2.0 ** -145
-#: More than one, by more than the rounding error of a double.
+#: A number that exceeds 1 by more than the rounding error of a double.
 _ABOVE_ONE = 1.0 + 2.0 ** -40
 
 
 @internal
 def normalized(a: TripleDouble) -> TripleDouble:
-    """Return the same sum in parts that do not overlap: the first is the sum, rounded."""
+    """Return the same sum in parts that do not overlap; the first part is the rounded sum."""
     middle, low = two_sum(a[1], a[2])
     high, middle = two_sum(a[0], middle)
     middle, low = two_sum(middle, low)
@@ -93,28 +94,28 @@ def reciprocal(a: TripleDouble) -> TripleDouble:
 @internal
 def store(number: TripleDouble, error: float, into: Floats, high_at: int, low_at: int) -> bool:
     """
-    Round a number to a double, and the rest to another.
+    Round a number to a double, and the rest to another double.
 
     Parameters
     ----------
     number : TripleDouble
-        Normalized.
+        The number, normalized.
     error : float
-        Its error bound; 0 if it is exact.
+        The error bound of the number; 0 if the number is exact.
     into : float64 (n,)
-        Output: the two doubles. No zero is negative.
+        The output for the two doubles. A zero is stored as 0.0, not as -0.0.
     high_at, low_at : int
-        Their places.
+        The indices of the two doubles.
 
     Returns
     -------
     bool
-        Whether these are the doubles of every number within the error bound.
+        Whether every number within the error bound rounds to these doubles.
 
     """
     high, middle, low = number
     if error > 0.0:
-        error += abs(low) * 2.0 ** -51  # low + error is rounded, too
+        error += abs(low) * 2.0 ** -51  # low + error is rounded as well
     rest, other = middle + (low - error), middle + (low + error)
     into[high_at], into[low_at] = high + 0.0, rest + 0.0
     return rest == other and high + _ABOVE_ONE * rest == high

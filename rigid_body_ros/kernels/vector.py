@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Vectors and quaternions for the compiled kernels: four floats in a register, see `four`.
+Vectors and quaternions for the compiled kernels: four doubles in a register; see `four`.
 
-The fourth component of a vector is zero. Quaternions are stored and multiplied as in `so3`, which
-is for arrays.
+The fourth component of a vector is zero. Quaternions are stored and multiplied as in
+`mechanics.so3`, which has the same operations for arrays.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from rigid_body_ros.kernels.jit import inlined, internal
 
 Vector = Four
 Quaternion = Four
-#: State of a body in the kernels: angular velocity (rad/s, body axes) and attitude, then the
-#: low-order parts of both, which compensated summation carries along.
+#: The state of a body in the kernels: the angular velocity (rad/s, body axes), the attitude, and
+#: the low-order parts of the two, which compensated summation carries along.
 KernelState = tuple[Vector, Quaternion, Vector, Quaternion]
-#: Torque, N m: coefficients of a cubic in the fraction of a span of time.
+#: The coefficients of a cubic, for example of a torque, N m, in the fraction of a span of time.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
 Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]
 #: Principal moments (kg m^2), their low-order parts, the principal axes and their low-order parts,
@@ -42,15 +42,15 @@ PrincipalFrame = tuple[Vector, Vector, tuple[Vector, Vector, Vector],
 
 
 class Coefficients(NamedTuple):
-    """Euler's equations solved for dw/dt, linear in the products of w and in the torque."""
+    """The coefficients of dw/dt, which is linear in the products of w and in the torque."""
 
-    #: As `tensor.euler_coefficients` returns them, and their low-order parts.
+    #: The columns that `tensor.euler_coefficients` returns, and their low-order parts.
     columns: Columns
     low: Columns
-    #: The diagonals of the first three columns and of the last three.
+    #: The diagonals of the matrices that the first three and the last three columns form.
     main: Vector
     diagonal: Vector
-    #: Form of the inertia tensor: `euler_equations.DIAGONAL`, FULL or THIN.
+    #: The form of the inertia tensor: `euler_equations.DIAGONAL`, FULL or THIN.
     form: int
 
 
@@ -71,7 +71,7 @@ def is_zero(a: Vector) -> bool:
 
 @inlined
 def scale(factor: float, a: Four) -> Four:
-    """Return factor a."""
+    """Return a vector, or a quaternion, times a factor."""
     return four.multiply(four.broadcast(factor), a)
 
 
@@ -102,7 +102,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @inlined
 def combine(axes: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
-    """Return the vector that has components a along the axes."""
+    """Return the vector whose components along the axes are the components of `a`."""
     return add_scaled(add_scaled(scale(a[2], axes[2]), a[1], axes[1]), a[0], axes[0])
 
 
@@ -111,10 +111,10 @@ def combine_compensated(axes: tuple[Vector, Vector, Vector],
                         low_axes: tuple[Vector, Vector, Vector],
                         a: Vector) -> tuple[Vector, Vector]:
     """
-    Return the high-order and the low-order part of `combine`, for axes with low-order parts.
+    Return the result of `combine` in two parts, high and low order, for axes with low-order parts.
 
-    The precision is twice that of a double (Ogita, Rump and Oishi, "Accurate sum and dot product",
-    2005).
+    The result has twice the precision of a double (Ogita, Rump and Oishi, "Accurate sum and dot
+    product", 2005).
     """
     x, y, z = four.broadcast(a[0]), four.broadcast(a[1]), four.broadcast(a[2])
     i, j, k = four.multiply(x, axes[0]), four.multiply(y, axes[1]), four.multiply(z, axes[2])
@@ -155,7 +155,7 @@ def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
 @inlined
 def to_body(q: Quaternion, vector: Vector) -> Vector:
     """Return the body components of a space vector."""
-    # R^T v = v - w t + u x t with t = 2 u x v, u the vector part of q.
+    # R^T v = v - w t + u x t with t = 2 u x v, where u is the vector part of q.
     u = of(q[0], q[1], q[2])
     t = scale(2.0, cross(u, vector))
     return add(add_scaled(vector, -q[3], t), cross(u, t))
@@ -164,10 +164,10 @@ def to_body(q: Quaternion, vector: Vector) -> Vector:
 @inlined
 def accumulate(total: Four, carry: Four, increment: Four) -> tuple[Four, Four]:
     """
-    Return total + increment and its rounding error (Kahan).
+    Return total + increment + carry, and the rounding error of this sum (Kahan).
 
     The returned error is exact if the increment is less than the total. Otherwise it differs from
-    the exact one by at most the rounding error of the increment.
+    the exact error by at most the rounding error of the increment.
     """
     increment = four.add(increment, carry)
     new = four.add(total, increment)
@@ -176,7 +176,7 @@ def accumulate(total: Four, carry: Four, increment: Four) -> tuple[Four, Four]:
 
 @inlined
 def advance(state: KernelState, delta_omega: Vector, delta_q: Quaternion) -> KernelState:
-    """Return the state with w + delta_omega and q (1 + delta_q), and the norm of q corrected."""
+    """Return the state with w + delta_omega and q (1 + delta_q), and correct the norm of q."""
     w, q, low_w, low_q = state
     excess = dot(q, add_scaled(low_q, 0.5, q)) - 0.5
     change = add_scaled(multiply(q, delta_q), -excess, q)
