@@ -28,29 +28,31 @@ from rigid_body_ros.common.times import duration_ns, LONGEST
 from rigid_body_ros.engine import EXPIRY, MOST_LAGS
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: s; the shortest time constant other than zero.
+#: Shortest time constant other than zero, s.
 _SHORTEST = 1e-9
-#: ns; 146 years. Later times still fit int64.
+#: Longest time until a lag is over, ns (146 years). A ROS stamp plus this time still fits int64.
 _LONGEST_NS = 2 ** 62
 
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
     """
-    An actuator: it turns commands into the torques that act.
+    An actuator, which turns commanded torques into the torques that act on the body.
 
-    A command u stamped t acts from t + delay on, limited axis by axis, in the axes in which it was
-    given. The torque y follows it with a first-order lag, T y' + y = u. It is zero at the start of
-    the motion. In body axes and in space axes it lags separately: after a command in one, the
-    torque in the other decays. After 40 time constants the torque is the command.
+    A command u with the stamp t acts from t + `delay` on. Each component of u is clipped to
+    +-`limit`, in the axes in which the command was given. The torque y follows the command with a
+    first-order lag, T y' + y = u, where T is `time_constant`. y is zero at the start of the
+    motion, and equals u once u has not changed for 40 time constants. The torques in body axes and
+    in space axes lag separately: when a command in space axes replaces a command in body axes, the
+    torque in body axes decays while the torque in space axes builds up, and vice versa.
 
     Parameters
     ----------
     delay : float, s
     time_constant : float, s
-        0: the torque is the command at once. Otherwise at least 1e-9.
+        At least 1e-9, or 0 for no lag.
     limit : array, shape (3,), N m
-        The largest absolute value about each axis; 0: no limit.
+        The largest absolute value of the torque about each axis; 0 for no limit.
 
     Raises
     ------
@@ -78,17 +80,17 @@ class Actuator:
 
     @cached_property
     def delay_ns(self) -> int:
-        """Return the delay, ns, rounded."""
+        """Return the delay in whole nanoseconds."""
         return duration_ns(self.delay, 'delay of an actuator')
 
     @cached_property
     def expiry_ns(self) -> int:
-        """Return the time after which the lag of a command is over, ns; 0 without a lag."""
+        """Return how long the lag after a command lasts, ns; 0 without a lag."""
         return min(round(EXPIRY * self.time_constant * 1e9), _LONGEST_NS)
 
     @property
     def lag(self) -> Actuator:
-        """Return the lag of the actuator alone."""
+        """Return an actuator with the lag of this one, but without its delay and limit."""
         return Actuator(time_constant=self.time_constant)
 
     @cached_property
@@ -97,17 +99,17 @@ class Actuator:
         return np.where(limit > 0.0, limit, np.inf) if limit.any() else None
 
     def limited(self, torques: Floats) -> Floats:
-        """Return commands, N m, shape (n, 3), within the limit."""
+        """Return commands, N m, shape (n, 3), clipped to the limit."""
         return torques if self._bound is None else np.clip(torques, -self._bound, self._bound)
 
     def acting(self, log: TorqueLog) -> TorqueLog:
         """
-        Return when and how the commands of a log act, before the lag.
+        Return the commands of a log after the delay and the limit, but before the lag.
 
         Raises
         ------
         ValueError
-            The log is interpolated: a command is held.
+            The log is interpolated; an actuator accepts only commands that are held.
 
         """
         if log.interpolation != 'hold':
@@ -116,18 +118,18 @@ class Actuator:
         return TorqueLog(log.times_ns + self.delay_ns, self.limited(log.torques), log.in_space)
 
 
-#: One for every source, or one or None for each.
+#: One actuator for all sources of torque, an actuator or None for each source, or no actuator.
 Actuators = Actuator | Sequence[Actuator | None] | None
 
 
 def actuators_of(given: Actuators, count: int) -> tuple[Actuator | None, ...]:
     """
-    Return the actuator of each of the sources.
+    Return the actuator of each source.
 
     Raises
     ------
     ValueError
-        There are more or fewer than the sources.
+        The number of actuators differs from the number of sources.
 
     """
     if given is None or isinstance(given, Actuator):
@@ -140,12 +142,12 @@ def actuators_of(given: Actuators, count: int) -> tuple[Actuator | None, ...]:
 
 def time_constants(actuators: Sequence[Actuator | None]) -> list[float]:
     """
-    Return the different time constants of actuators, s, in their order.
+    Return the distinct nonzero time constants of actuators, s, in the order of the actuators.
 
     Raises
     ------
     ValueError
-        There are too many.
+        There are more than `MOST_LAGS` distinct time constants.
 
     """
     found = [*dict.fromkeys(each.time_constant for each in actuators

@@ -25,27 +25,27 @@ from rigid_body_ros.mechanics.body import FASTEST_DAMPING, RigidBody, ROUNDING, 
 
 class RigidBodies:
     """
-    Many rigid bodies, of which some may be invalid.
+    Many rigid bodies, some of which may be invalid.
 
-    `bodies[i]` is the `RigidBody` of row i, or raises its error.
+    `bodies[i]` returns the `RigidBody` of row i, or raises ValueError if that body is invalid.
 
     Parameters
     ----------
     tensors : array, shape (n, 3, 3), kg m^2
-        As for `RigidBody`.
+        Inertia tensors, as for `RigidBody`.
     damping : array, shape (n, 3, 3) or (3, 3), N m s/rad, optional
-        Of each body, or of all.
+        One tensor for each body, or one for all.
 
     Attributes
     ----------
     inertia : array, shape (n, 3, 3), kg m^2, body axes
-        As given.
+        The inertia tensors as given.
     damping : array, shape (n, 3, 3), N m s/rad, body axes
-        As given.
+        The damping tensor of each body, as given.
     is_damped : array of bool, shape (n,)
         Whether the damping is not zero.
     messages : tuple of n str
-        Why each body is invalid: the message of `RigidBody`. Empty for a valid body.
+        The error message of `RigidBody` for each invalid body; empty for a valid body.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class RigidBodies:
         return f'RigidBodies({len(self)} bodies, {sum(map(bool, self.messages))} invalid)'
 
     def _computed(self) -> tuple[Floats, tuple[str, ...]]:
-        """Return the constants for the kernels, shape (n, body_layout.SIZE), and the messages."""
+        """Return the constants for the kernels, shape (n, body_layout.SIZE), and `messages`."""
         inertia, damping = _symmetric_part(self.inertia), _symmetric_part(self.damping)
         constants: Floats = np.zeros((len(self), body_layout.SIZE))
         certain = np.empty(len(self), np.bool_)
@@ -100,7 +100,7 @@ class RigidBodies:
 
 
 def _symmetric_part(tensors: Floats) -> Floats:
-    with np.errstate(invalid='ignore'):  # infinities, which are errors of their rows
+    with np.errstate(invalid='ignore'):  # rows with infinities are rejected later
         return np.ascontiguousarray(0.5 * tensors + 0.5 * tensors.transpose(0, 2, 1))
 
 
@@ -113,7 +113,7 @@ def _almost_symmetric(tensors: Floats) -> NDArray[np.bool_]:
 
 
 def _is_possible(constants: Floats, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether moments and damping of some rows are in the range of `RigidBody`."""
+    """Return whether `RigidBody` accepts the moments and the size of the damping of given rows."""
     moments = constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3]
     damping = constants[:, body_layout.DAMPING:body_layout.LOST_DAMPING][which]
     smallest, middle, largest = moments[which].T
@@ -122,7 +122,8 @@ def _is_possible(constants: Floats, which: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 def _is_semidefinite(damping: Floats) -> NDArray[np.bool_]:
-    # Half the accepted rounding error: nothing that `RigidBody` might reject.
+    # Accept only half the rounding error that `RigidBody` accepts, so that `RigidBody` would also
+    # accept each accepted row.
     largest = np.abs(damping).max(axis=(1, 2))
     return np.asarray(np.linalg.eigvalsh(damping)[:, 0] >= -0.5 * ROUNDING * largest)
 

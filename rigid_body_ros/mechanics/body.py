@@ -31,14 +31,14 @@ from rigid_body_ros.engine import body_layout
 from rigid_body_ros.engine import tensor as tensor_constants
 from rigid_body_ros.mechanics import so3, urdf
 
-#: Accepted relative asymmetry of a tensor, and relative difference up to which moments count as
-#: equal: an upper limit for the rounding error of a tensor that was rotated or summed in doubles.
+#: Largest accepted relative asymmetry of a tensor, and largest relative difference of moments that
+#: count as equal. A tensor that was rotated or summed in doubles has a smaller rounding error.
 ROUNDING = 1e-12
 #: Largest accepted `triangle_excess`. Published tensors have two or three digits, so the tensor of
-#: a thin plate may be slightly unphysical. Its motion is still well defined.
+#: a thin plate may be slightly unphysical. The motion with such a tensor is still well defined.
 TRIANGLE_EXCESS = 0.03
-#: Largest accepted entry of J^-1 D, 1/s: in a nanosecond, the shortest step, no motion decays by
-#: more than a factor e.
+#: Largest accepted entry of J^-1 D, 1/s. With this limit, no motion decays by more than a factor
+#: of e^3 in the shortest step, a nanosecond.
 FASTEST_DAMPING = 1e9
 #: Bound on the relative rounding error of a weighted sum over up to a million point masses with
 #: numpy's pairwise summation.
@@ -52,10 +52,11 @@ class RigidBody:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        Inertia about the centre of mass, body axes, rotors locked. The off-diagonal entries have
-        the sign of the matrix: ixy is minus the integral of x y dm (as in URDF).
+        Inertia about the centre of mass, body axes, with the rotors locked. The off-diagonal
+        entries have the signs of the matrix, as in URDF: ixy is minus the integral of x y dm.
     damping : array, shape (3, 3), N m s/rad, optional
-        Symmetric and positive semidefinite, body axes. The torque of the damping is -D w.
+        Damping tensor D, symmetric and positive semidefinite, body axes. The damping torque on the
+        body is -D w, where w is the angular velocity.
 
     Attributes
     ----------
@@ -66,13 +67,14 @@ class RigidBody:
     principal_moments : array, shape (3,), kg m^2
         In ascending order.
     principal_axes : array, shape (3, 3)
-        The axes of these moments as columns, in body axes, right-handed.
+        The axes of the principal moments as columns, in body axes, right-handed.
     triangle_excess : float
-        Excess of the largest principal moment over the sum of the other two, relative to the
-        sum: zero for any real body, up to `TRIANGLE_EXCESS` for a tensor with rounded digits.
+        Excess of the largest principal moment over the sum of the other two, relative to that
+        sum. The excess is zero for any real body. `RigidBody` accepts an excess of up to
+        `TRIANGLE_EXCESS`, because the digits of a tensor may be rounded.
     symmetry : str
-        'sphere' if all three moments are equal within rounding, 'symmetric top' if two are, else
-        'asymmetric top'.
+        'sphere' if all three principal moments are equal within rounding, 'symmetric top' if two
+        are equal, otherwise 'asymmetric top'.
 
     Raises
     ------
@@ -97,9 +99,9 @@ class RigidBody:
         self.inertia.flags.writeable = self.damping.flags.writeable = False
 
     def _set_constants(self, exact: NDArray[Any]) -> None:
-        """Compute with an inertia of doubles, or of Fractions that are sums of two doubles."""
+        """Set the constants from a tensor of doubles, or of Fractions that are sums of doubles."""
         self._exact = exact
-        #: Coefficients of Euler's equations, shape (2, 3, 9), and all constants for the kernels.
+        #: Coefficients of Euler's equations, shape (2, 3, 9).
         self._coefficients = _euler_coefficients(exact)
         self._constants = body_layout.pack(self._coefficients, *self._principal,
                                            _damping_coefficients(exact, self.damping))
@@ -108,12 +110,15 @@ class RigidBody:
     def from_moments(cls, ixx: float, iyy: float, izz: float,
                      ixy: float = 0.0, ixz: float = 0.0, iyz: float = 0.0) -> RigidBody:
         """
-        Build a body from the six entries of its inertia tensor, with the errors of the class.
+        Build a body from the six entries of its inertia tensor.
+
+        The method raises the same errors as the class.
 
         Parameters
         ----------
         ixx, iyy, izz, ixy, ixz, iyz : float, kg m^2
-            About the centre of mass, body axes, with the signs of the matrix (as in URDF).
+            The entries of the tensor about the centre of mass, in body axes, with the signs of the
+            matrix (as in URDF).
 
         """
         return cls([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
@@ -124,7 +129,7 @@ class RigidBody:
         return self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
     def with_entries(self, entries: Floats) -> RigidBody:
-        """Return a body with these entries and the same damping, with the errors of the class."""
+        """Return a body with new entries and the same damping; raise ValueError if not valid."""
         return RigidBody(entries[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]], self.damping)
 
     @classmethod
@@ -135,9 +140,10 @@ class RigidBody:
         Parameters
         ----------
         masses : array, shape (n,), kg
-            Each greater than zero.
+            The masses, each greater than zero.
         positions : array, shape (n, 3), m
-            In body axes, from any origin: the tensor is about the common centre of mass.
+            The positions in body axes, relative to any origin. The tensor is about the centre of
+            mass of all point masses.
 
         Returns
         -------
@@ -146,9 +152,10 @@ class RigidBody:
         Raises
         ------
         ValueError
-            A mass is not positive and finite, the shapes do not match, or the masses are
-            collinear within rounding: their distance from a common line is less than about 1e-7
-            of its length, or 1e-14 of the distance from the origin.
+            A mass is not positive and finite, the shapes do not match, or the masses are collinear
+            within rounding. Masses count as collinear if their distances from a common line are
+            less than about 1e-7 of their extent along the line, or less than about 1e-14 of their
+            distance from the origin.
 
         """
         masses, positions = np.asarray(masses, float), np.asarray(positions, float)
@@ -168,17 +175,18 @@ class RigidBody:
     @classmethod
     def from_urdf(cls, text: str, link: str = '') -> RigidBody:
         """
-        Build a body from the <inertial> of a URDF link; the body axes are those of the link.
+        Build a body from the <inertial> of a URDF link; the body axes are the axes of the link.
 
-        The rotation rpy of <origin> is applied to the tensor. The position xyz is not: the tensor
-        is about the centre of mass. Links that are fixed to this one are not added.
+        The rotation rpy of <origin> is applied to the tensor. The position xyz has no effect,
+        because the tensor is about the centre of mass. The inertia of other links is not added,
+        even if they are fixed to this link.
 
         Parameters
         ----------
         text : str
-            Contents of the file (such as ROS's robot_description), after xacro.
+            Contents of the URDF file (such as ROS's robot_description), after xacro.
         link : str
-            Name of the link; may be empty if only one link has an <inertial>.
+            Name of the link. It may be empty if only one link has an <inertial>.
 
         Returns
         -------
@@ -187,7 +195,8 @@ class RigidBody:
         Raises
         ------
         ValueError
-            `urdf.inertia` raises it, or the tensor is not valid for a rigid body (see the class).
+            The URDF is not valid (see `urdf.inertia`), or its tensor is not valid for a rigid body
+            (see the class).
 
         """
         return cls(urdf.inertia(text, link))
@@ -197,18 +206,18 @@ class RigidBody:
                 f'{written(self.principal_moments)} kg m^2)')
 
     def moment_about(self, axis: ArrayLike) -> float:
-        """Return the moment of inertia n . J n, kg m^2, about a body axis, shape (3,)."""
+        """Return the moment of inertia n . J n, kg m^2, about a body axis n, shape (3,)."""
         direction = so3.normalize(axis)
         return float(np.sum(direction * self.angular_momentum(direction)))
 
     def angular_momentum(self, angular_velocity: ArrayLike) -> Floats:
         """
-        Return the angular momentum, the inertia times w.
+        Return the angular momentum J w.
 
         Parameters
         ----------
         angular_velocity : array, shape (..., 3), rad/s
-            Body axes.
+            The angular velocity w in body axes.
 
         Returns
         -------
@@ -218,7 +227,7 @@ class RigidBody:
         return _product(np.asarray(angular_velocity, float), self.inertia)
 
     def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
-        """Return the kinetic energy in joules, shape (...), at rates w in rad/s, (..., 3)."""
+        """Return kinetic energies, J, shape (...), of angular velocities, rad/s, (..., 3)."""
         w = np.asarray(angular_velocity, float)
         return 0.5 * np.sum(w * self.angular_momentum(w), axis=-1)
 
@@ -230,9 +239,9 @@ class RigidBody:
         Parameters
         ----------
         angular_velocity : array, shape (..., 3), rad/s, body axes
-            Broadcast against `torque`.
+            The angular velocity, which is broadcast against `torque`.
         torque : array, shape (..., 3), N m, body axes
-            About the centre of mass.
+            The torque about the centre of mass.
 
         Returns
         -------
@@ -250,7 +259,8 @@ class RigidBody:
         Parameters
         ----------
         angular_velocity, angular_acceleration : array, shape (..., 3), body axes
-            In rad/s and rad/s^2; broadcast against each other.
+            The angular velocity, rad/s, and the angular acceleration, rad/s^2, which are broadcast
+            against each other.
 
         Returns
         -------
@@ -263,11 +273,12 @@ class RigidBody:
 
 def uniform_box(body: RigidBody) -> Floats:
     """
-    Return the edges of a uniform box with the body's ratios of moments, shape (3,).
+    Return the edges, shape (3,), of a uniform box with the same ratios of moments as the body.
 
     The edges lie along the principal axes. The first edge of a box of mass m is
-    sqrt(6 (I2 + I3 - I1) / m), and so on. The moments do not determine the mass, so the longest
-    edge is 1. The axes of the equivalent ellipsoid have the same ratios.
+    sqrt(6 (I2 + I3 - I1) / m); the other two follow by cyclic permutation. The moments do not
+    determine the mass, so the edges are scaled such that the longest is 1. The axes of the
+    equivalent ellipsoid have the same ratios.
     """
     moments = body.principal_moments
     squares = np.maximum(moments.sum() - 2.0 * moments, 0.0)
@@ -275,7 +286,7 @@ def uniform_box(body: RigidBody) -> Floats:
 
 
 def _product(factors: Floats, rows: Floats) -> Floats:
-    # Return factors @ rows, summed in a fixed order: in BLAS the order depends on the processor.
+    # Return factors @ rows, summed in a fixed order. In BLAS the order depends on the processor.
     total = factors[..., :1] * rows[0]
     for k in range(1, len(rows)):
         total = total + factors[..., k:k + 1] * rows[k]
@@ -285,12 +296,12 @@ def _product(factors: Floats, rows: Floats) -> Floats:
 def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
                   vector: ArrayLike) -> Floats:
     """
-    Return the rate of a vector as seen from space: (dA/dt)_space = (dA/dt)_body + w x A.
+    Return the rate of change of a vector in space: (dA/dt)_space = (dA/dt)_body + w x A.
 
     Parameters
     ----------
     rate_in_body : array, shape (..., 3)
-        Time derivative of the body components of A.
+        The time derivative of the body components of A.
     angular_velocity : array, shape (..., 3), rad/s, body axes
         Angular velocity w of the body relative to space.
     vector : array, shape (..., 3), body axes
@@ -299,7 +310,7 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
     Returns
     -------
     array, shape (..., 3), body axes
-        Per second, in the units of A.
+        The rate of change, in the units of A per second.
 
     """
     w, a = np.asarray(angular_velocity, float), np.asarray(vector, float)
@@ -343,9 +354,10 @@ def _damping_coefficients(tensor: NDArray[Any], damping: Floats) -> Floats:
 
 
 def _check_thickness(tensor: Floats, mass: float, distance: float) -> None:
-    """Raise ValueError if the smallest moment of point masses may be a rounding error."""
+    """Raise ValueError if the smallest moment of point masses may be a mere rounding error."""
     moments = np.linalg.eigvalsh(tensor)
-    # Rounding errors of the sums, and of the positions and the centre of mass.
+    # The first term bounds the error of the sums. The second term bounds the errors of positions
+    # and of the centre of mass.
     rounding = _SUMMED * moments[2] + mass * (_SUMMED * distance) ** 2
     if moments[0] <= rounding:
         raise ValueError('inertia: expected a positive definite tensor, found masses that are on '

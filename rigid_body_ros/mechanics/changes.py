@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Bodies that change at given times: a payload is dropped, an arm deployed."""
+"""Bodies that change at given times, as when a payload is dropped or an arm is deployed."""
 
 from __future__ import annotations
 
@@ -26,30 +26,32 @@ from rigid_body_ros.common.times import instants, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 
-#: Quantities that can be kept when a body changes, see `BodyLog`.
+#: The quantities that may stay the same when a body changes; see `BodyLog`.
 KEEPS = RATE, MOMENTUM = 'rate', 'momentum'
 
 
 class BodyLog:
     """
-    The bodies of a motion, each from its stamp on.
+    The bodies that replace the first body of a motion, each from its stamp on.
 
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. If stamps are equal, the later one in the array is used.
+        The stamps, in any order. If several bodies have the same stamp, only the last one is used.
     bodies : sequence of n RigidBody
-        The body from each stamp to the next.
+        The body that replaces the previous one at each stamp.
     keep : str
-        'rate': the angular velocity stays the same, as when a payload is dropped, which takes its
-        momentum along. 'momentum': the momentum J w stays the same and the angular velocity jumps,
-        as when an arm is deployed in an instant. The momentum of the rotors stays the same in
-        both cases, and so does the axial momentum I (Omega + a . w) of each wheel with a name.
+        What stays the same when the body changes. With 'rate', the angular velocity stays the
+        same, as when a payload is dropped and takes its momentum along. With 'momentum', the
+        momentum J w of the body stays the same and the angular velocity jumps, as when an arm is
+        deployed in an instant. In both cases, the momentum of the rotors stays the same. For a
+        named wheel with the axial inertia I, the axis a and the speed Omega, the axial momentum
+        I (Omega + a . w) stays the same, too.
 
     Attributes
     ----------
     times_ns : array of int64, shape (m,), ns
-        Strictly ascending.
+        The stamps, strictly ascending.
     bodies : tuple of m RigidBody
     keep : str
 
@@ -57,7 +59,7 @@ class BodyLog:
     ------
     ValueError
         The numbers of stamps and bodies differ, a stamp is not an integer that fits int64, or
-        `keep` is neither.
+        `keep` is neither 'rate' nor 'momentum'.
 
     """
 
@@ -80,17 +82,17 @@ class BodyLog:
         return f"BodyLog({len(self)} changes, keep '{self.keep}')"
 
     def in_force(self, time_ns: int) -> int:
-        """Return the index of the change in force at a time, -1 before the first."""
+        """Return the index of the last change at or before a time; -1 if there is none."""
         return int(self.times_ns.searchsorted(time_ns, 'right')) - 1
 
     def next_ns(self, time_ns: int) -> int:
-        """Return the stamp of the first change after a time, NEVER_NS if there is none."""
+        """Return the stamp of the first change after a time; NEVER_NS if there is none."""
         later_ns = self.times_ns[self.in_force(time_ns) + 1:]
         return int(later_ns[0]) if len(later_ns) else NEVER_NS
 
 
 def checked_keep(keep: str) -> str:
-    """Return the quantity that is kept when a body changes, or raise ValueError."""
+    """Return `keep`, or raise ValueError if it is neither 'rate' nor 'momentum'."""
     if keep not in KEEPS:
         raise ValueError(f"keep: expected 'rate' or 'momentum', found {keep!r}")
     return keep
@@ -98,14 +100,14 @@ def checked_keep(keep: str) -> str:
 
 def changed(state: State, before: RigidBody, after: RigidBody, keep: str) -> State:
     """
-    Return the state at which a body changes as the start of what follows.
+    Return the state right after a change of the body.
 
     Parameters
     ----------
     state : State
-        Of the body before the change.
+        The state right before the change.
     before, after : RigidBody
-        The body before the change, and after it.
+        The body before and after the change.
     keep : str
         See `BodyLog`.
 
@@ -119,7 +121,7 @@ def changed(state: State, before: RigidBody, after: RigidBody, keep: str) -> Sta
 
 def _rates_that_keep_momentum(rates: Floats, lost_rates: Floats, before: RigidBody,
                               after: RigidBody) -> tuple[Floats, Floats]:
-    # Solve J' w' = J w by Cramer's rule in exact fractions: no rounding, whatever the tensors.
+    # Solve J' w' = J w by Cramer's rule in exact fractions, so that no operation rounds.
     w = [Fraction(high) + Fraction(low) for high, low in zip(rates[:3], lost_rates[:3])]
     momentum = [_dot(row, w) for row in _exact(before)]
     x, y, z = _exact(after)

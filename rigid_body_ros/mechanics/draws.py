@@ -13,9 +13,10 @@
 # limitations under the License.
 
 """
-Random numbers that are functions of a key and a counter, and of nothing drawn before.
+Random numbers that depend only on a key and a counter, not on earlier draws.
 
-They have the same bits on every machine: no function of the C library or of SciPy takes part.
+The numbers have the same bits on every machine, because this module calls no function of the C
+library or of SciPy.
 """
 
 from __future__ import annotations
@@ -25,23 +26,24 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine.elementary import sines_cosines
 
-#: Steele, Lea, Flood 2014, "Fast splittable pseudorandom number generators": the step of the
-#: counter of SplitMix64, and the multipliers of its finalizer.
+#: The step of the counter of SplitMix64, and the multipliers of its finalizer (Steele, Lea, Flood
+#: 2014, "Fast splittable pseudorandom number generators").
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-#: Terms of the series of the logarithm; more do not change a double.
+#: Number of terms of the series of the logarithm; more terms would not change the result.
 _TERMS = 12
 _LN_2 = 0.6931471805599453
 
 
 def hashed(keys: NDArray[np.uint64], counters: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """
-    Return the numbers of SplitMix64 streams at counters.
+    Return the numbers at given positions of SplitMix64 streams.
 
     Parameters
     ----------
     keys, counters : array of uint64, shape (...)
-        Seeds of the streams, and positions in them; broadcast against each other.
+        The seeds of the streams, and the positions in the streams. The two arrays are broadcast
+        against each other.
 
     Returns
     -------
@@ -61,14 +63,14 @@ def normals(bits: NDArray[np.uint64]) -> Floats:
     Parameters
     ----------
     bits : array of uint64, shape (..., 2 n)
-        Random.
+        Random bits.
 
     Returns
     -------
     array, shape (..., 2 n)
 
     """
-    uniforms = ((bits >> np.uint64(12)).astype(float) + 0.5) * 2.0 ** -52  # 0 and 1 excluded
+    uniforms = ((bits >> np.uint64(12)).astype(float) + 0.5) * 2.0 ** -52  # never 0 or 1
     first, second = np.split(uniforms, 2, axis=-1)
     radii = np.sqrt(-2.0 * logarithms(first))
     sines, cosines = sines_cosines(2.0 * np.pi * second)
@@ -76,7 +78,7 @@ def normals(bits: NDArray[np.uint64]) -> Floats:
 
 
 def logarithms(numbers: Floats) -> Floats:
-    """Return natural logarithms of positive numbers of any shape, within 2 units of 2**-52."""
+    """Return natural logarithms of positive numbers, with a relative error of up to 2**-51."""
     fractions, exponents = np.frexp(numbers)
     is_small = fractions < 0.5 ** 0.5
     fractions, exponents = np.where(is_small, 2.0 * fractions, fractions), exponents - is_small

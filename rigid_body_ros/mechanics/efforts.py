@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands of wheels with names."""
+"""The commands of named wheels."""
 
 from __future__ import annotations
 
@@ -24,23 +24,25 @@ from rigid_body_ros.common.times import instants, NEVER_NS
 
 class EffortLog:
     """
-    The commands of wheels with names: the torques of their motors, held.
+    The commands of named wheels: the torques of their motors.
 
-    Before its first command a wheel has no effort. With a timeout, all commands end together: that
-    long after the last of them, whichever wheel it was for.
+    Each command is held until the next command for the same wheel. The effort of a wheel is zero
+    before the first command for this wheel. With a timeout, the commands of all wheels end
+    together, one timeout after the last command for any wheel.
 
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. If commands for one wheel have equal stamps, the later one in the array is
-        used.
+        The stamps, in any order. If several commands for a wheel have the same stamp, only the
+        last one in the array is used.
     efforts : array, shape (n, k), N m
-        On k wheels, in their order. NaN: the wheel keeps its command.
+        One column for each of k wheels, in the order of the wheels. Where an entry is NaN, the
+        previous command of the wheel stays in force.
 
     Attributes
     ----------
     times_ns : array of int64, shape (m,), ns
-        Strictly ascending.
+        The stamps, strictly ascending.
     efforts : array, shape (m, k), N m
 
     Raises
@@ -67,7 +69,7 @@ class EffortLog:
         found, rows = np.unique(stamps_ns[commands.any(axis=1)], return_inverse=True)
         values, commands = values[commands.any(axis=1)], commands[commands.any(axis=1)]
         merged = np.full((len(found), values.shape[1]), np.nan)
-        for wheel in range(values.shape[1]):  # numpy uses the last of repeated indices
+        for wheel in range(values.shape[1]):  # of equal indices, numpy uses the last one
             merged[rows[commands[:, wheel]], wheel] = values[commands[:, wheel], wheel]
         self.times_ns: NDArray[np.int64] = found
         self.efforts: Floats = merged
@@ -89,7 +91,7 @@ class EffortLog:
 
 
 def filled(rows: Floats, before: Floats) -> Floats:
-    """Return rows, shape (n, m), with the last number of the same column in place of NaN."""
+    """Return rows, shape (n, m), with the last number above, or `before`, in place of each NaN."""
     if not np.isnan(rows).any():
         return rows
     rows = np.concatenate([before[None], rows])

@@ -15,13 +15,14 @@
 """
 Euler angles, in any of the twelve sequences.
 
-A sequence is named as in SciPy: three axes, upper case for intrinsic rotations (each about an
-axis of the rotated body), lower case for extrinsic ones (about axes fixed in space). 'ZXZ' is
+A sequence is named as in SciPy, by three axes. Upper case means intrinsic rotations, each about an
+axis of the rotated body. Lower case means extrinsic rotations, about axes fixed in space. 'ZXZ' is
 3-1-3: phi about space Z, theta about the line of nodes, psi about body z. All angles are in rad
-and active: the rotation maps body vectors to space vectors.
+and active: the rotation maps body vectors to space vectors. The poles are the attitudes at which
+the first and the third axis are parallel (gimbal lock).
 
 Conversions are computed with at least 65 bits and rounded once. A conversion to angles and back
-changes an attitude by less than 1e-15 rad, at the poles too. Nearly all of this change comes from
+changes an attitude by less than 1e-15 rad, even at the poles. Nearly all of this change comes from
 rounding the angles: neighbouring doubles are 4.4e-16 to 8.9e-16 apart. All results have the same
 bits on every machine.
 """
@@ -37,13 +38,13 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels
 from rigid_body_ros.engine.elementary import sines_cosines
 
-#: sin(theta), or cos(theta) for three different axes, below which angles count as degenerate:
-#: only the sum or the difference of the first and third angle is determined.
+#: Angles are degenerate if |sin(theta)|, or |cos(theta)| for three different axes, is below this
+#: value. The attitude then determines only the sum or difference of the first and third angle.
 DEGENERATE = 1e-7
-#: sin(theta) below which a rate divided by it may overflow.
+#: If |sin(theta)| is below this value, a rate divided by sin(theta) may overflow.
 _VANISHING = 1e-290
-#: sin(theta) below which theta is at a pole within rounding: of the sum and the difference of the
-#: first and third angle, one is not determined at all.
+#: If |sin(theta)| is below this value, theta is at a pole within rounding. Then either the sum or
+#: the difference of the first and third angle is not determined at all.
 _UNDETERMINED = 1e-15
 
 
@@ -55,9 +56,10 @@ class _Axes(NamedTuple):
     k: int
     #: Whether the first and third axis are the same.
     proper: bool
-    #: 1 if i, j and the third axis are right-handed, else -1.
+    #: 1 if i, j and the remaining body axis form a right-handed system, else -1.
     parity: int
-    #: Whether the angles are in reverse order: extrinsic x y z is intrinsic z y x.
+    #: Whether the sequence is extrinsic. The angles are then in reverse order: extrinsic x y z is
+    #: intrinsic z y x.
     extrinsic: bool
 
 
@@ -80,14 +82,16 @@ def check_sequence(sequence: str) -> None:
 
 def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the attitude of Euler angles.
+    Return the attitude that Euler angles describe.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        In the order of the sequence, of any size: adding 2 pi to one of them gives -q.
+        The angles, of any size, in the order of the sequence. Adding 2 pi to one angle changes the
+        sign of the quaternion.
     sequence : str
-        Three axes, with different neighbours: upper case intrinsic, lower case extrinsic.
+        Three axes; neighbouring axes must differ. Upper case means intrinsic rotations, lower case
+        means extrinsic rotations.
 
     Returns
     -------
@@ -114,24 +118,28 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
     Half the sum and half the difference of the first and third angle come from one arctangent
     each, without thresholds (Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS
-    ONE 2022; for 'ZXZ': `theta = 2 atan2(|x, y|, |w, z|)`, (phi + psi) / 2 = atan2(z, w),
-    (phi - psi) / 2 = atan2(y, x)). If only one of the two is determined, it is kept exact and
-    split evenly. Near a pole the first and third rotation have nearly the same axis, so their
-    rounding errors would add up. Therefore the third angle compensates for the rounding error of
-    the first angle, as far as that error is a rotation about the third axis.
+    ONE 2022). For 'ZXZ', (phi + psi) / 2 = atan2(z, w), (phi - psi) / 2 = atan2(y, x), and
+    `theta = 2 atan2(|x, y|, |w, z|)`. At a pole, only the sum or only the difference is
+    determined. This value is exact, and is split evenly between the two angles.
+
+    Near a pole the first and third rotation have nearly the same axis, so their rounding errors
+    would add up. Therefore the third angle compensates for the rounding error of the first angle,
+    as far as this error is a rotation about the third axis.
 
     Parameters
     ----------
     attitude : array, shape (..., 4)
-        x y z w, body to space, of any norm. If it is zero or not finite, the angles are NaN.
+        x y z w, body to space, of any norm. If a quaternion is zero or not finite, the angles are
+        NaN.
     sequence : str
         As for `to_quaternion`.
 
     Returns
     -------
     array, shape (..., 3), rad
-        In the order of the sequence. If the first and third axis are the same: [0, 2 pi),
-        [0, pi], [0, 2 pi). If all axes differ: (-pi, pi], [-pi/2, pi/2], (-pi, pi].
+        The angles in the order of the sequence. The ranges are [0, 2 pi), [0, pi], [0, 2 pi) if
+        the first and third axis are the same, and (-pi, pi], [-pi/2, pi/2], (-pi, pi] if all axes
+        differ.
 
     Raises
     ------
@@ -149,14 +157,15 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     """
-    Return where only the sum or the difference of the first and third angle is determined.
+    Return whether the attitude determines only the sum or difference of first and third angle.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        In the order of the sequence. Only the middle one matters.
+        The angles in the order of the sequence. Only the middle angle matters.
     sequence : str
-        As for `to_quaternion`. The poles are at +-pi/2 if all axes differ, else at 0 and pi.
+        As for `to_quaternion`. The poles are at a middle angle of +-pi/2 if all axes differ,
+        otherwise at 0 and pi.
 
     Returns
     -------
@@ -179,13 +188,14 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
     Return the unit axes of the three rotations, in body components.
 
-    For 'ZXZ' they are space Z, the line of nodes n and body z. The middle one is perpendicular
-    to the others, which are parallel if the angles are degenerate.
+    For 'ZXZ', the axes are space Z, the line of nodes and body z. The middle axis is perpendicular
+    to the first and to the last axis. The first and the last axis are parallel if the angles are
+    degenerate.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        In the order of the sequence, of any size.
+        The angles, of any size, in the order of the sequence.
     sequence : str
         As for `to_quaternion`.
 
@@ -209,7 +219,7 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the angular velocity of Euler rates: the sum of each rate times its axis.
+    Return the angular velocity, which is the sum of the Euler rates times their rotation axes.
 
     For 'ZXZ' (Goldstein, equation 4.87):
     w1 = phi' sin theta sin psi + theta' cos psi,
@@ -218,9 +228,9 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        In the order of the sequence, of any size.
+        The angles, of any size, in the order of the sequence.
     rates : array, shape (..., 3), rad/s
-        In the order of the sequence.
+        The Euler rates in the order of the sequence.
     sequence : str
         As for `to_quaternion`.
 
@@ -241,25 +251,25 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     """
     Return the Euler rates of an angular velocity.
 
-    For 'ZXZ': phi' = (w1 sin psi + w2 cos psi) / sin theta, theta' = w1 cos psi - w2 sin psi,
+    For 'ZXZ', phi' = (w1 sin psi + w2 cos psi) / sin theta, theta' = w1 cos psi - w2 sin psi, and
     psi' = w3 - phi' cos theta. Near the poles (see `degenerate`) phi' and psi' grow without bound,
-    but their sum (at theta = 0) or difference (at theta = pi) does not. At a pole, that sum or
-    difference is returned, split evenly; the component of the angular velocity that no finite
-    rates produce is ignored.
+    but their sum (near theta = 0) or difference (near theta = pi) does not. At a pole, this sum or
+    difference is split evenly between the two rates. A component of the angular velocity that no
+    finite rates can produce is ignored at a pole.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        In the order of the sequence, of any size.
+        The angles, of any size, in the order of the sequence.
     angular_velocity : array, shape (..., 3), rad/s, body axes
-        Broadcast against `angles`.
+        The angular velocity, which is broadcast against `angles`.
     sequence : str
         As for `to_quaternion`.
 
     Returns
     -------
     array, shape (..., 3), rad/s
-        In the order of the sequence; always finite.
+        The rates in the order of the sequence, always finite.
 
     Raises
     ------
@@ -283,20 +293,22 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
     Return the angles of a trajectory without jumps.
 
-    Several triples describe the same attitude: (a, b, c) + 2 pi k and (a + pi, -b, c + pi) +
-    2 pi k (with pi - b for three different axes). For each sample, the one closest to the
-    previous sample is chosen. So the middle angle may leave its range: where theta passes through
-    zero, it becomes negative and phi does not jump. Exactly at a pole, the combination of angles
-    that the attitude does not determine is copied from the previous sample (at the beginning,
-    from the next one).
+    Many triples of angles describe the same attitude: (a, b, c) + 2 pi k and (a + pi, -b, c + pi)
+    + 2 pi k, where k is any triple of integers, and -b becomes pi - b for three different axes.
+    For each sample, `unwrap` chooses the triple closest to the previous sample. So the middle
+    angle may leave its range: where theta passes through zero, theta becomes negative and phi does
+    not jump. Exactly at a pole, the attitude determines only the sum or only the difference of the
+    first and third angle. For such a sample, `unwrap` takes the undetermined sum or difference
+    from the previous sample or, if the trajectory begins at a pole, from the first sample that is
+    not at a pole.
 
     Parameters
     ----------
     angles : array, shape (m, 3), rad
-        In the order of the sequence, from samples so close in time that the closest triple is
-        the right one.
+        The angles in the order of the sequence. Samples must be so close in time that the closest
+        triple is the right one.
     sequence : str
-        Sequence of the angles, as for `to_quaternion`.
+        As for `to_quaternion`.
 
     Returns
     -------
@@ -325,7 +337,7 @@ def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:
 def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     # Return the body axis of the last rotation (outer), the line of nodes, the unit vector
     # perpendicular to both (across), and the sine and the cosine of the angle between the first
-    # and the last axis: the first axis is cosine * outer + sine * across.
+    # and the last axis. The first axis is cosine * outer + sine * across.
     _, middle, last = np.moveaxis(_intrinsic(angles, axes), -1, 0)
     unit = np.eye(3)
     sine, cosine = _sine_cosine(middle, axes)

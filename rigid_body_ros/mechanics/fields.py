@@ -35,34 +35,36 @@ from rigid_body_ros.engine.elementary import sines_cosines
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 
-#: Largest accepted cosine of the angle between the position on an orbit and its normal.
+#: Largest accepted cosine of the angle between a position on an orbit and the orbit normal.
 _SQUARE = 1e-9
-#: Largest difference from 1 of the length of a unit vector that is left as it is.
+#: A vector whose length differs from 1 by at most this value is not normalised.
 _ROUNDED = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
 class UniformField:
     """
-    A uniform field, which turns a moment of the body into its direction.
+    A uniform field, whose torque turns a moment of the body towards the direction of the field.
 
-    The torque is m x R^T f. For the weight about a pivot, the moment is the mass times the centre
-    of mass as seen from the pivot, the field is gravity, and the inertia of the body is that about
-    the pivot. A magnetic dipole (A m^2) in a magnetic field (T), and buoyancy, have the same form.
+    The torque of the field f on the moment m is m x R^T f, where R takes body axes to space axes.
+    For the weight about a pivot, m is the mass times the position of the centre of mass relative
+    to the pivot, and f is gravity. The inertia of the body must then be about the pivot. The
+    torque of a magnetic field (T) on a magnetic dipole (A m^2) and the torque of buoyancy have the
+    same form.
 
     Parameters
     ----------
     moment : array, shape (3,), kg m, A m^2, ...
-        In body axes.
+        The moment in body axes.
     field : array, shape (3,), m/s^2, T, ...
-        In space axes. The product with the moment is in N m.
+        The field in space axes. The product of the units of moment and field is N m.
     name : str
-        Its name in a scene; empty if it has none.
+        Name of the field in a scene; empty for a field without a name.
 
     Raises
     ------
     ValueError
-        An array is not 3 finite numbers.
+        The moment or the field is not 3 finite numbers.
 
     """
 
@@ -75,25 +77,27 @@ class UniformField:
             object.__setattr__(self, name, _checked(getattr(self, name), f'{name} of a field'))
 
     def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """Return the torque, N m, body axes, at times and attitudes, shape (m, 3)."""
+        """Return the torque, N m, body axes, shape (m, 3), at m times and attitudes."""
         return np.cross(np.asarray(self.moment), so3.rotate(so3.conjugate(attitude), self._rows(
             attitude)))
 
     def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
                          attitude: Floats) -> Floats:
-        """Return the potential energy -m . R^T f, J, shape (m,)."""
+        """Return the potential energy -m . R^T f, J, shape (m,), at m attitudes."""
         turned = so3.rotate(so3.conjugate(attitude), self._rows(attitude))
         return -np.sum(turned * np.asarray(self.moment), axis=1)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
         """
-        Return a bound on the increase of the rate by the field, rad/s.
+        Return an upper bound on how much the field can increase the angular velocity, rad/s.
+
+        The bound follows from the energy: with the smallest moment I and the kinetic energy T, the
+        angular velocity is at most sqrt(2 T / I).
 
         Parameters
         ----------
         least, largest : array, kg m^2
-            Smallest and largest moments of inertia of the bodies. The energy bounds the root of
-            twice the kinetic energy over the smallest moment.
+            Smallest and largest principal moments of the bodies.
 
         """
         strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)
@@ -108,23 +112,24 @@ class GravityGradient:
     """
     The gravity gradient on a circular orbit.
 
-    The torque is 3 n^2 r x J r, where r is the unit vector from the planet to the body.
+    The torque is 3 n^2 r x J r, where n is the mean motion, J is the inertia, and r is the unit
+    vector from the planet to the body.
 
     Parameters
     ----------
     mean_motion : float, rad/s
-        The rate n of the orbit, positive.
+        The angular rate n of the orbit, positive.
     position, normal : array, shape (3,), space axes
         The direction from the planet to the body at `time_ns`, and the normal of the orbit, about
-        which the body revolves. Their lengths have no meaning.
+        which the body revolves. The lengths of the two vectors do not matter.
     time_ns : int, optional, ns
-        None: the start of the motion.
+        The time at which the body is at `position`. The default is the start of the motion.
 
     Raises
     ------
     ValueError
-        The mean motion is not positive and finite, a direction is zero or not finite, the two are
-        not at right angles, or the time does not fit int64.
+        The mean motion is not positive and finite, a direction is zero or not finite, the two
+        directions are not perpendicular, or the time does not fit int64.
 
     """
 
@@ -132,7 +137,7 @@ class GravityGradient:
     position: ArrayLike = (1.0, 0.0, 0.0)
     normal: ArrayLike = (0.0, 0.0, 1.0)
     time_ns: int | None = None
-    #: The unit vector along the orbit at `time_ns`, space axes.
+    #: The direction of the motion along the orbit at `time_ns`, a unit vector in space axes.
     along: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -154,8 +159,9 @@ class GravityGradient:
     def directions(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the unit vectors from the planet to the body, space axes, shape (m, 3)."""
         assert self.time_ns is not None, 'the orbit has no time'
-        # The rate is split such that its product with whole seconds is exact: after many turns, a
-        # rounded angle would be off by more than the attitude is.
+        # Split the rate such that the product of its first part with whole seconds is exact.
+        # Without the split, the rounding error of the angle would exceed that of the attitude
+        # after many turns.
         mantissa, exponent = math.frexp(self.mean_motion)
         rate = math.ldexp(round(math.ldexp(mantissa, 24)), exponent - 24)
         seconds, rest_ns = np.divmod(times_ns - self.time_ns, 10 ** 9)
@@ -166,18 +172,18 @@ class GravityGradient:
                 + (sine * more_cosine + cosine * more_sine)[:, None] * self.along)
 
     def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """Return the torque, N m, body axes, at times and attitudes, shape (m, 3)."""
+        """Return the torque, N m, body axes, shape (m, 3), at m times and attitudes."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
         return 3.0 * self.mean_motion ** 2 * np.cross(r, body.angular_momentum(r))
 
     def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
                          attitude: Floats) -> Floats:
-        """Return the potential energy 3/2 n^2 r . J r, J, shape (m,), of the rotation alone."""
+        """Return the potential energy of the rotation, 3/2 n^2 r . J r, J, shape (m,)."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
         return 1.5 * self.mean_motion ** 2 * np.sum(r * body.angular_momentum(r), axis=1)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
-        """Return a bound as `UniformField.speed` does, by the energy seen from the orbit."""
+        """Return a bound like `UniformField.speed`, from the energy in the orbiting frame."""
         return self.mean_motion * (1.0 + 3.0 * np.sqrt(largest / least))
 
 
@@ -186,12 +192,12 @@ Field = UniformField | GravityGradient
 
 def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
     """
-    Return fields whose orbit has a time, by default the start of the motion.
+    Return the fields of a motion; an orbit without a time gets the time of the beginning.
 
     Raises
     ------
     ValueError
-        There are two orbits.
+        There is more than one gravity gradient.
 
     """
     orbits = [one for one in fields if isinstance(one, GravityGradient)]
@@ -203,14 +209,14 @@ def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
 
 
 def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
-    """Return fields for the kernels: FIELDS, shape (1,), or None; an orbit must have a time."""
+    """Return fields for the kernels, FIELDS, shape (1,), or None; an orbit must have a time."""
     if not fields:
         return None
     result = np.zeros(1, FIELDS)
     uniform = [one for one in fields if isinstance(one, UniformField)]
     moments = np.array([one.moment for one in uniform]).reshape(-1, 3)
     directions = np.array([one.field for one in uniform]).reshape(-1, 3)
-    if len(uniform) > MOST_FIELDS:  # one along each axis of space, summed in order
+    if len(uniform) > MOST_FIELDS:  # use one field along each space axis, summed in order
         total = np.zeros((3, 3))
         for moment, direction in zip(moments, directions):
             total = total + direction[:, None] * moment
@@ -236,12 +242,12 @@ def _checked(values: ArrayLike, what: str) -> Floats:
 
 def direction(values: ArrayLike, what: str) -> Floats:
     """
-    Return a unit vector; the bits of a vector that is one to rounding stay as they are.
+    Return the unit vector along a vector, or the vector itself if its length is 1 within rounding.
 
     Raises
     ------
     ValueError
-        It is not 3 finite numbers, or zero.
+        The values are not 3 finite numbers, or are all zero.
 
     """
     vector = _checked(values, what)
@@ -257,5 +263,5 @@ def direction(values: ArrayLike, what: str) -> Floats:
 
 
 def _length(vector: Floats) -> float:
-    x, y, z = vector.tolist()  # in BLAS the order of a sum depends on the processor
+    x, y, z = vector.tolist()  # without BLAS, which sums in an order that depends on the processor
     return math.sqrt(x * x + y * y + z * z)

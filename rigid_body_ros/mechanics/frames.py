@@ -25,11 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed, quoted
 
-#: Largest part of a vector across an axis, relative to the vector, that is rounding: a publisher
-#: that normalises the axis, multiplies it by the thrust or rotates it by a quaternion rounds by
-#: less than 16 eps; four times that leaves room for a chain of rotations.
+#: The part of a vector across an axis counts as a rounding error if the ratio of this part to the
+#: vector is at most this value. A publisher that normalises the axis, multiplies the axis by the
+#: thrust or rotates it by a quaternion makes an error of less than 16 eps. The value is four times
+#: this error, to leave room for a chain of rotations.
 _ROUNDING = 64.0 * np.finfo(float).eps
-#: Smallest normal double; below it, rounding is not relative to the value.
+#: Smallest normal double; below it, rounding errors are not proportional to the value.
 _TINY = np.finfo(float).tiny
 
 
@@ -41,9 +42,9 @@ class Frame:
     Attributes
     ----------
     rotation : array, shape (3, 3)
-        Its axes as columns, in body axes: `v_body = rotation @ v_frame`.
+        The axes of the frame as columns, in body axes: `v_body = rotation @ v_frame`.
     position : array, shape (3,), m, body axes
-        Its origin relative to the centre of mass.
+        The origin of the frame relative to the centre of mass.
 
     """
 
@@ -52,12 +53,12 @@ class Frame:
 
     @cached_property
     def is_aligned(self) -> bool:
-        """Return whether its axes are the body axes."""
+        """Return whether the axes of the frame are the body axes."""
         return np.array_equal(self.rotation, np.eye(3))
 
     @cached_property
     def has_arm(self) -> bool:
-        """Return whether a force at its origin has a lever arm about the centre of mass."""
+        """Return whether a force at the origin has a lever arm about the centre of mass."""
         return bool(self.position.any())
 
     @cached_property
@@ -69,18 +70,19 @@ class Frame:
         """
         Return the torque of wrenches about the centre of mass: R torque + position x (R force).
 
-        A torque without a force in an aligned frame keeps its bits.
+        R is `rotation`. If the frame is aligned and there is no force, the torque is returned
+        unchanged, bit for bit.
 
         Parameters
         ----------
         force, torque : array, shape (..., 3), N and N m
-            In the axes of the frame. The force acts at its origin.
+            The wrenches in the axes of the frame. The force acts at the origin of the frame.
 
         Returns
         -------
         array, shape (..., 3), N m, body axes
-            Not finite if a torque, or a force with a lever arm, is not finite, or if the result
-            does not fit a double.
+            A result is not finite if the given torque, or a force with a lever arm, is not finite,
+            or if the result overflows.
 
         """
         force, torque = np.asarray(force, float), np.asarray(torque, float)
@@ -90,23 +92,24 @@ class Frame:
             if not self.has_arm or not force.any():
                 return torque
             moment = _product(self._arm, force)
-            # Not always the sum, because -0.0 + 0.0 is 0.0.
+            # Do not add a moment of zero: a torque of -0.0 would become 0.0.
             return np.where(moment, torque + moment, torque)
 
 
 @dataclass(frozen=True, eq=False)
 class TurningFrame(Frame):
     """
-    A frame that turns about an axis through its origin; both are fixed to the body.
+    A frame that turns about an axis through its origin; axis and origin are fixed to the body.
 
-    The angle is unknown, so a wrench has a known torque only if it is along the axis.
+    The angle of the frame is unknown. So the torque of a wrench is known only if the wrench is
+    along the axis.
 
     Attributes
     ----------
     rotation : array, shape (3, 3)
-        As in `Frame`, at the angle zero.
+        The axes of the frame at an angle of zero, as columns, in body axes.
     joint : str
-        Name of the joint that turns it.
+        Name of the joint that turns the frame.
     axis : array, shape (3,)
         Unit vector along the axis, in the axes of the frame.
 
@@ -117,7 +120,7 @@ class TurningFrame(Frame):
 
     @cached_property
     def is_aligned(self) -> bool:
-        """Return False: its axes are the body axes at one angle at most."""
+        """Return False, because the axes are the body axes at one angle at most."""
         return False
 
     @cached_property
@@ -132,8 +135,8 @@ class TurningFrame(Frame):
         Raises
         ------
         OffAxisError
-            A force or a torque is not along the axis within rounding. One that is not finite is
-            not checked.
+            A force or a torque has a part across the axis that exceeds rounding. Forces and
+            torques that are not finite are not checked.
 
         """
         force, torque = np.asarray(force, float), np.asarray(torque, float)
@@ -151,7 +154,7 @@ class TurningFrame(Frame):
 
 
 class OffAxisError(ValueError):
-    """A wrench in a TurningFrame is not along the axis; `row` is the first of several."""
+    """Wrenches in a TurningFrame are off its axis; `row` is the index of the first such wrench."""
 
     def __init__(self, row: int, text: str) -> None:
         super().__init__(text)
@@ -166,8 +169,8 @@ def _differ(vectors: Floats, others: Floats) -> NDArray[np.bool_]:
 
 
 def _product(matrix: Floats, vectors: Floats) -> Floats:
-    """Return the matrix times each vector, shape (..., 3), with sums of a fixed order."""
-    # For a single vector Python's floats are faster, with the same bits.
+    """Return the matrix times each vector, shape (..., 3), summed in a fixed order."""
+    # For a single vector, Python's floats are faster and give the same bits.
     x, y, z = vectors.tolist() if vectors.ndim == 1 else np.moveaxis(vectors, -1, 0)
     product = np.empty(vectors.shape)
     for k, (a, b, c) in enumerate(matrix.tolist()):
@@ -176,21 +179,23 @@ def _product(matrix: Floats, vectors: Floats) -> Floats:
 
 
 class UnknownFrameError(KeyError, ValueError):
-    """Forces in a frame are not accepted; the message states why."""
+    """Forces in a frame are not accepted; the message gives the reason."""
 
-    __str__ = ValueError.__str__  # that of KeyError adds quotes
+    __str__ = ValueError.__str__  # KeyError.__str__ adds quotes
 
 
 class Frames(dict[str, Frame]):
     """
-    Frames in which forces are accepted, by name of the link; others raise UnknownFrameError.
+    Frames in which forces are accepted, keyed by the name of the link.
+
+    A look-up of any other name raises UnknownFrameError.
 
     Attributes
     ----------
     link : str
-        The link that is the body; '' if there are no frames.
+        Name of the link that is the body; '' if there are no frames.
     others : mapping
-        For each other link of the URDF, why its forces are not accepted.
+        For each other link of the URDF, the reason why forces in its frame are not accepted.
 
     """
 
@@ -205,7 +210,7 @@ class Frames(dict[str, Frame]):
         raise UnknownFrameError(f'frame {quoted(name)}: {reason}')
 
     def prefixed(self, prefix: str) -> Frames:
-        """Return these frames with a prefix before each name, as robot_state_publisher has it."""
+        """Return these frames with a prefix before each name, as in `robot_state_publisher`."""
         if not prefix:
             return self
         return Frames(prefix + self.link, {prefix + name: self[name] for name in self},
@@ -213,14 +218,15 @@ class Frames(dict[str, Frame]):
 
     def of_body(self, body_frame: str) -> Frame | None:
         """
-        Return the frame that the name of the body axes refers to; None if there are no frames.
+        Return the frame that the name of the body frame denotes; None if there are no frames.
 
-        It is the link of this name if its axes are the body axes, otherwise the link that is the
-        body: names of body frames need not be names of links.
+        If a link has this name, and the axes of this link are the body axes, the method returns
+        the frame of this link. Otherwise it returns the frame of the link that is the body,
+        because the name of a body frame need not be the name of a link.
         """
         named = self.get(body_frame)
         return named if named is not None and named.is_aligned else self.get(self.link)
 
 
-#: Those of a body without a URDF.
+#: No frames, for a body without a URDF.
 NO_FRAMES = Frames()

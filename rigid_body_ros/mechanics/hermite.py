@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Attitudes between samples, from the attitudes and angular velocities of the samples."""
+"""Interpolation of attitudes between samples of attitude and angular velocity."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ def between(first: tuple[Floats, Floats], last: tuple[Floats, Floats], spans: Fl
     """
     Return attitudes and angular velocities between pairs of samples.
 
-    The rotation vector from the first sample of a pair to the last is a cubic polynomial in time
-    with the given angular velocities at both ends.
+    The rotation vector from the first sample of a pair is a cubic polynomial in time. At both
+    ends, the polynomial matches the given attitudes and angular velocities.
 
     Parameters
     ----------
     first, last : tuple of arrays, shapes (n, 4) and (n, 3)
         Attitudes x y z w, body to space, and angular velocities, rad/s, body axes.
     spans : array, shape (n,), s
-        Times from the first samples to the last, greater than zero.
+        Time from the first to the last sample of each pair, greater than zero.
     parts : array, shape (n,)
-        Where to interpolate, as fractions of the spans.
+        Where to interpolate, as a fraction of each span.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def _vector_rate(vector: Floats, rate: Floats) -> Floats:
 
 
 def _body_rate(vector: Floats, change: Floats) -> Floats:
-    """Return the angular velocities in body axes from the derivatives of rotation vectors."""
+    """Return angular velocities in body axes from the derivatives of rotation vectors."""
     angle = np.linalg.norm(vector, axis=1, keepdims=True)
     safe = np.maximum(angle, 1e-9)
     first = np.where(angle < 1e-3, 0.5, (1.0 - np.cos(angle)) / safe ** 2)

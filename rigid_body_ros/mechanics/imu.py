@@ -15,9 +15,9 @@
 """
 The errors of an IMU, as functions of a seed and a stamp.
 
-The IMU takes 1000 samples per second of its stamps, and their noise is a function of their number.
-A stamp has the noise of the last sample at or before it, whatever the rate and the earlier
-requests.
+The IMU takes 1000 samples per second, counted from stamp 0, and the noise of a sample is a
+function of the number of the sample. The noise at a stamp is that of the last sample at or before
+the stamp. Therefore the noise depends neither on the rate of the stamps nor on earlier requests.
 """
 
 from __future__ import annotations
@@ -34,16 +34,18 @@ from rigid_body_ros.mechanics import draws, so3
 #: Time between samples, ns.
 _SAMPLE_NS = 10 ** 6
 _SAMPLES_PER_SECOND = 1e9 / _SAMPLE_NS
-#: Number of samples of the gyro whose mean is an output: the noise is white up to 100 Hz.
+#: Number of gyro samples whose mean is one output. The noise is white up to 100 Hz.
 _AVERAGED = 10
-#: By this a normal number becomes its part of that mean, for a density of 1.
+#: Factor by which a standard normal number contributes to an output, for a noise density of 1.
 _WHITE = _SAMPLES_PER_SECOND ** 0.5 / _AVERAGED
-#: The random walk returns to zero every 2 ** _LEVELS samples, 9.3 hours.
+#: The random walk returns to zero every 2 ** _LEVELS samples (9.3 hours).
 _LEVELS = 25
-#: Random numbers have a level and, below these bits, a number of a sample or an interval: 0 is the
-#: white noise, then the levels of the walk, then the attitude.
+#: The counter of a random number is a level, shifted by `_SHIFT` bits, plus the number of a sample
+#: or of an interval. Level 0 is the white noise, levels 1 to `_LEVELS` are the random walk, and
+#: level `_TURN` is the noise of the attitude.
 _SHIFT, _TURN = 48, _LEVELS + 1
-#: Number of stamps computed at once: their random numbers fit in a cache.
+#: Number of samples in a block, whose noise is computed at once. The random numbers of a block
+#: fit in a cache.
 _BLOCK = 4096
 
 
@@ -55,19 +57,21 @@ class ImuErrors:
     Attributes
     ----------
     gyro_noise_density : float, rad/s/sqrt(Hz)
-        Of white noise, as in data sheets. The output is the mean of 10 ms, so at 100 Hz the noise
-        of each output is independent, at higher rates neighbours share a part of it, and at lower
-        rates it is that of a sensor of which only some outputs are used.
+        Density of the white noise, as in data sheets. Each output is the mean over 10 ms. So at an
+        output rate of 100 Hz, the noise of each output is independent of the noise of the other
+        outputs. At higher rates, neighbouring outputs have a part of their noise in common. At
+        lower rates, the noise is that of a 100 Hz sensor of which only some outputs are used.
     gyro_random_walk : float, rad/s^2/sqrt(Hz)
-        Of the bias, which is zero at the stamp 0 and every 2**25 ms (9.3 hours) after it, and a
-        Wiener process in between, conditional on that.
+        Density of the random walk of the bias. The walk is zero at stamp 0 and every 2**25 ms (9.3
+        hours) after it. In between, the walk is a Brownian bridge: a Wiener process that is zero
+        at both ends.
     gyro_bias : tuple of 3 floats, rad/s, body axes
     attitude_noise : float, rad
         Standard deviation of each component of a rotation vector in body axes.
     delay : float, s
-        A message has the state from this long before its stamp.
+        A message reports the state of the body at the stamp of the message minus this delay.
     seed : int
-        From 0 to 2**63 - 1.
+        The seed, from 0 to 2**63 - 1.
 
     """
 
@@ -90,25 +94,25 @@ class ImuErrors:
 
     @property
     def rate_variance(self) -> float:
-        """Return the variance of the white noise on each axis, rad^2/s^2; the bias is no noise."""
+        """Return the variance of the white noise on each axis, rad^2/s^2, without the bias."""
         return self.gyro_noise_density ** 2 * _SAMPLES_PER_SECOND / _AVERAGED
 
     def measured(self, stamps_ns: NDArray[np.int64], attitude: Floats,
                  angular_velocity: Floats) -> tuple[Floats, Floats]:
         """
-        Return what the IMU measures of a motion.
+        Return a motion as the IMU measures it.
 
         Parameters
         ----------
         stamps_ns : array of int, shape (n,), ns
-            Of the messages, from 0 on, in any order.
+            Stamps of the messages, not negative, in any order.
         attitude, angular_velocity : array, shape (n, 4) and (n, 3), rad/s, body axes
-            Of the motion, `delay` before the stamps.
+            The motion at the times `stamps_ns` minus `delay`.
 
         Returns
         -------
         attitude, angular_velocity : array, shape (n, 4) and (n, 3)
-            Without errors the same objects.
+            The measured motion. If all errors are zero, the function returns its arguments.
 
         """
         if any(self.gyro_bias):
@@ -124,15 +128,16 @@ class ImuErrors:
         return attitude, angular_velocity + rates
 
     def _noise(self, samples: NDArray[np.int64]) -> Floats:
-        """Return noise of attitude and angular velocity, shape (2, n, 3), of samples, (n,)."""
-        # Rows of one array, because a single stamp takes as long as the number of calls.
+        """Return noise of attitude and angular velocity, shape (2, n, 3), for n sample numbers."""
+        # Draw all numbers at once: the time for a single stamp is proportional to the number of
+        # NumPy calls.
         ago = np.arange(_AVERAGED * bool(self.gyro_noise_density))[:, None]
         levels = np.arange(1, 1 + _LEVELS * bool(self.gyro_random_walk))[:, None]
         turns = np.full((int(bool(self.attitude_noise)), 1), _TURN)
         numbers = _normals(self.seed, np.concatenate([
             samples - ago, levels << _SHIFT | samples >> levels, turns << _SHIFT | samples]))
         white, walk, turn = np.split(numbers, [len(ago), len(ago) + len(levels)])
-        # One after the other: NumPy's sum has another order for other shapes.
+        # Add row by row, because the order of NumPy's sum depends on the shape.
         zero = np.zeros((len(samples), 3))
         return np.array([
             self.attitude_noise * sum(turn, zero),
@@ -142,10 +147,11 @@ class ImuErrors:
 
 def _hats(levels: NDArray[np.int64], samples: NDArray[np.int64]) -> Floats:
     """
-    Return functions, sqrt(s); a Wiener process is their sum, each times a normal number.
+    Return hat functions, sqrt(s), whose sum weighted by normal numbers is a Wiener process.
 
-    On each level, intervals of 2, 4, 8 ... samples have hats, which are zero at both ends (Lévy
-    1948; Karatzas, Shreve 1991, "Brownian motion and stochastic calculus", section 2.3).
+    Each interval of level k is 2^k samples long and has one hat, which is zero at both ends of the
+    interval (Lévy 1948; Karatzas, Shreve 1991, "Brownian motion and stochastic calculus", section
+    2.3).
     """
     length = 1 << levels
     inside = samples & (length - 1)
@@ -153,9 +159,9 @@ def _hats(levels: NDArray[np.int64], samples: NDArray[np.int64]) -> Floats:
 
 
 def _normals(seed: int, counters: NDArray[np.int64]) -> Floats:
-    """Return standard normal numbers, shape (..., 3), of counters, shape (...)."""
+    """Return standard normal numbers, shape (..., 3), for counters, shape (...)."""
     flat = counters.ravel()
-    # Long intervals have many samples: draw each number once.
+    # Neighbouring samples share the random number of a long interval: draw each number only once.
     is_new = np.empty(flat.shape, bool)
     is_new[:1], is_new[1:] = True, flat[1:] != flat[:-1]
     bits = draws.hashed(_keys(seed), flat[is_new, None].astype(np.uint64))
@@ -165,6 +171,6 @@ def _normals(seed: int, counters: NDArray[np.int64]) -> Floats:
 
 @lru_cache
 def _keys(seed: int) -> NDArray[np.uint64]:
-    """Return the keys of the three axes, and one more, because normal numbers come in pairs."""
+    """Return keys for the three axes, and a fourth key, because normal numbers come in pairs."""
     return draws.hashed(draws.hashed(np.array([seed], np.uint64), np.zeros(1, np.uint64)),
                         np.arange(4, dtype=np.uint64))

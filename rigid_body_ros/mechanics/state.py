@@ -48,11 +48,12 @@ class State:
         norm is 1 within 4 eps.
     angular_velocity : array, shape (3,), rad/s, body axes
     rotor_momentum : array, shape (3,), N m s, body axes
-        Angular momentum of rotors (reaction wheels, propellers) relative to the body. If there are
-        `wheel_speeds`, it includes that of these wheels; 0 stands for theirs alone.
+        Angular momentum of rotors (reaction wheels, propellers) relative to the body. If
+        `wheel_speeds` is given, `rotor_momentum` includes the momentum of these wheels; a
+        `rotor_momentum` of zero then means that there are no other rotors.
     wheel_speeds : array, shape (k,), rad/s
-        Of k wheels with names, relative to the body. Empty: they begin with their initial speeds,
-        and `rotor_momentum` is that of other rotors.
+        Speeds of k named wheels, relative to the body. If the array is empty, the wheels start at
+        their `initial_speed`, and `rotor_momentum` is the momentum of the other rotors only.
 
     Raises
     ------
@@ -69,14 +70,14 @@ class State:
     angular_velocity: Floats
     rotor_momentum: Floats
     wheel_speeds: Floats
-    #: See `state_layout`.
+    #: The components of the state, as `state_layout` defines them.
     _packed: Floats = field(init=False, repr=False)
-    #: The momentum of the rotors and its low-order part, shape (2, 3); of a state with `_axial`,
-    #: that of the rotors of the carrier, see `Wheels`.
+    #: The momentum of the rotors and its low-order part, shape (2, 3). In a state with `_axial`,
+    #: this is the momentum of the rotors of the carrier; see `Wheels`.
     _rotors: Floats = field(init=False, repr=False)
-    #: The step grid that the state was computed from (an `Origin`), or None.
+    #: The step grid from which the state was computed (an `Origin`), or None.
     _origin: object = field(init=False, repr=False)
-    #: Torques of the motors of these wheels that act from this time on, N m, shape (k,).
+    #: Torques of the motors on the named wheels from `time_ns` on, N m, shape (k,).
     wheel_efforts: Floats = field(init=False, repr=False)
     #: The state of the wheels (an `Axial`), or None.
     _axial: object = field(init=False, repr=False, default=None)
@@ -98,7 +99,7 @@ class State:
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
                  rotor_momentum: ArrayLike = (0.0, 0.0, 0.0),
                  wheel_speeds: ArrayLike = ()) -> None:
-        if hasattr(attitude, 'as_quat'):  # a SciPy Rotation; to import SciPy takes long
+        if hasattr(attitude, 'as_quat'):  # a Rotation; importing SciPy to check it takes long
             attitude = attitude.as_quat()
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
         if not q.any():
@@ -117,7 +118,7 @@ class State:
 
     @cached_property
     def _has_rotors(self) -> bool:
-        # `any` takes a tenth of a short run.
+        # The first test is cheap; without it, `any` would take a tenth of the time of a short run.
         return self._rotors is not _NO_ROTORS and bool(self._rotors.any())
 
     def __repr__(self) -> str:
@@ -127,13 +128,14 @@ class State:
                 f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
 
 
-# Defaults, because storing them in every state would take a tenth of the time to make one.
+# These defaults are class attributes, because storing them in every state would take a tenth of
+# the time to construct a state.
 for _name in ('wheel_speeds', 'wheel_efforts'):
     type.__setattr__(State, _name, _NO_WHEELS)
 
 
 def is_normalized(q: Floats) -> NDArray[np.bool_]:
-    """Return whether quaternions, shape (..., 4), are of norm 1 within 4 eps."""
+    """Return whether quaternions, shape (..., 4), have norm 1 within 4 eps."""
     return abs(np.sqrt(np.sum(q * q, axis=-1)) - 1.0) <= 4.0 * np.finfo(float).eps
 
 

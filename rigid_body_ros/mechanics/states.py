@@ -38,38 +38,38 @@ class Poses(NamedTuple):
     angular_velocity: Floats
 
     def rows(self, chosen: Sequence[int] | slice) -> Poses:
-        """Return the states of some rows."""
+        """Return the chosen rows."""
         return Poses(self.attitude[chosen], self.angular_velocity[chosen])
 
 
 class States:
     """
-    Many states, of which some may be invalid.
+    Many states, some of which may be invalid.
 
-    `states[i]` is the `State` of row i, or raises its error.
+    `states[i]` returns the `State` of row i, or raises ValueError if that state is invalid.
 
     Parameters
     ----------
     time_ns : int, or array of int, shape (n,), ns
-        One for all states, or one for each.
+        One time for each state, or one time for all states.
     attitude : array, shape (n, 4) or (4,), or scipy.spatial.transform.Rotation
-        As for `State`: of each, or of all.
+        One attitude for each state, or one attitude for all states, as for `State`.
     angular_velocity : array, shape (n, 3) or (3,), rad/s, body axes
-        Of each, or of all.
+        One angular velocity for each state, or one angular velocity for all states.
     rotor_momentum : array, shape (n, 3) or (3,), N m s, body axes
-        Of each, or of all.
+        One momentum for each state, or one momentum for all states.
 
     Attributes
     ----------
     time_ns : array of int64, shape (n,), ns
     attitude : array, shape (n, 4)
-        x y z w, normalised as those of `State`; as given for an invalid state.
+        x y z w, normalised as in `State`. The attitude of an invalid state is as given.
     angular_velocity : array, shape (n, 3), rad/s, body axes
     rotor_momentum : array, shape (n, 3), N m s, body axes
     has_rotors : array of bool, shape (n,)
         Whether the momentum of the rotors is not zero.
     messages : tuple of n str
-        Why each state is invalid: the message of `State`. Empty for a valid state.
+        The error message of `State` for each invalid state; empty for a valid state.
 
     Raises
     ------
@@ -119,7 +119,7 @@ class States:
 
     @property
     def _packed(self) -> Floats:
-        """All states, shape (n, state_layout.WITH_WHEELS)."""
+        """Return all states as one array, shape (n, state_layout.WITH_WHEELS)."""
         packed = np.zeros((len(self), state_layout.WITH_WHEELS))
         for rows, value in ((state_layout.attitude(packed.T), self.attitude),
                             (state_layout.angular_velocity(packed.T), self.angular_velocity)):

@@ -26,7 +26,8 @@ from rigid_body_ros.engine import interpolation, kernels
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
-#: Number of samples before and after a span of time that its cubics depend on.
+#: The cubics in a span of time depend on up to this many samples before the span, and on up to
+#: this many samples after the span.
 _MARGIN = 4
 
 
@@ -34,25 +35,27 @@ class TorqueLog:
     """
     A torque as a function of time, given by stamped samples.
 
-    Before the first sample the torque is zero. After the last one it is held.
+    Before the first sample the torque is zero. After the last sample, the last torque is held.
 
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. If samples have equal stamps, only the last one in the arrays is used.
+        The stamps, in any order. If several samples have the same stamp, only the last one in the
+        arrays is used.
     torques : array, shape (n, 3), N m
-        About the centre of mass.
+        The torques about the centre of mass.
     frame : str, sequence of n str, or array of bool, shape (n,)
-        The axes of the components: 'body' or 'space', for all samples or for each. An array of
-        bool states for each sample whether it is in space axes.
+        The axes of the components: 'body' or 'space', as one text for all samples or one text for
+        each sample. An array of bool tells for each sample whether the sample is in space axes.
     interpolation : str
-        'hold' (zero order), 'linear', or 'cubic': piecewise Hermite polynomials whose slopes
-        come from the five nearest samples, of any spacing (fourth order).
+        'hold' (zero order), 'linear' or 'cubic' (piecewise Hermite polynomials, accurate to
+        fourth order). The slopes of the cubics come from the five nearest samples, which need not
+        be evenly spaced.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,), ns
-        Strictly ascending.
+        The stamps, strictly ascending.
     torques : array, shape (n, 3), N m
     in_space : array of bool, shape (n,)
         Whether each torque is in space axes.
@@ -62,8 +65,8 @@ class TorqueLog:
     ------
     ValueError
         The shapes do not match, a time is not an integer that fits int64, the times span 292
-        years or more, a torque is not finite, a name is unknown, or samples in different frames
-        are to be interpolated.
+        years or more, a torque is not finite, a frame or an interpolation is unknown, or linear or
+        cubic interpolation is requested for samples in different frames.
 
     """
 
@@ -94,10 +97,10 @@ class TorqueLog:
         """
         Return the torque on rotors from their measured momentum.
 
-        Under this torque the momentum follows a straight line from each sample to the next, and
-        stays at the last one. Rounding errors do not accumulate. For the momentum of a motion to
-        be the measured one, `State.rotor_momentum` must be that at the start: before the first
-        sample the torque is zero.
+        Under this torque, the momentum follows a straight line from each sample to the next, and
+        stays at the last sample. Rounding errors do not accumulate. Before the first sample the
+        torque is zero. Therefore the rotors have the measured momentum during a motion only if the
+        `rotor_momentum` of the start state is the momentum measured at the start.
 
         Parameters
         ----------
@@ -109,12 +112,13 @@ class TorqueLog:
         Returns
         -------
         TorqueLog
-            Held torques of the motors on the rotors, body axes.
+            Torques of the motors on the rotors, held between samples, body axes.
 
         Raises
         ------
         ValueError
-            As for `TorqueLog`, or the momentum changes so fast that the torque overflows.
+            The samples are not valid for `TorqueLog`, or the momentum changes so fast that the
+            torque overflows.
 
         """
         measured = cls(*_checked_samples(times_ns, momenta, 'momentum', 'momenta'))
@@ -133,16 +137,17 @@ class TorqueLog:
     def constant(cls, torque: ArrayLike, begin_ns: int, end_ns: int, timeout_ns: int = 0
                  ) -> TorqueLog:
         """
-        Return a constant torque, body axes, that does not time out.
+        Return a log of a torque that is constant in body axes and does not time out.
 
         Parameters
         ----------
         torque : array, shape (3,), N m
-            About the centre of mass.
+            The torque about the centre of mass.
         begin_ns, end_ns : int
-            The torque acts from the first of these times on, at least up to the second.
+            The torque acts from `begin_ns` on, at least until `end_ns`.
         timeout_ns : int
-            As for `segments`.
+            If positive, the log repeats the sample so often that a timeout of this length does not
+            end the torque before `end_ns`.
 
         """
         times = np.array([begin_ns])
@@ -170,7 +175,7 @@ class TorqueLog:
         Parameters
         ----------
         torques : array, shape (n, 3), N m
-            In the same axes.
+            The new torques, in the same axes as the torques of this log.
 
         Raises
         ------
@@ -181,7 +186,7 @@ class TorqueLog:
         return TorqueLog(self.times_ns, torques, self.in_space, self.interpolation)
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> TorqueLog:
-        """Return a log of some of the samples, chosen by a slice or an array of indices."""
+        """Return a log of the samples that a slice or an array of indices chooses."""
         return TorqueLog(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen],
                          self.interpolation)
 
@@ -193,18 +198,19 @@ class TorqueLog:
 
     def segments(self, timeout_ns: int = 0) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """
-        Return the times at which a sample comes into force or times out.
+        Return the times at which a sample takes effect or times out.
 
         Parameters
         ----------
         timeout_ns : int
-            If positive, the torque is zero from this long after a sample until the next one.
+            If positive, a sample acts for at most this long. After this time, the torque is zero
+            until the next sample.
 
         Returns
         -------
         starts_ns : array of int64, shape (m,), ns
         samples : array of int, shape (m,)
-            Index of the sample in force from each time on, or -1 after a timeout.
+            Index of the sample that acts from each time in `starts_ns` on; -1 after a timeout.
 
         """
         samples = np.arange(len(self))
@@ -215,7 +221,7 @@ class TorqueLog:
                 np.insert(samples, silent + 1, -1))
 
     def silent(self, timeout_ns: int) -> NDArray[np.intp]:
-        """Return the samples that time out before the next one, as indices."""
+        """Return the indices of the samples that time out before the next sample."""
         return np.flatnonzero(np.append(np.diff(self.times_ns) > timeout_ns, True))
 
     def polynomials(self, first: int, stop: int) -> Floats:
@@ -225,14 +231,15 @@ class TorqueLog:
         Parameters
         ----------
         first, stop : int
-            The first sample, and the one after the last.
+            Index of the first sample, and index after the last sample.
 
         Returns
         -------
         array, shape (stop - first, 2 degree + 1, 3), N m
-            A row has the degree + 1 coefficients of a polynomial in the fraction of the time to
-            the next sample, then the low-order parts of all coefficients but the first, which is
-            the sample itself.
+            Each row contains the degree + 1 coefficients of a polynomial in the fraction of the
+            time to the next sample, followed by the low-order parts of these coefficients. The
+            first coefficient has no low-order part, because it is the sample itself and therefore
+            exact.
 
         """
         here = self.torques[first:stop]
@@ -252,12 +259,12 @@ class TorqueLog:
 
     def at(self, times_ns: ArrayLike, timeout_ns: int = 0) -> tuple[Floats, NDArray[np.bool_]]:
         """
-        Return the torque at given times; at a jump, the value after it.
+        Return the torque at given times; at a jump, the value after the jump.
 
         Parameters
         ----------
         times_ns : array of int, shape (m,), ns
-            In any order. Before the first sample the torque is zero.
+            The times, in any order. Before the first sample the torque is zero.
         timeout_ns : int
             As for `segments`.
 
@@ -305,7 +312,7 @@ def _checked_samples(times_ns: ArrayLike, samples: ArrayLike, name: str = 'torqu
         else np.array(samples, float, order='C')
     if values.shape != (times.size, 3):
         raise ValueError(f'{plural}: expected shape ({times.size}, 3), found {values.shape}')
-    if not np.isfinite(values).all():  # row by row this takes ten times as long
+    if not np.isfinite(values).all():  # checking row by row would take ten times as long
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         raise ValueError(f'{name} {bad[0]} at {times[bad[0]]} ns: expected finite numbers, '
                          f'found {values[bad[0]].tolist()}')
@@ -326,15 +333,15 @@ def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
     return np.array(np.broadcast_to(names == 'space', count))
 
 
-#: The torques on a body: one log, several, which add up, or none.
+#: The torques on a body: one log, several logs whose torques add up, or no log.
 Logs = TorqueLog | Sequence[TorqueLog] | None
 
 
 def torque_logs(log: Logs) -> list[TorqueLog]:
-    """Return one log, several or none as a list."""
+    """Return a list of the logs."""
     return [log] if isinstance(log, TorqueLog) else [*(log or ())]
 
 
 def stamps_of(logs: Iterable[TorqueLog]) -> NDArray[np.int64]:
-    """Return the stamps of logs, ns, in ascending order, each once."""
+    """Return the distinct stamps of logs, ns, in ascending order."""
     return np.unique(np.concatenate([np.empty(0, np.int64), *(log.times_ns for log in logs)]))

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The inertia of a link in a URDF file, and the frames in which forces on it are accepted.
+The inertia of a link in a URDF file, and the frames in which forces on the body are accepted.
 
 The format is specified in http://wiki.ros.org/urdf/XML/link and
 http://wiki.ros.org/urdf/XML/joint. Where the specification leaves a choice, this module follows
@@ -42,9 +42,9 @@ _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
 _FIXED, _CONTINUOUS = 'fixed', 'continuous'
 #: Types of joints that move.
 _MOVING = ('revolute', _CONTINUOUS, 'prismatic', 'floating', 'planar')
-#: m; beyond it, products of positions may not fit a double.
+#: Largest accepted coordinate, m. Sums of larger coordinates could overflow.
 _FARTHEST = 1e300
-#: Numbers as urdfdom reads them; `float` also accepts 1_000 and digits of other scripts.
+#: A number as urdfdom reads it. `float` would also accept 1_000 and digits of other scripts.
 _NUMBER = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?')
 #: Bound on the rounding error of a rotated tensor, relative to its largest moment.
 _ROTATION_ERROR = 16.0 * np.finfo(float).eps
@@ -54,31 +54,33 @@ def inertia(text: str, link: str = '') -> Floats:
     """
     Return the inertia of a link about its centre of mass, in the axes of the link.
 
-    The result is R I R^T, where I has the entries of <inertia>, and R is the rotation by the roll,
-    pitch and yaw of <origin> about the fixed axes x, y, z. Without a rotation the entries are
-    those of the file; a rotation rounds them by about 1e-16 of the largest moment. The position
-    xyz of the centre of mass is checked, but does not change the tensor. The mass is ignored.
+    The result is R I R^T, where I is the matrix with the entries of <inertia>, and R is the
+    rotation by the roll, pitch and yaw of <origin> about the fixed axes x, y, z. Without a
+    rotation, the entries are exactly those of the file. A rotation changes them by rounding errors
+    of about 1e-16 of the largest moment. The position xyz of the centre of mass is checked, but
+    does not change the tensor. The mass is ignored.
 
     Parameters
     ----------
     text : str
-        Contents of the file, after xacro. All six entries of <inertia> are required: neither the
-        specification nor urdfdom has defaults for them. The xyz and rpy of <origin> default to
-        zero.
+        Contents of the file, after xacro. All six entries of <inertia> are required, because
+        neither the specification nor urdfdom has defaults for them. The xyz and rpy of <origin>
+        default to zero.
     link : str
-        Name of the link; may be empty if only one link has an <inertial>.
+        Name of the link. It may be empty if only one link has an <inertial>.
 
     Returns
     -------
     array, shape (3, 3), kg m^2, axes of the link
-        Symmetric; after a rotation, within rounding.
+        The tensor is exactly symmetric without a rotation, and symmetric within rounding after a
+        rotation.
 
     Raises
     ------
     ValueError
         The text is not URDF, or has not been through xacro; the link does not exist, is not
         unique, or has no <inertial>; an attribute is missing or is not a list of finite numbers
-        of the expected length; the rotation is a quaternion (URDF 1.1); a moment is zero within
+        of the expected length; the rotation is a quaternion (URDF 1.1); or a moment is zero within
         the rounding error of the rotation.
 
     """
@@ -100,11 +102,12 @@ def robot(tensor: Floats, link: str, comments: Iterable[str] = ()) -> str:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        In the axes of the link.
+        The inertia in the axes of the link. The mass of the link is written as 1 kg, because the
+        rotation does not depend on the mass.
     link : str
-        Name of the link, and of the robot. Its mass is 1 kg: no rotation depends on it.
+        Name for both the link and the robot.
     comments : iterable of str
-        Lines that precede the robot.
+        Lines of text, each of which becomes an XML comment before the <robot>.
 
     """
     entries = {_ENTRIES[k]: float(tensor.flat[k]) for k in (0, 4, 8, 1, 2, 5)}
@@ -119,32 +122,34 @@ def robot(tensor: Floats, link: str, comments: Iterable[str] = ()) -> str:
 
 def fixed_frames(text: str, link: str = '') -> Frames:
     """
-    Return the frames of the links that fixed joints connect to a link, in either direction.
+    Return the frames of the links that fixed joints connect to the body, in either direction.
 
-    The child link of a continuous joint on one of these, such as a propeller, has a frame as well,
-    for forces and torques along the axis of the joint. Links attached to the child have none.
+    If a continuous joint connects one of these links to a child link, such as a propeller, the
+    child link has a frame as well, for forces and torques along the axis of the joint. Links
+    attached to this child link have no frame.
 
     Parameters
     ----------
     text : str
         Contents of the file, after xacro.
     link : str
-        Name of the link that is the body; may be empty if only one link has an <inertial>. The
+        Name of the link that is the body. It may be empty if only one link has an <inertial>. The
         body axes are those of the link; the centre of mass is at the xyz of its <inertial>.
 
     Returns
     -------
     Frames
-        By name of the link; that of the body is included. Any other name raises
-        UnknownFrameError, a KeyError and ValueError, with the reason: the joint that moves the
-        link, the joint that has no valid <origin> or <axis>, or that no joints connect the link to
-        the body. The frame of a continuous joint is a `frames.TurningFrame`.
+        The frames, keyed by the name of the link, including the link that is the body. The frame
+        of the child of a continuous joint is a `frames.TurningFrame`. Any other name raises
+        UnknownFrameError, which is a KeyError and a ValueError. The error message gives the
+        reason, for example: a joint moves the link, a joint has no valid <origin> or <axis>, the
+        joints form a closed loop, or no joints connect the link to the body.
 
     Raises
     ------
     ValueError
         The text is not URDF, or has not been through xacro; the link does not exist, is not
-        unique, or has no <inertial>; the <origin> of its <inertial> is not valid.
+        unique, or has no <inertial>; or the <origin> of its <inertial> is not valid.
 
     """
     robot = _parse_robot(text)
@@ -159,7 +164,7 @@ def fixed_frames(text: str, link: str = '') -> Frames:
 
 
 def _check_thickness(tensor: Floats, where: str) -> None:
-    """Raise ValueError if the smallest moment may be a rounding error after a rotation."""
+    """Raise ValueError if the smallest moment may be a mere rounding error after a rotation."""
     moments = np.linalg.eigvalsh(tensor)
     if abs(moments[0]) <= _ROTATION_ERROR * moments[2]:
         raise ValueError(f'{where}: inertia: expected a positive definite tensor, found principal '
@@ -184,7 +189,7 @@ def _parse_robot(text: str) -> Element:
 
 
 def _inertial_of_link(robot: Element, link: str) -> tuple[str, Element]:
-    # {*}: an example of urdfdom has a default namespace, which its parser ignores.
+    # `{*}` matches any namespace: an example of urdfdom has a namespace, which urdfdom ignores.
     links = [(element.get('name', ''), element.find('{*}inertial'))
              for element in robot.findall('{*}link')]
     with_inertial = [name for name, inertial in links if inertial is not None]
@@ -214,10 +219,10 @@ class _Joint(NamedTuple):
     turn : list of 3 rows of 3 floats
         Rotation matrix from the axes of the child to those of the parent.
     barrier : str
-        Why it does not fix the child to the parent; '' if it does.
+        Why the joint does not fix the child to the parent; '' if the joint fixes the child.
     axis : list of 3 floats
-        Unit vector about which it turns the child, in the axes of the child; empty if it does
-        anything else.
+        Unit vector along the axis about which the joint turns the child, in the axes of the child.
+        Empty for any joint that is not continuous.
 
     """
 
@@ -239,11 +244,12 @@ class _Path(NamedTuple):
     rotation : list of 3 rows of 3 floats
         Rotation matrix from the axes of the link to those of the body.
     position, rest : list of 3 floats, m, body axes
-        Position of the link relative to the centre of mass, and the rounding error of that sum.
+        Position of the link relative to the centre of mass, computed as a sum, and the rounding
+        error of this sum.
     barrier : str
-        Why forces at the link are not accepted; '' if they are.
+        Why forces at the link are not accepted; '' if such forces are accepted.
     turning : _Joint, optional
-        The continuous joint of which the link is the child; None if the body fixes the link.
+        The continuous joint whose child is the link; None if the link is fixed to the body.
 
     """
 
@@ -262,7 +268,7 @@ class _Path(NamedTuple):
         return Frame(rotation, position)
 
     def across(self, joint: _Joint, to_child: bool) -> _Path:
-        """Return the path to the other link of a joint."""
+        """Return this path, extended across a joint to the other link of the joint."""
         turning = joint if joint.axis and to_child and not self.turning else None
         barrier = self.barrier or ('' if turning else (self.turning or joint).barrier)
         if barrier:
@@ -280,13 +286,13 @@ class _Path(NamedTuple):
 
 
 def _paths(body: str, joints: list[_Joint], start: list[float]) -> dict[str, _Path]:
-    """Return the path to each link that joints connect to the body, which is at `start`."""
+    """Return the paths to all links that joints connect to the body, which is at `start`."""
     joints_of = defaultdict(list)
     for joint in joints:
         joints_of[joint.parent].append((joint, joint.child))
         joints_of[joint.child].append((joint, joint.parent))
     paths, reached = {body: _Path(np.eye(3).tolist(), start, [0.0] * 3)}, [body]
-    for name in reached:  # grows
+    for name in reached:  # the loop extends this list
         for joint, other in joints_of[name]:
             if other not in paths:
                 paths[other] = paths[name].across(joint, other == joint.child)
@@ -299,7 +305,7 @@ def _paths(body: str, joints: list[_Joint], start: list[float]) -> dict[str, _Pa
 
 
 def _joints(robot: Element, links: set[str], body: str) -> list[_Joint]:
-    """Return the joints between links that exist."""
+    """Return the joints whose parent and child are both among the links."""
     joints, angles = [], []
     for element in robot.findall('{*}joint'):
         parent, child = (_child(element, end).get('link', '') for end in ('parent', 'child'))
@@ -314,7 +320,7 @@ def _joints(robot: Element, links: set[str], body: str) -> list[_Joint]:
 
 def _attachment(joint: Element,
                 body: str) -> tuple[list[float], list[float], str, list[float]]:
-    """Return the shift, the angles, the barrier and the axis of a joint."""
+    """Return the shift, roll, pitch and yaw, `barrier` and `axis` of a joint; see `_Joint`."""
     name, kind = quoted(joint.get('name', '')), joint.get('type', '')
     zero, types, where = [0.0] * 3, (_FIXED, *_MOVING), f'URDF joint {name}'
     moves = f'joint {name} ({kind}) moves it relative to {quoted(body)}'
@@ -338,13 +344,14 @@ def _axis(joint: Element, where: str) -> list[float]:
     largest = max(map(abs, numbers))
     if not largest:
         raise ValueError(f'{where}: xyz: expected a vector other than zero, found {numbers}')
-    # By a power of two, which rounds nothing; without it the norm may not fit a double.
+    # Scale by a power of two, which rounds nothing. Without scaling, the norm could overflow or
+    # underflow.
     scaled = [math.ldexp(x, -math.frexp(largest)[1]) for x in numbers]
     return [x / math.hypot(*scaled) for x in scaled]
 
 
 def _product(one: list[list[float]], other: list[list[float]]) -> list[list[float]]:
-    """Return a product of matrices, 3 by 3 and 3 by n."""
+    """Return the product of a 3 by 3 matrix and a 3 by n matrix."""
     return [[a * x + b * y + c * z for x, y, z in zip(*other)] for a, b, c in one]
 
 

@@ -13,13 +13,14 @@
 # limitations under the License.
 
 """
-Wheels with names: each turns about an axis of the body, driven by a motor.
+Named wheels, each of which a motor turns about an axis that is fixed to the body.
 
-The torque of its motor changes the whole axial momentum H = I (Omega + a . w) of a wheel with the
-axis a, the axial inertia I and the speed Omega relative to the body: dH/dt = tau. So a body with
-wheels moves as one with the inertia J' = J - sum of I a a^T, here called the carrier, that has
-rotors with the momentum sum of H a, on which the torque sum of tau a acts (Hughes, Spacecraft
-Attitude Dynamics, chapter 3).
+A wheel has the axis a, the axial inertia I, and the speed Omega relative to the body. The axial
+momentum of the wheel is H = I (Omega + a . w), where w is the angular velocity of the body. The
+torque tau of the motor changes this momentum: dH/dt = tau. So a body with wheels moves like
+another body, here called the carrier. The carrier has the inertia J' = J - sum of I a a^T. The
+carrier has rotors, whose momentum is the sum of H a. The torque on these rotors is the sum of
+tau a (Hughes, Spacecraft Attitude Dynamics, chapter 3).
 """
 
 from __future__ import annotations
@@ -40,38 +41,41 @@ from rigid_body_ros.mechanics.body import FASTEST_DAMPING, RigidBody
 from rigid_body_ros.mechanics.fields import direction
 from rigid_body_ros.mechanics.state import State
 
-#: Momentum of rotors without a name, relative to that of the wheels, that is a rounding error.
+#: The momentum of the rotors without a name counts as zero if it is at most this fraction of the
+#: momentum of the wheels.
 _ROUNDED = 8.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
 class Wheel:
     """
-    A wheel with a name, which turns about an axis of the body.
+    A named wheel, which turns about an axis of the body.
 
     Parameters
     ----------
     name : str
-        Not empty.
+        Name of the wheel, not empty.
     axis : array, shape (3,), body axes
-        About which it turns; its length has no meaning.
+        The axis about which the wheel turns; the length of the vector does not matter.
     inertia : float, kg m^2
-        About the axis, positive. The inertia of the body includes it.
+        Moment of inertia about the axis, positive. The inertia of the body must include this
+        moment.
     initial_speed : float, rad/s
-        Relative to the body.
+        Speed at the start, relative to the body.
     friction : float, N m s/rad
-        Viscous: a torque of this times the speed slows the wheel, and its opposite acts on the
-        body.
+        Coefficient of viscous friction. The torque -`friction` times the speed acts on the wheel,
+        and the opposite torque acts on the body.
     max_torque : float, N m
-        Limit of the motor; 0: no limit. A larger command is clipped.
+        Limit of the motor torque, to which commands are clipped; 0 for no limit.
     max_speed : float, rad/s
-        Relative to the body; 0: no limit. Checked when a command takes effect: one that would
-        speed up a wheel at this speed or above acts as zero.
+        Limit of the speed relative to the body; 0 for no limit. The limit is checked when a
+        command takes effect: if the wheel is at this speed or above, a command that would speed up
+        the wheel acts as zero.
 
     Raises
     ------
     ValueError
-        The name is empty, the axis is zero, a number is not finite or out of its range.
+        The name is empty, the axis is zero, or a number is not finite or is out of its range.
 
     """
 
@@ -100,25 +104,28 @@ class Wheel:
 
 
 class Axial(NamedTuple):
-    """Efforts and momenta of the wheels from a command up to the next one or its timeout."""
+    """Efforts and momenta of the wheels from one command until the next one or the timeout."""
 
-    #: ns; when it begins, and the stamp of the last command, -NEVER_NS before the first.
+    #: The time at which this span begins, ns, and the stamp of the last command, ns, which is
+    #: -NEVER_NS before the first command.
     since_ns: int
     stamp_ns: int
-    #: N m s, shape (2, n): the axial momenta H where it begins, and their low-order parts. None
-    #: with friction: each state has them, because they depend on the motion.
+    #: The axial momenta H at the beginning, N m s, and their low-order parts, shape (2, n). None
+    #: with friction, because H then depends on the motion and is stored in each state.
     momenta: Floats | None
-    #: N m, shape (n,): the commands in force, clipped, and what acts of them, but for a timeout.
+    #: The clipped commands in force, and the efforts that act unless the commands have timed out,
+    #: N m, shape (n,).
     commanded: Floats
     acting: Floats
-    #: Whether each command that takes effect here acts as zero, because the wheel is too fast.
+    #: Which of the commands that take effect at `since_ns` act as zero, because their wheels are
+    #: too fast.
     refused: NDArray[np.bool_]
     #: Whether the commands have timed out.
     is_silent: bool = False
 
     @property
     def efforts(self) -> Floats:
-        """Return the torques that act, N m, shape (n,)."""
+        """Return the motor torques that act, N m, shape (n,)."""
         return np.zeros(len(self.acting)) if self.is_silent else self.acting
 
 
@@ -136,12 +143,13 @@ class Wheels:
     wheels : tuple of Wheel
     names : tuple of str
     is_limited, has_friction : bool
-        Whether a wheel has a largest speed, and whether one has friction.
+        Whether any wheel has a `max_speed`, and whether any wheel has friction.
 
     Raises
     ------
     ValueError
-        Two wheels have the same name, or there are too many with friction.
+        Two wheels have the same name, or there are more than `MOST_WHEELS` wheels and one of them
+        has friction.
 
     """
 
@@ -171,7 +179,7 @@ class Wheels:
 
     @cached_property
     def constants(self) -> Floats:
-        """Return the constants of wheels with friction for the kernels, see `layout.Friction`."""
+        """Return the constants that kernels need for friction; see `layout.Friction`."""
         inverse = [1 / Fraction(inertia) for inertia in self._inertia.tolist()]
         rows = np.concatenate([self._axes.T, _pair(inverse), self._friction[None]])
         packed = self.padded(rows).reshape(len(rows), -1, 4).swapaxes(0, 1).ravel()
@@ -179,7 +187,7 @@ class Wheels:
         return packed
 
     def padded(self, rows: Floats) -> Floats:
-        """Return rows with a number for each wheel, padded with zeros to a multiple of four."""
+        """Return rows of one number per wheel, padded with zeros to a multiple of four numbers."""
         return np.ascontiguousarray(np.pad(rows, [(0, 0), (0, -len(self) % 4)]))
 
     def carrier(self, body: RigidBody) -> RigidBody:
@@ -189,11 +197,11 @@ class Wheels:
         Raises
         ------
         ValueError
-            The wheels have more inertia than a body with this one can carry, or their friction
-            is too strong for it.
+            The axial inertia of the wheels leaves no valid inertia for the carrier, or the
+            friction of the wheels is too strong for the carrier.
 
         """
-        # As sums of two doubles: a difference of moments loses no digits.
+        # Entries are sums of two doubles, so that a difference of moments loses no digits.
         exact = np.array([[_two_doubles(Fraction(entry) - axial) for entry, axial in zip(*rows)]
                           for rows in zip(body.inertia.tolist(), self._axial_inertia())])
         try:
@@ -209,7 +217,7 @@ class Wheels:
         return carrier
 
     def decay_rate(self, carrier: RigidBody) -> float:
-        """Return a bound on the rate at which friction slows the wheels, 1/s."""
+        """Return an upper bound on the rate at which friction slows the wheels, 1/s."""
         return float((self._friction / self._inertia).max()
                      + self._friction.sum() / carrier.principal_moments[0])
 
@@ -220,19 +228,19 @@ class Wheels:
                  for j in range(3)] for i in range(3)]
 
     def clipped(self, efforts: Floats) -> Floats:
-        """Return commands, N m, shape (..., n), within the limits of the motors."""
+        """Return commands, N m, shape (..., n), clipped to the limits of the motors."""
         return np.clip(efforts, -self._max_torque, self._max_torque)
 
     def slowed(self, efforts: Floats, speeds: Floats) -> Floats:
-        """Return torques of motors less those of friction, N m, shape (..., n)."""
+        """Return the torques of the motors minus those of friction, N m, shape (..., n)."""
         return efforts - self._friction * speeds
 
     def count_clipped(self, efforts: Floats) -> int:
-        """Return the number of commands beyond the limits of the motors; NaN does not count."""
+        """Return the number of commands beyond the limits of the motors, without counting NaN."""
         return int((np.abs(efforts) > self._max_torque).sum())
 
     def torque(self, efforts: Floats) -> Floats:
-        """Return the torque of the motors on all wheels, N m, body axes, shape (..., 3)."""
+        """Return the total torque of the motors on the wheels, N m, body axes, shape (..., 3)."""
         return _sum_along(efforts, self._axes)
 
     def speeds(self, momenta: Floats, rates: Floats) -> Floats:
@@ -240,7 +248,7 @@ class Wheels:
         return momenta[..., :len(self)] / self._inertia - self._axial_rates(rates)
 
     def of_body(self, rates: Floats) -> Floats:
-        """Return the sum of I a (a . w), the momentum that wheels have as parts of the body."""
+        """Return the sum of I a (a . w): the momentum that the wheels get from the body."""
         return _sum_along(self._inertia * self._axial_rates(rates), self._axes)
 
     def relative(self, rotors: Floats, momenta: Floats, rates: Floats) -> Floats:
@@ -250,11 +258,11 @@ class Wheels:
         Parameters
         ----------
         rotors : array, shape (..., 3), N m s, body axes
-            That of the rotors of the carrier, see `begun`.
+            Momentum of the rotors of the carrier; see `begun`.
         momenta : array, shape (..., n), N m s
             The axial momenta.
         rates : array, shape (..., 3), rad/s, body axes
-            Of the body.
+            Angular velocity of the body.
 
         """
         if self.has_friction:
@@ -262,25 +270,26 @@ class Wheels:
         return rotors - self.of_body(rates)
 
     def _axial_rates(self, rates: Floats) -> Floats:
-        # In BLAS the order of a sum depends on the processor.
+        # Sum in a fixed order. In BLAS the order depends on the processor.
         return reduce(np.add, (rates[..., k:k + 1] * self._axes[:, k] for k in range(3)))
 
     def refused(self, commands: Floats, speeds: Floats) -> NDArray[np.bool_]:
-        """Return whether commands, shape (..., n), would speed up wheels that are too fast."""
+        """Return which commands, shape (..., n), would speed up wheels that are too fast."""
         return np.asarray((np.abs(speeds) >= self._max_speed)
                           & (np.sign(commands) * np.sign(speeds) > 0.0))
 
     def begun(self, start: State) -> tuple[State, Axial]:
         """
-        Return the start of the carrier, and the state of its wheels.
+        Return the initial state of the carrier and of its wheels.
 
-        The momentum of the rotors of this start is that of the others, and the sum of H a. With
-        friction it is only that of the others, and the start has the momenta H.
+        Without friction, the rotor momentum of the returned state is the sum of H a plus the
+        momentum of the rotors without a name. With friction, the rotor momentum is that of the
+        rotors without a name, and the packed state contains the momenta H.
 
         Raises
         ------
         ValueError
-            The start has the speeds of another number of wheels.
+            The start has `wheel_speeds`, but not one speed for each wheel.
 
         """
         found = start._axial
@@ -318,7 +327,7 @@ class Wheels:
         return np.where(np.abs(others) <= _ROUNDED * size, 0.0, others)
 
     def shown(self, state: State, axial: Axial, momenta: Floats) -> State:
-        """Return a state of the carrier with the speeds of wheels with these momenta (2, n)."""
+        """Add wheels with these axial momenta, shape (2, n), to a state of the carrier."""
         rates = state.angular_velocity
         speeds = self.speeds(momenta[0], rates)
         momentum = self.relative(state._rotors[0], momenta[0], rates)
@@ -330,12 +339,12 @@ class Wheels:
 
     def row(self, efforts: Mapping[str, float]) -> Floats:
         """
-        Return commands by name as a row, N m, shape (n,), NaN for other wheels.
+        Return commands given by name as a row, N m, shape (n,), with NaN for the other wheels.
 
         Raises
         ------
         ValueError
-            A name is not the name of a wheel, or an effort is not finite.
+            A name belongs to no wheel, or an effort is not finite.
 
         """
         found = np.full(len(self), np.nan)
@@ -351,7 +360,7 @@ class Wheels:
 
 
 def _sum_along(amounts: Floats, axes: Floats) -> Floats:
-    # In a fixed order, see `Wheels._axial_rates`.
+    # Sum in a fixed order; see `Wheels._axial_rates`.
     return reduce(np.add, (amounts[..., k:k + 1] * axis for k, axis in enumerate(axes)))
 
 
@@ -361,7 +370,7 @@ def _two_doubles(exact: Fraction) -> Fraction:
 
 
 def _pair(exact: Sequence[Fraction]) -> Floats:
-    """Return numbers as doubles, and their low-order parts, shape (2, n)."""
+    """Return numbers rounded to doubles, and their low-order parts, shape (2, n)."""
     high = [float(value) for value in exact]
     pair = np.array([high, [float(value - Fraction(rounded))
                             for value, rounded in zip(exact, high)]])
