@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The way to the compiled kernels, and the records and layouts that they share with Python."""
+"""Access to the compiled kernels, and the records and layouts that kernels share with Python."""
 
 from rigid_body_ros.engine import kernels
 from rigid_body_ros.kernels import (

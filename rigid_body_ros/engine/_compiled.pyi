@@ -17,9 +17,9 @@ from typing import Any
 
 FILES: str
 SOURCES: str
-#: The levels that the processor has, the best first.
+#: The levels that the processor supports, best first.
 LEVELS: tuple[str, ...]
-#: Bodies in a step, of each level of the module.
+#: The number of bodies in a step, keyed by level.
 LANES: dict[str, int]
 
 def kernels(level: str) -> dict[str, Callable[..., Any]]: ...

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-The compiled kernels, in place of their sources in Python.
+The compiled kernels, or the Python sources from which they were compiled.
 
-``RIGID_BODY_ROS_KERNELS`` chooses the processor level, of those that the processor has, or
-``python``: the sources themselves, which compute the same bits, hundreds of times slower.
+The environment variable ``RIGID_BODY_ROS_KERNELS`` chooses one of the processor levels that the
+processor supports. With the value ``python``, the Python sources run instead of the compiled
+kernels. The sources compute the same bits, but are hundreds of times slower.
 """
 
 from __future__ import annotations
@@ -36,11 +37,12 @@ _BUILD = 'in the folder of its source, run pip install . or colcon build'
 
 
 class KernelsError(InputError, ImportError):
-    """The compiled kernels cannot be used: a command reports it in one line."""
+    """The compiled kernels cannot be used; commands report this error in one line."""
 
 
 def _loaded() -> tuple[dict[str, Any], str, int, str]:
-    # Return the compiled kernels by name, their level, its lanes, and the hash of their sources.
+    # Return the compiled kernels by name, their level, the lanes of that level, and the hash of
+    # the sources from which they were compiled.
     choice = os.environ.get(_VARIABLE, '')
     if choice == 'python':
         return {}, choice, lanes.LANES, ''
@@ -65,10 +67,10 @@ _KERNELS, LEVEL, LANES, _HASH = _loaded()
 
 
 def kernels_hash() -> str:
-    """Return the hash of the kernels without comments and docstrings."""
+    """Return the hash of the kernel sources, which ignores comments and docstrings."""
     return _HASH or sources_hash()
 
 
 def bind(source: Kernel) -> Kernel:
-    """Return the compiled kernel of a source."""
+    """Return the compiled kernel for a source, or the source if the variable is ``python``."""
     return _KERNELS[source.__name__] if _KERNELS else source

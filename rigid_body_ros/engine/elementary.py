@@ -24,12 +24,12 @@ from rigid_body_ros.engine import kernels
 
 def sines_cosines(angles: ArrayLike) -> tuple[Floats, Floats]:
     """
-    Return sines and cosines, correctly rounded; NaN for infinities and NaN.
+    Return correctly rounded sines and cosines; both are NaN if the angle is infinite or NaN.
 
     Parameters
     ----------
     angles : array, shape (...)
-        In rad.
+        The angles, rad.
 
     Returns
     -------
@@ -44,12 +44,12 @@ def sines_cosines(angles: ArrayLike) -> tuple[Floats, Floats]:
 
 def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
     """
-    Return the angles of the points (x, y), correctly rounded; see `kernels.elementary`.
+    Return the correctly rounded polar angles of the points (x, y); see `kernels.elementary`.
 
     Parameters
     ----------
     y, x : array, shape (...)
-        Broadcast against each other.
+        The coordinates, which are broadcast against each other.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
 
 
 def exponentials(x: ArrayLike) -> Floats:
-    """Return e^x of an array of any shape, correctly rounded; see `kernels.elementary`."""
+    """Return correctly rounded e^x for an array of any shape; see `kernels.elementary`."""
     flat = np.array(x, float, order='C')
     results = np.empty(flat.shape)
     kernels.fill_exponentials(flat.reshape(-1), results.reshape(-1))
