@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Arrays of floating-point numbers: their type, as text, as JSON, and as entries of a tensor."""
+"""Types of arrays, and conversions of arrays to text, to JSON, and to and from tensors."""
 
 from typing import Any
 
@@ -21,18 +21,18 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: Row and column of each entry of a symmetric tensor, in the order of a scene.
+#: Row and column of each entry of a symmetric tensor, in the order of scene files.
 ENTRIES = {'xx': (0, 0), 'yy': (1, 1), 'zz': (2, 2), 'xy': (0, 1), 'xz': (0, 2), 'yz': (1, 2)}
 ROWS, COLUMNS = zip(*ENTRIES.values())
 
 
 def written(values: Floats) -> str:
-    """Return a short array as text, each number with six digits: '(0.5, 1e-06, 2)'."""
+    """Return a short array as text such as '(0.5, 1e-06, 2)', each number with six digits."""
     return f"({', '.join(f'{value:.6g}' for value in values)})"
 
 
 def as_json(values: ArrayLike) -> Any:
-    """Return an array, or a number, as JSON types; None for what is not finite."""
+    """Return an array or a number as JSON types, with None for numbers that are not finite."""
     return np.where(np.isfinite(values), values, None).tolist()  # type: ignore[call-overload]
 
 
@@ -42,7 +42,7 @@ def entries(tensor: ArrayLike) -> Floats:
 
 
 def symmetric(values: ArrayLike) -> Floats:
-    """Return the symmetric tensor with six entries, in the order of `ENTRIES`."""
+    """Return the symmetric tensor that has the six entries given in the order of `ENTRIES`."""
     tensor = np.empty((3, 3))
     tensor[ROWS, COLUMNS] = tensor[COLUMNS, ROWS] = values
     return tensor

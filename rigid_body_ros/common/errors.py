@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Error messages for users: one line of bounded length, whatever a file contains."""
+"""Error messages for users: each is one line of bounded length, whatever the input contains."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from reprlib import Repr
 
 #: Maximum length of an error line, in characters.
 LONGEST = 500
-#: Maximum length of a reason from another library, and of a name in a list of names.
+#: Maximum length of a reason that another library gives, and of a name in a list of names.
 _REASON, _NAME = 200, 60
 #: Maximum number of names in a list.
 _NAMES = 6
-#: What stands for the middle of a text that is cut.
+#: The marker that replaces the middle of a text that is too long.
 CUT = ' ... '
 
 _repr = Repr()
@@ -35,23 +35,27 @@ _repr.maxlevel, _repr.maxdict = 3, 4
 
 
 class InputError(ValueError):
-    """A user's mistake: one line that names the place, what was expected and what was found."""
+    """
+    A mistake in the user's input.
+
+    The message is one line, which says where the mistake is, what was expected and what was found.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(shortened(message))
 
 
 def shortened(text: str, longest: int = LONGEST) -> str:
-    """Return a text as one line: cut in the middle, with nonprintable characters escaped."""
+    """Return a text as one printable line; the middle of a text beyond `longest` is cut."""
     return _cut(printable(_cut(text, longest)), longest)
 
 
 def printable(text: str) -> str:
     """
-    Return a text with nonprintable characters escaped, so that a terminal only prints it.
+    Return a text with nonprintable characters escaped, so that a terminal does not obey them.
 
-    These are control characters, line breaks of any kind, and characters that change the
-    direction of the text.
+    Nonprintable characters are control characters, line breaks of any kind, and characters that
+    change the direction of the text.
     """
     if text.isprintable():
         return text
@@ -60,18 +64,18 @@ def printable(text: str) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return the repr of a value from a file, cut to about 80 characters."""
+    """Return the repr of a value that a user gave, cut to about 80 characters."""
     return _repr.repr(value)
 
 
 def listed(names: Collection[str]) -> str:
-    """Return the first names of a collection and the number of the others, or 'none'."""
+    """Return the first few names of a collection and the number of the others, or 'none'."""
     shown = ', '.join(shortened(name, _NAME) for name in islice(names, _NAMES))
     return (f'{shown} and {len(names) - _NAMES} more' if len(names) > _NAMES else shown) or 'none'
 
 
 def reason(error: Exception) -> str:
-    """Return the message of an error as one line, or its type if it has none."""
+    """Return the message of an error as one line, or the type of an error without a message."""
     text = getattr(error, 'strerror', None) or ' '.join(str(error).split())
     return shortened(text or type(error).__name__, _REASON)
 

@@ -21,9 +21,9 @@ import operator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: ns; later than any valid time.
+#: A time later than any valid time, ns.
 NEVER_NS = 2 ** 63 - 1
-#: s; longest valid duration, about 32 years.
+#: Longest valid duration, s: about 32 years.
 LONGEST = 1e9
 
 
@@ -34,7 +34,7 @@ def instant(time_ns: int, name: str = 'time_ns') -> int:
     Parameters
     ----------
     time_ns : int, ns
-        Of any integer type.
+        The time, of any integer type.
     name : str
         Name of the value in error messages.
 
@@ -47,7 +47,7 @@ def instant(time_ns: int, name: str = 'time_ns') -> int:
     ValueError
         The time does not fit int64.
     TypeError
-        The time is not an integer. A bool does not count as one.
+        The time is not an integer. A bool does not count as an integer.
 
     """
     if isinstance(time_ns, (bool, np.bool_)):
@@ -65,7 +65,7 @@ def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
     Parameters
     ----------
     times_ns : array of int, shape (n,)
-        In ns.
+        The times, ns.
     name : str
         Name of the value in error messages.
 
@@ -90,12 +90,12 @@ def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
 
 def duration_ns(seconds: float, name: str) -> int:
     """
-    Return a duration as integer nanoseconds, rounded.
+    Return a duration rounded to integer nanoseconds.
 
     Parameters
     ----------
     seconds : float, s
-        From 0 to `LONGEST`.
+        The duration, from 0 to `LONGEST`.
     name : str
         Name of the value in error messages.
 
