@@ -13,17 +13,17 @@
 # limitations under the License.
 
 """
-Recordings: read torques and other messages, write motion.
+Read torques and other messages from recordings, and write motions.
 
-Reading: `source` finds a topic in a recording of any format, whose files `opening` opens.
-`mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` read the files of a recording through the
-interface in `file`; `csv_columns` interprets the first line of a CSV file, `unpack` decompresses,
-`bulk` decodes messages, and `transforms` decodes the transforms of one pair of frames. `torques`
-turns messages into a torque log, and divides the log of a node into its epochs; `problem` makes
-problems of them, with a scene.
+Reading: `opening` opens the files of a recording of any format, and `source` reads one of its
+topics. `mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` read the files through the interface
+in `file`. `csv_columns` interprets the first line of a CSV file, and `unpack` decompresses files
+and messages. `bulk` decodes messages, and `transforms` decodes the transforms of one pair of
+frames. `torques` turns messages into a torque log, and divides the log of a node into epochs.
+`problem` combines torque logs with a scene.
 
-Writing: `writer` writes MCAP files, with the records of the format in `container`; `folder` adds
-the metadata.yaml of a rosbag2 bag.
+Writing: `writer` writes MCAP files, and uses `container` to write the records of a file. `folder`
+adds the metadata.yaml of a rosbag2 bag.
 """
 
 from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of

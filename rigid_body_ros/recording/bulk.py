@@ -33,12 +33,12 @@ from rigid_body_ros.messages import JointCommands, MessageType, Stamped
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
-#: Largest number of bytes with which middleware pads the end of a message.
+#: Largest number of padding bytes that middleware appends to a message.
 _PADDING = 3
 
 
 class BadMessageError(ValueError):
-    """A message does not match its type; `row` is its index."""
+    """A message does not match its type; `row` is the index of the message."""
 
     def __init__(self, row: int, reason: str) -> None:
         super().__init__(reason)
@@ -53,7 +53,7 @@ class Raw(NamedTuple):
     ----------
     data : array of uint8, shape (size,)
     starts, sizes : array of int64, shape (n,)
-        Position and size of each message in the data.
+        Position and size of each message in `data`, in bytes.
     log_ns, publish_ns : array of int64, shape (n,)
         Times at which each message was recorded and published.
 
@@ -76,7 +76,7 @@ class Raw(NamedTuple):
     @classmethod
     def from_values(cls, kind: MessageType, stamps_ns: Ints, values: Floats,
                     logged_ns: Ints | None = None) -> Raw:
-        """Encode messages without frame_ids, with values in field order, shape (n, doubles)."""
+        """Encode messages with empty frame_ids from `values`, (n, doubles), in field order."""
         filled = np.empty(len(values), kind.layout(''))
         kind.fill(filled, stamps_ns, values, '')
         size = filled.dtype.itemsize
@@ -96,7 +96,7 @@ class Decoded(NamedTuple):
     Attributes
     ----------
     stamps_ns : array of int64, shape (n,)
-        Zero if the type has no header.
+        Stamps of the headers, ns; all zero if the type has no header.
     frames : array of int, shape (n,)
         Index into `names` for each message.
     names : list of str
@@ -104,7 +104,7 @@ class Decoded(NamedTuple):
     values : array, shape (n, doubles)
         The doubles of each message in field order.
     longer : int
-        Number of messages with bytes after the last field, other than padding.
+        Number of messages in which more bytes follow the last field than padding can explain.
 
     """
 
@@ -116,8 +116,8 @@ class Decoded(NamedTuple):
 
 
 def decode(kind: MessageType, raw: Raw) -> Decoded:
-    """Return the contents of messages; raise BadMessageError at the first invalid one."""
-    if isinstance(kind, JointCommands):  # names of joints before each list
+    """Return the contents of messages; raise BadMessageError at the first invalid message."""
+    if isinstance(kind, JointCommands):  # the compiled loop does not decode names of joints
         return _decode_each(kind, raw)
     count = len(raw.starts)
     contents = stamps, bits, texts, changes, after = Contents(
@@ -144,7 +144,7 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
 
 
 def _decode_each(kind: JointCommands, raw: Raw) -> Decoded:
-    """Return the contents of messages that the compiled loop does not know."""
+    """Return the contents of messages of a type that the compiled loop does not decode."""
     found: list[Stamped] = []
     names: dict[str, int] = {}
     for row in range(len(raw.starts)):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write the records of an MCAP file from front to back: chunks, their indexes, the summary."""
+"""Write the records of an MCAP file from front to back: chunks with indexes, then the summary."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
-#: zstd level: twice as fast as level 1, and doubles compress nearly as well.
+#: Level of zstd. Level -3 is twice as fast as level 1, and compresses doubles nearly as well.
 _LEVEL = -3
 _INDEX = np.dtype([('time', '<u8'), ('offset', '<u8')])
 
 
 class Indexed(NamedTuple):
-    """Times of the messages of a channel in a chunk, and their offsets there; int64, (n,)."""
+    """The messages of a channel in a chunk: their times and their offsets in the chunk."""
 
     channel: int
     times_ns: NDArray[np.int64]
@@ -60,14 +60,14 @@ class Container:
     """
     Write an MCAP file with the profile of ROS 2.
 
-    A second thread compresses the chunks. `add_chunk` returns before its chunk is compressed; the
-    next call first writes and flushes that chunk.
+    A second thread compresses the chunks. `add_chunk` returns before the chunk is compressed. The
+    next call of `add_chunk`, `add_metadata` or `finish` first writes and flushes that chunk.
 
     Attributes
     ----------
     channels : list of Channel
     counts : dict
-        Number of messages by channel id.
+        Number of messages of each channel, by channel id.
 
     """
 
@@ -87,7 +87,7 @@ class Container:
 
     def add_channel(self, topic: str, schema: Schema | None, metadata: dict[str, str],
                     encoding: str = 'cdr') -> int:
-        """Add a topic and return its channel id; a new schema also gets a new id."""
+        """Add a topic and, if the file lacks it, the schema; return the id of the channel."""
         schema_id = 0
         if schema:
             content = schema.name, schema.encoding, schema.data
@@ -109,7 +109,7 @@ class Container:
         return self._schemas[channel.schema_id - 1].name if channel.schema_id else ''
 
     def add_chunk(self, data: bytes, indexed: list[Indexed]) -> None:
-        """Append a chunk of message records, with the index of its messages by channel."""
+        """Append a chunk of message records; `indexed` lists the messages of each channel."""
         for channel, times_ns, _ in indexed:
             self.counts[channel] += len(times_ns)
         self._finish_chunk()
@@ -148,7 +148,8 @@ class Container:
             return
         chunk, indexed = self._compressed.result()
         self._compressed = None
-        # Write chunk and index at once, so that a truncated file rarely ends between them.
+        # Write the chunk and its index at once, so that a truncated file rarely ends between the
+        # two.
         start, data = self._position, _record(chunk)
         length, index_offsets = len(data), {}
         for channel, times_ns, offsets in indexed:
@@ -175,7 +176,7 @@ class Container:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Return the earliest and the latest time of a message, ns; zeros without messages."""
+        """Return the earliest and the latest message time, ns; (0, 0) if there are no messages."""
         return (self._first_ns, self._last_ns) if self._chunks else (0, 0)
 
     @property

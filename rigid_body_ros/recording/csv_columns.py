@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The heading of a CSV file: which columns hold time and torque, and in which units."""
+"""Interpret the heading of a CSV file: which columns hold time and torque, and in which units."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from typing import NamedTuple
 from rigid_body_ros.common.errors import InputError, quoted
 
 _NEEDED = ('time', 'tx', 'ty', 'tz')
-#: Column names without a unit. A path, as PlotJuggler writes it, may precede: /arm/torque/x.
+#: Column names without a unit. A path may precede the name, as in the PlotJuggler column
+#: /arm/torque/x.
 _TIME = re.compile(r'(?:.*[/.])?(?:__)?(?:time|timestamp|stamp|t)')
 _TORQUE = re.compile(r'(?:.*[/.])?(?:t|(?:wrench_)?torque[/._ ]?)([xyz])')
 _IN_BRACKETS = re.compile(r'(.+?)\s*(?:\((.*)\)|\[(.*)\])')
@@ -36,7 +37,7 @@ _TIME_UNITS = {**dict.fromkeys(('s', 'sec', 'secs', 'second', 'seconds'), 10 ** 
 _TORQUE_UNIT = re.compile(r'([numkMµμ]?)N[ *.·⋅_-]?m')
 #: SI prefixes as powers of ten.
 _PREFIXES = {'': 0, 'n': -9, 'u': -6, 'µ': -6, 'μ': -6, 'm': -3, 'k': 3, 'M': 6}
-#: Names that may mean time, torque or frame: such a column is never ignored.
+#: Names that may mean time, torque or frame. A column with such a name is never ignored.
 _AMBIGUOUS = re.compile(r'time|stamp|torque|frame|(?<![a-z])(?:(?:nano)?sec(?:ond)?s?|tau|moments?'
                         r'|[tm][xyz]?)(?![a-z])')
 #: Length of the longest column name that is interpreted, in characters.
@@ -54,9 +55,9 @@ class Columns(NamedTuple):
     width : int
         Number of columns in a line.
     positions : tuple of int
-        The columns of time, tx, ty, tz.
+        Indices of the columns of time, tx, ty and tz.
     scales : tuple of int
-        The unit of time in ns, then the units of tx, ty, tz in N m as powers of ten.
+        The unit of time, ns, then the units of tx, ty, tz as powers of ten, such as -3 for mN m.
 
     """
 
@@ -65,10 +66,10 @@ class Columns(NamedTuple):
     scales: tuple[int, ...] = (10 ** 9, 0, 0, 0)
 
     def stamp_ns(self, line: Sequence[str], last_ns: int) -> int:
-        """Return the time of a line, ns; raise ValueError unless it is from 0 to `last_ns`."""
-        # Decimal, because a double does not resolve nanoseconds at today's epoch.
+        """Return the time of a line, ns; raise ValueError if it is not between 0 and `last_ns`."""
+        # Use Decimal, because a double does not resolve nanoseconds in present-day times.
         time_ns = (Decimal(line[self.positions[0]]) * self.scales[0]).to_integral_value()
-        if not 0 <= time_ns <= last_ns:  # before `int`, which expands any exponent
+        if not 0 <= time_ns <= last_ns:  # first, because `int` writes out any exponent
             raise ValueError
         return int(time_ns)
 
@@ -82,13 +83,13 @@ def columns(heading: Sequence[str]) -> Columns:
     """
     Return the columns that a heading names.
 
-    Columns that clearly hold something else are ignored.
+    Columns that clearly hold neither time nor torque are ignored.
 
     Raises
     ------
     InputError
-        One of time, tx, ty and tz is missing or occurs twice; or a column may hold one of them,
-        but its name or unit is unknown.
+        One of time, tx, ty and tz is missing or occurs twice; or a column that may hold one of
+        these quantities has an unknown name or unit.
 
     """
     found: dict[str, tuple[int, int]] = {}
@@ -109,21 +110,22 @@ def columns(heading: Sequence[str]) -> Columns:
 
 
 def _meaning(text: str) -> tuple[str, int]:
-    """Return the quantity in a column, '' if it can be ignored, and its unit as in `scales`."""
+    """Return the quantity in a column ('' if ignored), and its unit as in `Columns.scales`."""
     for name, unit in splits(text.strip()):
         torque = _TORQUE.fullmatch(name.lower())
         if torque and (found := _TORQUE_UNIT.fullmatch(unit or 'Nm')):
             return f't{torque[1]}', _PREFIXES[found[1]]
         if scale := time_scale(name, unit):
             return 'time', scale
-    # The topic of a path may be called torque: /torque/wrench/force/x.
+    # Check only the last two parts of a path: /torque/wrench/force/x does not hold a torque,
+    # although its topic is called torque.
     if len(text) > _LONGEST or _AMBIGUOUS.search('.'.join(re.split('[/.]', text.lower())[-2:])):
         raise InputError(f'column {quoted(text)}: unknown name or unit; {_ACCEPTED}')
     return '', 0
 
 
 def time_scale(name: str, unit: str) -> int:
-    """Return the unit of a column of times in ns, 0 if the column holds something else."""
+    """Return the time unit of a column, ns; 0 if the column does not hold times."""
     return _TIME_UNITS.get(unit or 's', 0) if _TIME.fullmatch(name.lower()) else 0
 
 

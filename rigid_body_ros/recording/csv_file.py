@@ -34,7 +34,7 @@ from rigid_body_ros.runtime.limits import open_file
 
 #: The only topic of a CSV file.
 _TOPIC = '/torque'
-#: Lines in a block.
+#: Number of lines in a block.
 _BLOCK = 8192
 #: Limit on the length of a line, in characters.
 _LONGEST = 2 ** 16
@@ -42,9 +42,9 @@ _LONGEST = 2 ** 16
 
 class CsvFile(File):
     """
-    A CSV file of torques, read as WrenchStamped messages in body axes.
+    A CSV file of torques, which are read as WrenchStamped messages in body axes.
 
-    The first line may name the columns; without names they are time (s), tx, ty, tz (N m).
+    The first line may name the columns; otherwise the columns are time (s), tx, ty, tz (N m).
     Reading raises InputError at the first invalid line.
     """
 

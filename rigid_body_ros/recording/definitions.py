@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compare the definition of a message type in a recording with the standard one."""
+"""Compare the definition of a message type in a recording with the standard definition."""
 
 from __future__ import annotations
 
@@ -24,44 +24,46 @@ import re
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.messages import MessageType
 
-#: The fields of each type: type and name.
+#: For each message type, the type and the name of each field.
 _Fields = dict[str, list[tuple[str, str]]]
 
-#: A line of `=` and the name of the type that is defined after it.
+#: A line of `=`, then a line with the name of the type whose definition follows.
 _SECTION = re.compile(r'^=+[ \t]*\n(?:MSG|IDL):[ \t]*(\S+)[ \t]*$', re.MULTILINE)
 _MSG_COMMENT = re.compile(r'#.*')
 #: Type and name of a field, but not of a constant; a default value is ignored.
 _MSG_FIELD = re.compile(r'^[ \t]*(\S+)[ \t]+(\w+)\b[ \t]*(?![ \t=])', re.MULTILINE)
-#: Texts and comments, of which each may contain the other.
+#: Strings and comments, matched together because each may contain the other.
 _IDL_TEXT = re.compile(r'"(?:\\.|[^"\\])*"|//[^\n]*|/\*.*?\*/|^#[^\n]*', re.DOTALL | re.MULTILINE)
 _IDL_ANNOTATION = re.compile(r'@\w+\s*(?:\([^()]*\))?')
 _IDL_ARRAY = re.compile(r'typedef\s+([\w:]+)\s+(\w+)\s*(\[\w+\])')
 _IDL_SEQUENCE = re.compile(r'sequence ?< ?([\w:]+) ?>')
-#: The names in ROS of the primitive types of IDL.
+#: The ROS names of the primitive types of IDL.
 _IDL_PRIMITIVES = {
     'double': 'float64', 'float': 'float32', 'boolean': 'bool', 'octet': 'byte',
     'short': 'int16', 'unsigned short': 'uint16', 'long': 'int32', 'unsigned long': 'uint32',
     'long long': 'int64', 'unsigned long long': 'uint64'}
-#: Limits: bytes of a definition, and fields of a type, which a nested type can multiply.
+#: Limits on the bytes of a definition, and on the number of fields of a type, including the fields
+#: of nested types.
 LONGEST, _MOST = 2 ** 16, 1000
 
 
 @lru_cache
 def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -> str:
     """
-    Return the first difference between a definition and the standard one, '' if there is none.
+    Return the first difference from the standard definition as text; '' if there is none.
 
     Comments, spacing, constants, default values and the order of nested definitions do not
-    matter. A nested type that is not defined has its standard definition.
+    matter. A nested type without a definition is assumed to have its standard definition.
 
     Parameters
     ----------
     kind : MessageType
-        The type as which the messages are read.
+        The message type that the caller expects.
     name, encoding : str
-        Of the definition; the encoding is 'ros2msg' or 'ros2idl'.
+        The name of the type in the recording, and the encoding of its definition, 'ros2msg' or
+        'ros2idl'.
     definition : bytes
-        Empty if the recording has none.
+        The definition in the recording; empty if there is none.
 
     """
     if name != kind.name:
@@ -84,7 +86,7 @@ def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -
 
 
 def _sections(root: str, text: str, is_idl: bool) -> _Fields:
-    """Return the fields of each type that a definition defines, first of all the root."""
+    """Return the fields of each type that a definition defines, the root type first."""
     first, *others = _SECTION.split(text)
     sections = [*([(root, first)] if first.strip() else []), *zip(others[::2], others[1::2])]
     parsed = _idl_fields if is_idl else _msg_fields
@@ -122,7 +124,7 @@ def _idl_fields(name: str, body: str) -> list[tuple[str, str]]:
 
 
 def _flat(fields: _Fields, root: str) -> Iterator[str]:
-    """Generate the primitive fields of a type in order: type and path of each."""
+    """Generate the type and the path of each primitive field of a type, in order."""
     waiting, count = [(root, '')], 0
     while waiting and count < _MOST:
         kind, path = waiting.pop()

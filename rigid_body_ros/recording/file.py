@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The interface of the files of a recording, which is the same for every format."""
+"""The interface to a file of a recording, the same for every format."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class File(ABC):
     Parameters
     ----------
     path : Path
-        The file that the user named; it appears in messages.
+        The file that the user named. Error messages contain this name.
     unpacked : Path, optional
-        The decompressed copy to read, if that file is compressed.
+        The decompressed copy to read, if the file is compressed.
 
     Attributes
     ----------
@@ -43,7 +43,8 @@ class File(ABC):
     types : dict
         The message type of each topic; '' if the file does not name one.
     damage : str
-        What was lost and where, known after the messages were read; '' if nothing.
+        What was lost and where; '' if nothing was lost. Known only after the messages have been
+        read.
 
     Raises
     ------
@@ -58,12 +59,12 @@ class File(ABC):
         self.damage = ''
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the metadata record with a name; empty if the format has no such records."""
+        """Return the metadata record called `name`; empty if the format has no such records."""
         return {}
 
     @abstractmethod
     def count(self, topic: str) -> int:
-        """Return the number of messages of a topic; 0 if the file does not state it."""
+        """Return the number of messages of a topic; 0 if the file does not contain that number."""
 
     @abstractmethod
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
@@ -73,7 +74,7 @@ class File(ABC):
         Raises
         ------
         InputError
-            The file states another encoding of the messages, or defines their type differently.
+            The messages are not in CDR, or the file defines the message type differently from ROS.
 
         """
 

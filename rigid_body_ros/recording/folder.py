@@ -23,7 +23,7 @@ from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.files import FOLDER, Part
 import yaml
 
-#: Version of metadata.yaml: the newest that Humble reads.
+#: Version of the format of metadata.yaml. ROS 2 Humble cannot read newer versions.
 _VERSION = 5
 
 
@@ -41,12 +41,14 @@ def writer_of(output: str | Path) -> Writer:
 
 class FolderWriter(Writer):
     """
-    Write a folder with an MCAP file and metadata.yaml, otherwise as `Writer` does.
+    Write a bag of rosbag2: a folder with an MCAP file and metadata.yaml.
+
+    The methods and parameters are those of `Writer`; `path` is the folder.
 
     Raises
     ------
     InputError
-        The name exists already, or the folder cannot be written.
+        A file or folder of that name exists already, or the folder cannot be written.
 
     """
 

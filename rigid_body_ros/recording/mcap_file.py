@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read MCAP files from front to back, in blocks of messages, up to the end or to damage."""
+"""Read MCAP files from front to back, in blocks of messages, up to the end or the first damage."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ from rigid_body_ros.recording.unpack import LARGEST, unpack
 from rigid_body_ros.runtime.limits import open_file
 import zstandard
 
-#: Size at which records outside of chunks make a block, bytes.
+#: Records outside chunks are collected, and passed on as a block if they exceed this size, bytes.
 _BLOCK = 2 ** 20
 _RECORD = struct.Struct('<BQ')
 #: The records needed to read messages.
 _MESSAGES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
-#: Size of the footer and the magic bytes after it, bytes.
+#: Size of the footer and of the magic bytes after it, bytes.
 _ENDING = 37
 
 
@@ -57,7 +57,7 @@ class DamageError(Exception):
 
 
 class McapFile(File):
-    """An MCAP file. Without a usable summary, the whole file is scanned to find its topics."""
+    """An MCAP file. If the summary is not usable, the whole file is scanned to find the topics."""
 
     def __init__(self, path: Path, unpacked: Path | None = None) -> None:
         super().__init__(path, unpacked)
@@ -86,7 +86,7 @@ class McapFile(File):
                       for channel in self._channels.values()}
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the last metadata record with a name; empty if there is none."""
+        """Return the last metadata record called `name`; empty if there is none."""
         found: dict[str, str] = {}
         with suppress(DamageError), open_file(self._content, 'recording') as stream:
             stream.seek(MAGIC_SIZE)
@@ -275,7 +275,8 @@ def _decompressed(offset: int, record: bytes) -> bulk.Bytes:
 
 
 def _summary(stream: IO[bytes]) -> Summary | None:
-    # Parse in memory, so that a wrong length cannot make mcap allocate more than the file's size.
+    # Parse in memory, so that a wrong length cannot make mcap allocate more than the size of the
+    # file.
     try:
         end = stream.seek(-_ENDING, os.SEEK_END)
         _, _, start, _, _, magic = struct.unpack('<BQQQI8s', stream.read())
@@ -284,7 +285,7 @@ def _summary(stream: IO[bytes]) -> Summary | None:
         stream.seek(start)
         content = BytesIO(stream.read())
         found = Summary()
-        # With emit_chunks mcap does not decompress chunks, which could have any size.
+        # With emit_chunks, mcap does not decompress chunks, whose content could have any size.
         for record in StreamReader(content, skip_magic=True, emit_chunks=True).records:
             if isinstance(record, Schema):
                 found.schemas[record.id] = record

@@ -34,8 +34,8 @@ from yaml.constructor import BaseConstructor
 
 
 def open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, str]:
-    """Return the files, whether each message is compressed, and why files are missing."""
-    if name == '':  # as a path it is the current folder
+    """Return the files, whether messages are compressed, and why files are missing, or ''."""
+    if name == '':  # as a path, it would be the current folder
         raise InputError('expected a recording, found an empty name')
     path = Path(name)
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
@@ -81,7 +81,7 @@ def _metadata(path: Path) -> dict[str, Any]:
     root = read_yaml(path, 'metadata of the recording', aliases=True)
     try:
         found = BaseConstructor().construct_document(root) if root else None
-    except yaml.YAMLError as error:  # a key that is not a name
+    except yaml.YAMLError as error:  # for example, a key that is not a name
         raise InputError(f'{path}: expected names as keys ({reason(error)})') from error
     about = found.get('rosbag2_bagfile_information') if isinstance(found, dict) else None
     if not isinstance(about, dict):

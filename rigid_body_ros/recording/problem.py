@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The problem of a recording and a scene: torques, start and body, in each epoch."""
+"""Read the problem that a recording and a scene define in each epoch: torques, start, body."""
 
 from __future__ import annotations
 
@@ -46,19 +46,20 @@ class Logged(NamedTuple):
     """The problem of a recording, or of an epoch of a node, and how it was recorded."""
 
     problem: Problem
-    #: Whether the torque on the rotors comes from their momentum, so it is never interpolated.
+    #: Whether the torque on the rotors is derived from their measured momentum. Such a torque is
+    #: never interpolated.
     is_measured: bool
     messages: int
     #: Number of messages whose stamp is not later than the stamp of the previous message.
     unordered: int
-    #: Whether the start is the start of an epoch, not of the scene.
+    #: Whether the start state comes from the marker of an epoch rather than from the scene.
     is_epoch: bool
     damage: str
     topics: tuple[str, ...]
 
     @property
     def times_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of all samples and bodies, ascending, or only the start."""
+        """Return all stamps of the inputs, ascending, or the start time if there are no stamps."""
         stamps_ns = self.problem.stamps_ns
         return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
 
@@ -69,18 +70,19 @@ def read(path: str | Path, scene: str | Path | Scene, *,
          inertia: str | None = None, interpolation: str | None = None,
          time_source: str = 'header') -> Problem:
     """
-    Return the problem of a recording and a scene, as `attitude_replay` computes it.
+    Return the problem that `attitude_replay` solves for a recording and a scene.
 
-    If a node has several epochs, it is the last one that begins at the start_time of the scene.
+    If the recording contains several epochs of a node, the problem is that of the last epoch that
+    begins at the `start_time` of the scene.
 
     Parameters
     ----------
     path : str or Path
         The recording.
     scene : str, Path or Scene
-        A scene, or its file.
+        The scene, or the scene file.
     topic, wheel_torque, wheel_momentum, wheel_command, inertia, interpolation, time_source
-        As for `replay`.
+        See `replay`.
 
     Returns
     -------
@@ -89,7 +91,8 @@ def read(path: str | Path, scene: str | Path | Scene, *,
     Raises
     ------
     InputError
-        The recording or the scene cannot be read, they do not fit, or no epoch begins there.
+        The recording or the scene cannot be read, the recording does not fit the scene, or no
+        epoch begins at `start_time`.
 
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
@@ -104,7 +107,7 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
                 track: Track = no_progress, time_source: str = 'header',
                 skip: float = 0.0) -> list[Logged]:
     """
-    Read the problem of a recording, or of each epoch of a node.
+    Read the problem of a recording or, if a node recorded it, the problem of each epoch.
 
     Parameters
     ----------
@@ -113,23 +116,24 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
     scene : Scene
         The body, the names of the frames, and the initial state.
     topics : Topics
-        As `Topics.found_in` returns them.
+        The topics to read, as `Topics.found_in` returns them.
     interpolation : str, optional
-        Interpolation between samples; otherwise the scene's.
+        Interpolation between samples; by default, the interpolation that the scene sets.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
     time_source, skip
-        As for `recording.read`; `skip` only for one topic.
+        See `recording.read`; use `skip` only with one topic.
 
     Returns
     -------
     list of Logged
-        In the order of the recording.
+        The problems, in the order of the recording.
 
     Raises
     ------
     InputError
-        The recording cannot be read, does not fit the scene, or the topics have other epochs.
+        The recording cannot be read or does not fit the scene, or its topics have different
+        epochs.
 
     """
     torques = [source.read(path, name, None, track, time_source, skip, topics.preferred)
@@ -153,14 +157,16 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
     """
     Return the epoch for a command that needs one motion.
 
-    If there are several epochs, it is the last one that begins at the start_time of the scene.
-    Only a command that says so computes with a body that changes (`may_change`), or with wheels
-    that have names (`may_command`).
+    If there are several epochs, return the last one that begins at the `start_time` of the scene.
+    By default, raise an error if the body changes or if the scene has named wheels. A command that
+    supports a changing body sets `may_change`, and a command that supports named wheels sets
+    `may_command`.
 
     Raises
     ------
     InputError
-        None begins there, or the body changes, or wheels have names.
+        No epoch begins at `start_time`, the body changes but `may_change` is not set, or the scene
+        has named wheels but `may_command` is not set.
 
     """
     stamps_ns = [each.problem.start.time_ns for each in found]
@@ -184,7 +190,12 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
 
 def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
             momentum: Messages | None, interpolation: str) -> Logged:
-    """Return the problem of a motion; the last parts are those of rotors, inertia and commands."""
+    """
+    Return the problem of an epoch.
+
+    `parts` contains the torques on the body, followed by the torque on the rotors, the inertia and
+    the commands to named wheels, if these topics are read.
+    """
     body, measured = [*parts], None
     every = [*parts, *([] if momentum is None else [momentum])]
     efforts = _efforts(path, body.pop()) if topics.wheel_command else None
@@ -223,17 +234,18 @@ def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
     """
     Return the torques of all topics in each epoch.
 
-    A node that is killed while it begins an epoch has marked it on the first topics only: on the
-    others there are no torques in that epoch.
+    If a node is killed while it begins an epoch, only some topics contain the marker of that
+    epoch. The other topics then have no torques in that epoch.
 
     Parameters
     ----------
     path : str or Path
-        The recording, for error messages.
+        Path of the recording, for error messages.
     topics : sequence of sequence of Messages
-        By topic, its epochs.
+        The epochs of each topic.
     has_stamps : bool
-        Whether the stamps come from the headers, which are the same on all topics.
+        Whether the stamps come from the headers. Otherwise, the stamps of a marker differ between
+        topics.
 
     Raises
     ------
@@ -271,7 +283,7 @@ def _check_same_start(path: str | Path, part: Messages, expected: Messages,
 
 
 def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str) -> TorqueLog:
-    """Return the log of a topic; a source without messages has no torque."""
+    """Return the torque log of a topic; it is empty if there are no messages."""
     if not len(recorded):
         return TorqueLog([], [], interpolation=interpolation)
     return torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
@@ -285,14 +297,14 @@ def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
 
 
 def _efforts(path: str | Path, recorded: Messages) -> EffortLog:
-    """Return the commands of a topic, in the order of the wheels; frames have no meaning."""
+    """Return the commands of a topic, in the order of the wheels; ignore their frame_ids."""
     if len(recorded) and not recorded.start:
         check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
     return EffortLog(recorded.stamps_ns, recorded.values)
 
 
 def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:
-    """Return the bodies of a topic of inertia, with the damping of the scene."""
+    """Return the bodies from a topic of inertia, with the damping of the scene."""
     check_axes(path, recorded, scene)
     if len(recorded) and not recorded.start:
         check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
@@ -317,7 +329,7 @@ def check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
 
 
 def _momentum(path: str | Path, recorded: Messages, scene: Scene) -> TorqueLog:
-    """Return the measured momenta, N m s, between whose samples the momentum is linear."""
+    """Return the measured momenta, N m s, as a log that is linear between samples."""
     where = f'{path}: {recorded.topic}'
     if not len(recorded):
         raise InputError(f'{where}: expected the momentum of the rotors, found no messages')
@@ -350,7 +362,12 @@ def _from_momentum(path: str | Path, recorded: Messages, measured: TorqueLog,
 
 
 def _started(start: State, measured: TorqueLog) -> State:
-    """Return the start with the measured momentum, which is constant before the first sample."""
+    """
+    Return the start state with the measured momentum.
+
+    The measured momentum is taken at the start or, if the first sample is later, from the first
+    sample.
+    """
     time_ns = max(start.time_ns, int(measured.times_ns[0]))
     momentum: Floats = measured.at([time_ns])[0][0]
     given = start.rotor_momentum

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The topics of a recording that have the torques of a scene."""
+"""Choose the topics of a recording from which the torques of a scene are read."""
 
 from __future__ import annotations
 
@@ -30,30 +30,34 @@ from rigid_body_ros.scene import Scene
 
 #: The topics of the torque on the rotors, of the commands of wheels, and of the inertia.
 _WHEEL_TORQUE, _WHEEL_COMMAND, _INERTIA = 'wheel_torque', 'wheel_command', 'inertia'
-#: By option, the parameter of a scene that enables the topic, and the value that it must have.
+#: For each option that names a topic: the scene parameter that enables this topic, and the value
+#: that the parameter needs.
 _NEEDED = {'--wheel-torque': ('wheels', 'true'), '--wheel-momentum': ('wheels', 'true'),
            '--wheel-command': ('wheel_names', 'names'), '--inertia': ('inertia_topic', 'true')}
-#: The topic on which a node logs the torques of the first topic, or of the one with a number.
+#: Pattern of the topics on which a node logs accepted torques. A number at the end of the name is
+#: the index of the torque topic; a name without a number belongs to the first torque topic.
 _ACCEPTED = re.compile('.*/accepted_torque(?:_([0-9]+))?')
 
 
 @dataclass(frozen=True)
 class Topics:
     """
-    The topics of the torques.
+    The topics to read: of the torques, the rotors, the inertia and the commands to named wheels.
 
     Attributes
     ----------
     torques : tuple of str
-        Their torques add up. Empty: those of the scene.
+        Topics whose torques are added up; if empty, the torque topics of the scene.
     wheel_torque, wheel_momentum : str, optional
-        Topic of the torque on the rotors, or of their momentum.
+        Topic of the torque on the rotors, and topic of the momentum of the rotors. At most one of
+        these two is given.
     inertia : str, optional
-        Topic of the inertia of a body that changes.
+        Topic of the inertia, if the inertia changes.
     wheel_command : str, optional
-        Topic of the commands of wheels with names.
+        Topic of the commands to named wheels.
     preferred : str
-        If set, the torques are read from the only topic of a recording, or from this one.
+        If set, the torques are read from the only torque topic of the recording or, if there are
+        several, from the topic with this name.
 
     Raises
     ------
@@ -84,7 +88,7 @@ class Topics:
     def given(cls, topic: str | Sequence[str] | None, wheel_torque: str | None = None,
               wheel_momentum: str | None = None, inertia: str | None = None,
               wheel_command: str | None = None) -> Topics:
-        """Return the topics that a caller gave."""
+        """Return the topics that a caller names."""
         names = (topic,) if isinstance(topic, str) else tuple(topic or ())
         return cls(names, wheel_torque, wheel_momentum, inertia, wheel_command=wheel_command)
 
@@ -104,13 +108,13 @@ class Topics:
 
     def found_in(self, path: str | Path, scene: Scene) -> Topics:
         """
-        Return the topics, which are those of the scene if none are given.
+        Return the topics to read in a recording, by default the torque topics of the scene.
 
         Raises
         ------
         InputError
-            The recording cannot be read, or lacks a topic of the scene; or rotors, wheels or
-            inertia have a topic, but the scene has none of these.
+            The recording cannot be read or lacks a topic of the scene; or the scene does not
+            enable a given topic of rotors, wheels or inertia.
 
         """
         self.check(scene)
@@ -132,13 +136,13 @@ class Topics:
                        wheel_command=command)
 
     def command_in(self, path: str | Path, scene: Scene) -> str | None:
-        """Return the topic of the commands of wheels with names, None if there is none."""
+        """Return the topic of the commands to named wheels, or None if there is none."""
         if self.wheel_command or not scene.named_wheels:
             return self.wheel_command
         return self._beside(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
 
     def _beside(self, name: str, recorded: Sequence[str]) -> str | None:
-        """Return the topic of the scene with a name, or its log by the node that logs torques."""
+        """Return the topic called `name`, or the topic on which a node logs it, or None."""
         logs = [topic for topic in recorded if topic.endswith(f'/accepted_{name}')]
         nodes = {topic.rpartition('/')[0] for topic in self.torques if _ACCEPTED.fullmatch(topic)}
         if nodes:
@@ -148,11 +152,12 @@ class Topics:
         if len(logs) > 1:
             raise InputError(f'expected the {name} of one node, found {listed(logs)}; choose one '
                              f'with --{name.replace("_", "-")}')
-        # Without it a motion would lack what the node took; with other torques it is refused.
+        # Without this log, the motion would lack an input of the node. If another node recorded
+        # the torques, `aligned` rejects the log.
         return logs[0] if logs else None
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if rotors, wheels or inertia have a topic, but not in the scene."""
+        """Raise InputError if the scene does not enable a topic of rotors, wheels or inertia."""
         for option, topic in self._options:
             parameter, expected = _NEEDED[option]
             if topic and not (found := scene.values[parameter]):
@@ -161,11 +166,11 @@ class Topics:
 
     def actuators(self, scene: Scene) -> tuple[Actuator | None, ...] | None:
         """
-        Return the actuator of each topic of torques, or None if the scene has none.
+        Return the actuator of each topic of torques, or None if the scene has no actuators.
 
-        A topic has the actuator that the scene gives to its name. A log of a node has the actuator
-        of the topic whose torques it holds, and a single topic that of the single topic of the
-        scene.
+        The scene assigns an actuator to the name of a topic. The log of a node has the actuator of
+        the topic whose torques the log contains. If the recording and the scene have one
+        topic each, the names may differ.
         """
         found, names = scene.actuators, [absolute(name) for name in scene.torque_topics]
         if found is None:
@@ -176,13 +181,13 @@ class Topics:
 
     @property
     def wrenches(self) -> list[str | None]:
-        """Return the topics of torques, the rotors last; None for the only topic."""
+        """Return the torque topics, that of the rotors last; for None, use `preferred`."""
         return [*([None] if self.preferred else self.torques),
                 *filter(None, [self.wheel_torque])]
 
 
 def absolute(topic: str) -> str:
-    """Return the name of a topic in a recording, for a node without a namespace."""
+    """Return the full name of a topic, as a node without a namespace resolves it."""
     return topic if topic.startswith('/') else f'/{topic}'
 
 
@@ -200,7 +205,7 @@ def _match(name: str, recorded: Sequence[str]) -> str | None:
 
 def _torques_of(path: str | Path, names: Sequence[str], recorded: list[str],
                 optional: bool) -> tuple[str, ...]:
-    """Return the topics of the scene in a recording; a single topic may have any name."""
+    """Return the torque topics of the scene in a recording; a single topic may have any name."""
     found = [_match(name, recorded) for name in names]
     missing = [name for name, topic in zip(names, found) if topic is None]
     for topic in found:

@@ -37,7 +37,7 @@ from rigid_body_ros.recording.unpack import unpack_each
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.terminal import no_progress, Track
 
-#: Possible sources of the time of a message.
+#: The possible sources of the stamp of a message.
 TIME_SOURCES = ('header', 'log', 'publish')
 #: The message types that carry a torque.
 TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
@@ -52,8 +52,8 @@ class Messages:
     ----------
     topic : str
     stamps_ns : array of int64, shape (n,)
-        Stamps of the headers in ns. Times of the recording instead, if these were requested or
-        the type has no header.
+        Stamps, ns, by default from the headers. If the type has no header, or if the caller chose
+        another source, the stamps are the times at which the messages were recorded or published.
     frames : array of int, shape (n,)
         Index into `names` for each message.
     names : list of str
@@ -61,14 +61,14 @@ class Messages:
     values : array, shape (n, d)
         The doubles of each message in field order.
     damage : str
-        What was lost and where; '' if nothing.
+        What was lost and where; '' if nothing was lost.
     before : int
-        Number of messages of the topic before these.
+        Number of messages of the topic that come before these messages.
     start : State, optional
-        Start state of the epoch of a node whose torques these are; see `epochs`.
+        Start state of the epoch, if the messages are one epoch of the log of a node; see `epochs`.
     pairs : tuple of (str, str)
-        The first few distinct pairs of frame_id and child_frame_id, if the type has both and no
-        pair was chosen.
+        The first few distinct pairs of frame_id and child_frame_id, if the type has both names and
+        the caller chose no pair.
 
     """
 
@@ -86,7 +86,7 @@ class Messages:
         return len(self.stamps_ns)
 
     def rows(self, chosen: slice | NDArray[np.bool_]) -> Messages:
-        """Return a selection of the messages, with the frame_ids that these have."""
+        """Return the chosen messages; `names` then lists only the frame_ids of these messages."""
         used, frames = np.unique(self.frames[chosen], return_inverse=True)
         return replace(self, stamps_ns=self.stamps_ns[chosen], frames=frames,
                        names=[self.names[code] for code in used], values=self.values[chosen])
@@ -104,10 +104,11 @@ class Source:
     Parameters
     ----------
     path : str or Path
-        An MCAP file; a SQLite file of rosbag2; a folder of either with metadata.yaml; or a CSV
-        file of time (s), tx, ty, tz (N m), or of columns with names and units in the first line.
+        An MCAP file; a SQLite file of rosbag2; a folder that contains MCAP or SQLite files and
+        metadata.yaml; a PX4 log (.ulg); or a CSV file of torques. The first line of a CSV file may
+        name the columns and their units; otherwise the columns are time (s), tx, ty, tz (N m).
     topic : str, optional
-        Can be omitted if only one topic has one of the types.
+        The topic to read. It may be omitted if only one topic has a type that `kinds` contains.
     kinds : sequence of MessageType
         The message types to accept.
     time_source : str
@@ -115,9 +116,10 @@ class Source:
     skip : float, s
         Skip the messages of the first `skip` seconds of the topic.
     preferred : str
-        The topic to take if it is omitted and several topics have one of the types.
+        The topic to read if `topic` is omitted and several topics have a type that `kinds`
+        contains.
     frames : tuple of str, optional
-        Frame and child frame of the transforms to read, if the type is one of transforms.
+        Frame and child frame of the transforms to read, if the messages contain transforms.
 
     Attributes
     ----------
@@ -127,9 +129,10 @@ class Source:
     types : dict
         The type of each topic of the recording.
     count : int
-        Number of messages of the topic, as far as the files state it.
+        Number of messages of the topic. Files that do not store their number of messages count as
+        0.
     damage : str
-        What was lost and where, known after iteration; '' if nothing.
+        What was lost and where; '' if nothing was lost. Complete only after iteration.
 
     Raises
     ------
@@ -166,18 +169,18 @@ class Source:
 
     @property
     def damage(self) -> str:
-        """Return what was lost and where; '' if nothing."""
+        """Return what was lost and where; '' if nothing was lost."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
         longer = f'{self._path}: {self.topic}: {self._longer} messages are longer than ' \
             f'{self.kind.name}; the bytes after its last field are ignored' if self._longer else ''
         return shortened('; '.join([*found, *filter(None, [self._missing, longer])]))
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the metadata record with a name; empty if there is none."""
+        """Return the metadata record called `name`; empty if there is none."""
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
 
     def check_copied(self, topics: Collection[str]) -> None:
-        """Raise InputError if `copy_to` cannot copy into a file that has these topics."""
+        """Raise InputError if `copy_to` cannot copy into a file that contains `topics`."""
         for file in self._files:
             if not isinstance(file, McapFile):
                 raise InputError(f'{file.path}: expected an MCAP file, because only its messages '
@@ -188,10 +191,10 @@ class Source:
                              f'{listed(twice)}')
 
     def copy_to(self, writer: Writer) -> None:
-        """Copy every message of the recording, byte for byte."""
+        """Copy every message of the recording to `writer`, byte for byte."""
         numbers: dict[str, int] = {}
         for file in self._files:
-            assert isinstance(file, McapFile)  # by check_copied
+            assert isinstance(file, McapFile)  # check_copied ensures this
             for channel, schema, raw in file.read_all():
                 number = numbers.get(channel.topic, 0)
                 writer.copy(channel, schema, self._decompressed(raw, channel.topic, number))
@@ -204,7 +207,7 @@ class Source:
             for raw in file.read(self.topic, self.kind):
                 block = self._messages(raw, number)
                 number += len(raw.starts)
-                if not len(block):  # no transform between the frames
+                if not len(block):  # no transform between the chosen frames
                     continue
                 if self._skip_ns and any(map(messages.is_epoch_marker, block.names)):
                     raise InputError(f'{self._path}: {self.topic}: --start: expected no time to '
@@ -239,7 +242,7 @@ class Source:
                         before=number, pairs=tuple(pairs))
 
     def _decompressed(self, raw: Raw, topic: str, number: int) -> Raw:
-        """Return messages without compression; `number` messages of the topic came before."""
+        """Return the messages decompressed; `number` messages of the topic precede them."""
         try:
             return unpack_each(raw) if self._compressed else raw
         except bulk.BadMessageError as error:
@@ -258,18 +261,19 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
     Parameters
     ----------
     path : str or Path
-        A recording: an MCAP file; a SQLite file of rosbag2; a folder of either with
-        metadata.yaml; or a CSV file of torques.
+        A recording: an MCAP file; a SQLite file of rosbag2; a folder that contains MCAP or SQLite
+        files and metadata.yaml; a PX4 log (.ulg); or a CSV file of torques.
     topic : str, optional
-        Can be omitted if only one topic has the type.
+        The topic to read. It may be omitted if only one topic has the type `kind`.
     kind : MessageType, optional
-        The message type, such as `messages.QUATERNION`; by default the two types of torques.
+        The message type, such as `messages.QUATERNION`; by default WrenchStamped or Wrench.
     track : callable, optional
         Wraps the iteration over blocks of messages, to show progress.
     time_source : str
-        Source of the stamps: 'header', 'log' (time of recording) or 'publish'.
+        Source of the stamps: 'header', 'log' (time of recording) or 'publish' (time of
+        publishing).
     skip, preferred
-        As for `Source`.
+        See `Source`.
 
     Returns
     -------
@@ -288,7 +292,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
 
 
 def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
-    """Return the topics of a recording that have one of the types, with the errors of `read`."""
+    """Return the topics of a recording that have a type in `kinds`; raise the errors of `read`."""
     names = {kind.name for kind in kinds}
     with ExitStack() as stack:
         files, _, _ = open_files(path, stack)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read SQLite files of rosbag2 in blocks of messages, without writing next to them."""
+"""Read SQLite files of rosbag2 in blocks of messages, without writing files next to them."""
 
 from __future__ import annotations
 
@@ -33,20 +33,21 @@ from rigid_body_ros.recording.unpack import copy_file, temporary
 from rigid_body_ros.runtime.limits import open_file
 from rigid_body_ros.runtime.protection import real_path
 
-#: Limits of a block: messages, and bytes of their data.
+#: Limits on a block: number of messages, and bytes of their data.
 _BLOCK, _BYTES = 8192, 2 ** 24
-#: Limit on the bytes of a message; without a long frame_id a message has less than 1 kB.
+#: Limit on the bytes of a message. A message without a long frame_id is smaller than 1 kB.
 _LARGEST = 2 ** 24
-#: Position of the journal mode in a file, and its value for a write-ahead log.
+#: Position of the journal mode in a database file, and the value that means a write-ahead log.
 _MODE_OFFSET, _WRITE_AHEAD = 18, b'\2\2'
-#: Size of the head of a write-ahead log, bytes.
+#: Size of the header of a write-ahead log, bytes.
 _LOG_HEAD = 32
-#: SQLite instructions between two checks, and the limit per byte of a file (a message of 30 bytes
-#: takes about 30). Without a limit, reading damaged pages that refer to each other never ends.
+#: Number of SQLite instructions between two checks, and largest number of instructions per byte of
+#: the file (a message of 30 bytes takes about 30 instructions). Their number is limited,
+#: because reading damaged pages that refer to each other would never end.
 _STEPS, _STEPS_A_BYTE = 100_000, 100
 _TOO_MUCH = 'its pages are damaged: they yield more data than the file can hold'
-#: Explanations of errors of SQLite. A -journal is not applied, because that may delete any file
-#: that the journal names.
+#: Explanations of SQLite errors. A journal (-journal) is not applied, because applying a journal
+#: may delete any file that the journal names.
 _REASONS = {'interrupted': _TOO_MUCH, 'attempt to write a readonly database':
             'the recorder was killed and left a -journal; apply it with: sqlite3 FILE .tables'}
 _MESSAGES = """
@@ -63,7 +64,8 @@ class SqliteFile(File):
     A SQLite file of rosbag2.
 
     The file is opened read-only, and nothing is written next to it. If a killed recorder left a
-    write-ahead log, file and log are copied to a temporary folder that the stack removes.
+    write-ahead log, the file and the log are copied to a temporary folder, which is removed when
+    `stack` is closed.
     """
 
     def __init__(self, path: Path, unpacked: Path, stack: ExitStack) -> None:
@@ -107,8 +109,8 @@ class SqliteFile(File):
                 self._check_definition(topic, kind, kind.name, *found)
 
     def _apply_log(self, stack: ExitStack) -> str:
-        """Copy a file that has a write-ahead log, and apply the log; return what was lost."""
-        path = Path(real_path(self._content))  # SQLite expects the log there
+        """If a write-ahead log exists, copy the file and apply the log; return what was lost."""
+        path = Path(real_path(self._content))  # SQLite expects the log next to this file
         log = Path(f'{path}-wal')
         if not os.path.exists(log) or not os.path.getsize(log):
             return ''
@@ -127,7 +129,7 @@ class SqliteFile(File):
         with open_file(self._content, 'recording') as stream:
             size = self._size = os.fstat(stream.fileno()).st_size
             stream.seek(_MODE_OFFSET)
-            # Without this, SQLite creates a log in the folder of the file.
+            # Without immutable=1, SQLite creates a log in the folder of the file.
             options = '&immutable=1' if stream.read(2) == _WRITE_AHEAD else ''
         address = f'{self._content.resolve().as_uri()}?mode=ro{options}'
         database = sqlite3.connect(address, uri=True)
@@ -140,9 +142,10 @@ class SqliteFile(File):
     def _topics(self, database: sqlite3.Connection) -> tuple[dict[str, str], dict[str, str]]:
         """Return the type and the encoding of each topic."""
         for table in ('topics', 'messages', 'message_definitions'):
-            # 0: an ordinary column; otherwise it is computed, or belongs to a virtual table.
+            # In `hidden`, 0 stands for an ordinary column; any other value means that the column
+            # is computed or belongs to a virtual table.
             hidden = [row[-1] for row in database.execute(f'PRAGMA table_xinfo({table})')]
-            # Empty before SQLite 3.37, which cannot list tables.
+            # SQLite before version 3.37 does not know table_list; `kinds` is then empty.
             kinds = {row[2] for row in database.execute(f'PRAGMA table_list({table})')}
             if any(hidden) or not kinds <= {'table'}:
                 raise sqlite3.DatabaseError(f'expected {table} to be an ordinary table, found '
@@ -186,13 +189,13 @@ class SqliteFile(File):
             yield time_ns, data
 
     def _check_size(self, size: int) -> None:
-        # The file may have grown meanwhile.
+        # The file may have grown since it was opened.
         if size > self._size and size > os.path.getsize(self._content):
             raise sqlite3.DatabaseError(_TOO_MUCH)
 
 
 def _begin(log: Path) -> bytes:
-    """Return the head of a write-ahead log, which changes when SQLite begins the log again."""
+    """Return the header of a write-ahead log, which changes when SQLite restarts the log."""
     with open_file(log, 'write-ahead log') as stream:
         return stream.read(_LOG_HEAD)
 

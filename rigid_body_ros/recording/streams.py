@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The torques of several topics, piece by piece, so that they need not fit in memory."""
+"""Read the torques of several topics piece by piece, so that they need not fit in memory."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from rigid_body_ros.scene import Scene
 
 @dataclass
 class Counts:
-    """The number of messages, and of those whose stamp is not later than the stamp before."""
+    """Number of messages, and number of messages with a stamp not later than the previous one."""
 
     messages: int = 0
     unordered: int = 0
@@ -49,18 +49,19 @@ class Stream:
     ----------
     pieces : iterator of Piece
     on_rotors : bool
-        Whether these are the torques of the motors on the rotors.
+        Whether the torques are those of the motors on the rotors.
     is_held : bool
-        Whether they are never interpolated: commands, or from the momentum of the rotors.
+        Whether the torques are never interpolated, because they are commands to an actuator or
+        are derived from the momentum of the rotors.
     counts : Counts, optional
-        Of the pieces so far.
+        The counts of the messages read so far.
     topic : str
-        For error messages.
+        The name of the topic, for error messages.
 
     Attributes
     ----------
     piece : Piece
-        The present one.
+        The current piece.
 
     """
 
@@ -81,12 +82,12 @@ class Stream:
         self.piece = next(self._pieces)
 
     def log(self, interpolation: str) -> TorqueLog:
-        """Return the present piece as a log, with the errors of `Piece.log`."""
+        """Return the current piece as a log; raise the errors of `Piece.log`."""
         return self.piece.log('hold' if self._is_held else interpolation)
 
 
 def whole(logged: Logged) -> list[Stream]:
-    """Return the torques of a problem, each as one piece."""
+    """Return the torques of a problem, with each source as one piece."""
     problem, wheels = logged.problem, logged.problem.wheels
     held = [log for log, actuator in zip(problem.logs, problem.actuators) if actuator]
     held += [wheels] if wheels and logged.is_measured else []
@@ -96,7 +97,7 @@ def whole(logged: Logged) -> list[Stream]:
 
 class Streams:
     """
-    The torques of all topics of a recording, which has one epoch; a context manager.
+    The torques of all topics of a recording with one epoch; a context manager.
 
     Parameters
     ----------
@@ -104,16 +105,16 @@ class Streams:
         The recording.
     scene : Scene
     topics : Topics
-        As `Topics.found_in` returns them, without measured momentum.
+        The topics to read, as `Topics.found_in` returns them, without measured momentum.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
     time_source, skip
-        As for `recording.read`.
+        See `recording.read`.
 
     Attributes
     ----------
     start : State, optional
-        That of an epoch of a node.
+        The start state, if a node recorded the epoch. `opened` sets this attribute.
     topics : tuple of str
 
     """
@@ -142,9 +143,11 @@ class Streams:
         Raises
         ------
         InputError
-            As for `torque_pieces`, or there are no messages.
+            `first_epoch` or `torque_pieces` rejects a message, or a torque on the rotors is not
+            in body axes.
         NotInOrderError
-            The recording has to be read as a whole.
+            The recording has to be read as a whole: the stamps are not in order, the topics begin
+            with different start states, or there are no messages.
 
         """
         begun = [self._begun(source) for source in self._sources]
@@ -155,7 +158,7 @@ class Streams:
         self.start, streams = begun[0][0], [stream for _, stream in begun]
         if len(starts) > 1 or not (self.start or any(len(stream.piece.times_ns)
                                                      for stream in streams)):
-            raise NotInOrderError  # the whole recording is read to find out what is wrong
+            raise NotInOrderError  # reading the whole recording reports the problem
         return streams
 
     def _begun(self, source: Source) -> tuple[State | None, Stream]:
@@ -178,5 +181,5 @@ class Streams:
 
     @property
     def damage(self) -> str:
-        """Return what was lost and where, known after the last piece; '' if nothing."""
+        """Return what was lost and where, '' if nothing; complete only after the last piece."""
         return '; '.join(dict.fromkeys(filter(None, (each.damage for each in self._sources))))

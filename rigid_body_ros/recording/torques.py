@@ -33,11 +33,13 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.source import Messages
 
-#: Ten years: longer than any simulation, and earlier than any wall-clock time.
+#: Ten years, ns. Simulated time stays below this limit, and wall-clock time, which counts from
+#: 1970, exceeds it.
 _SIMULATED_NS = 315_576_000 * 10 ** 9
 #: Approximate number of samples in a piece.
 _SAMPLES = 2 ** 13
-#: Samples on each side that the cubics of a piece, and of the sample after it, need.
+#: The next piece repeats this many samples on each side of the sample at which it continues
+#: (`Piece.stop`), because cubic interpolation needs them.
 _NEIGHBOURS = 3
 #: The topics on which a node logs the torques that it accepts.
 _NODE_LOG = re.compile(r'(.*/)?accepted_(torque(_[0-9]+)?|wheel_torque|wheel_command|inertia)')
@@ -45,14 +47,14 @@ _NODE_LOG = re.compile(r'(.*/)?accepted_(torque(_[0-9]+)?|wheel_torque|wheel_com
 
 def epochs(path: str | Path, recorded: Messages) -> list[Messages]:
     """
-    Return the torques of each epoch of a node, with its start state; other torques as one epoch.
+    Divide the log of a node into epochs with start states; return other torques unchanged.
 
     A node begins every epoch in its log with a marker; see `messages.epoch_marker`.
 
     Parameters
     ----------
     path : str or Path
-        The recording, for error messages.
+        Path of the recording, for error messages.
     recorded : Messages
         Torques, as `read` returns them.
 
@@ -91,15 +93,16 @@ def _start(path: str | Path, recorded: Messages, row: int) -> State:
 def first_epoch(path: str | Path, blocks: Iterator[Messages]
                 ) -> tuple[State | None, Iterator[Messages]]:
     """
-    Return the start state of the first epoch of a node, None for other torques, and the torques.
+    Return the start state of the first epoch of a node (None for other torques), and the torques.
 
-    Both with the errors of `epochs`. If a block has the marker of another epoch, `torque_pieces`
-    raises NotInOrderError.
+    If a later block contains the marker of another epoch, `torque_pieces` raises NotInOrderError.
 
     Raises
     ------
     NotInOrderError
-        The first block has several epochs.
+        The first block contains several epochs.
+    InputError
+        `epochs` rejects the first block.
 
     """
     block = next(blocks, None)
@@ -119,16 +122,16 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     Parameters
     ----------
     path : str or Path
-        The recording, for error messages.
+        Path of the recording, for error messages.
     recorded : Messages
         Torques, as `read` returns them.
     body_frame, space_frame : str
-        The frame_ids of torques in body axes (or empty) and in space axes.
+        The frame_ids of torques in body axes and in space axes. An empty frame_id means body axes.
     interpolation : str
         'hold', 'linear' or 'cubic'.
     links : Frames
-        The frames of the links of a URDF (see `urdf.fixed_frames`): a wrench in one acts at its
-        origin.
+        The frames of the links of a URDF (see `urdf.fixed_frames`). A wrench in the frame of a
+        link acts at the origin of that frame.
 
     Returns
     -------
@@ -137,9 +140,10 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     Raises
     ------
     InputError
-        There is no message, although a start state is not known; a message has an unknown
-        frame_id, a wrench that is not along the axis of its frame, no stamp or a torque that is
-        not finite; or torques of both frames are to be interpolated.
+        `recorded` has neither messages nor a start state; a message has an unknown frame_id, no
+        stamp, or a torque that is not finite; a wrench in a turning frame is not along the axis of
+        that frame; or some torques are in body axes and others in space axes, but the
+        interpolation is not 'hold'.
 
     """
     where = f'{path}: {recorded.topic}'
@@ -161,8 +165,8 @@ def _torques(where: str, recorded: Messages,
     """
     Return the torques about the centre of mass, N m, shape (n, 3), and the axes of each frame.
 
-    `frames` are the body frame, the space frame and those of the links. Raise InputError that
-    names the first invalid message.
+    `frames` are the body frame, the space frame and the frames of the links. An InputError names
+    the first invalid message.
     """
     axes, moved = [], {}
     for code, frame_id in enumerate(recorded.names):
@@ -180,7 +184,7 @@ def _torques(where: str, recorded: Messages,
 
 
 def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Floats:
-    """Return the torques about the centre of mass, N m, shape (n, 3), of wrenches in frames."""
+    """Return the torques about the centre of mass, N m, shape (n, 3), of wrenches in `frames`."""
     torques, off_axis = recorded.values[:, 3:].copy(), {}
     for code, frame in frames.items():
         rows = recorded.frames == code
@@ -197,7 +201,7 @@ def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Float
 
 def _check_finite(where: str, recorded: Messages, torques: Floats,
                   moved: Collection[int]) -> None:
-    """Raise InputError that names the first message whose torque is not finite."""
+    """Raise an InputError that names the first message whose torque is not finite."""
     if np.isfinite(torques).all():
         return
     row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
@@ -209,7 +213,7 @@ def _check_finite(where: str, recorded: Messages, torques: Floats,
 
 
 def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
-    """Raise InputError if one of several messages has no stamp."""
+    """Raise InputError if there are several messages and one of them has no stamp."""
     unstamped = np.flatnonzero(stamps_ns == 0)
     # A log of simulated time may begin with the stamp 0.
     begins = stamps_ns[0] == 0 < stamps_ns.max() < _SIMULATED_NS
@@ -220,12 +224,12 @@ def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
 
 
 class NotInOrderError(Exception):
-    """The log cannot be read in pieces; the whole recording is needed."""
+    """The log cannot be read in pieces; the recording has to be read as a whole."""
 
 
 class Piece(NamedTuple):
     """
-    Consecutive samples of a log, which overlap with those of the next piece.
+    Consecutive samples of a log; the last samples are repeated in the next piece.
 
     Attributes
     ----------
@@ -244,7 +248,7 @@ class Piece(NamedTuple):
     stop: int | None = None
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Piece:
-        """Return a selection of the samples."""
+        """Return the chosen samples."""
         return Piece(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen])
 
     def log(self, interpolation: str) -> TorqueLog:
@@ -254,7 +258,8 @@ class Piece(NamedTuple):
         Raises
         ------
         ValueError
-            The interpolation is not 'hold', and the samples are in body axes and in space axes.
+            Some samples are in body axes and others in space axes, but the interpolation is not
+            'hold'.
 
         """
         return TorqueLog(self.times_ns, self.torques, self.in_space, interpolation)
@@ -265,17 +270,17 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space
     """
     Generate the torque log in pieces from blocks of messages, so that it need not fit in memory.
 
-    Samples are sorted by stamp within two neighbouring blocks. If samples have equal stamps, only
-    the last in the recording is kept.
+    Samples are sorted by stamp, also across two neighbouring blocks. If samples have equal stamps,
+    only the last in the recording is kept.
 
     Raises
     ------
     InputError
-        A message has an unknown frame_id, a wrench that is not along the axis of its frame, or a
-        torque that is not finite.
+        A message has an unknown frame_id, a torque is not finite, or a wrench in a turning frame
+        is not along the axis of that frame.
     NotInOrderError
-        A message begins another epoch or has no stamp, or its stamp is not after the samples of
-        earlier pieces.
+        A message begins another epoch, has no stamp, or has a stamp that is not later than those
+        of all samples in earlier pieces.
 
     """
     piece = _EMPTY
@@ -293,7 +298,8 @@ def _ascending(where: str, blocks: Iterable[Messages],
     """
     Generate the samples of all blocks, sorted by stamp.
 
-    In two neighbouring blocks, only the samples before the first stamp of the second are ready.
+    After reading a block, generate the samples before the earliest stamp of that block. Keep the
+    other samples until the next block is read.
     """
     waiting, last_ns = _EMPTY, -2 ** 63
     for block in blocks:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decode the transforms between two frames from messages that can hold many."""
+"""Decode the transforms between two frames from messages that may contain many transforms."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from rigid_body_ros.engine import kernels, RawMessages
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import BadMessageError, Decoded, Raw
 
-#: Fewest bytes of a transform before its doubles: a stamp and two empty names.
+#: Smallest number of bytes before the doubles of a transform: a stamp and two empty names.
 _LEAST = 8 + 2 * 5
-#: Largest number of pairs of frames that are listed.
+#: Largest number of pairs of frames to list.
 _PAIRS = 7
 
 
 def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, Decoded]:
     """
-    Return the transforms from one frame to another, and the messages that hold them.
+    Return the transforms from one frame to another, and the messages that contain them.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
     Returns
     -------
     messages : Raw
-        The message of each transform.
+        For each transform, the message that contains it.
     decoded : Decoded
 
     Raises
@@ -69,7 +69,7 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
 
 def pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
     """
-    Return the first few pairs of frame_id and child_frame_id of messages, each once.
+    Return the first few distinct pairs of frame_id and child_frame_id in messages.
 
     Raises
     ------

@@ -37,24 +37,25 @@ from rigid_body_ros.runtime.limits import open_file
 
 _SUFFIXES = '.ulg', '.ulog'
 _XYZ = 'xyz[0]', 'xyz[1]', 'xyz[2]'
-#: By topic: the message type as which it is read, and the fields of its last doubles.
+#: For each topic of PX4: the type of the converted messages, and the ULog fields that become the
+#: last doubles of a message.
 _QUATERNION = messages.QUATERNION, ('q[1]', 'q[2]', 'q[3]', 'q[0]')
 _RATE, _TORQUE = (messages.VECTOR3, _XYZ), (messages.WRENCH, _XYZ)
 _TOPICS: dict[str, tuple[MessageType, tuple[str, ...]]] = {
     'vehicle_attitude': _QUATERNION, 'vehicle_attitude_groundtruth': _QUATERNION,
     'vehicle_angular_velocity': _RATE, 'vehicle_angular_velocity_groundtruth': _RATE,
     'vehicle_torque_setpoint': _TORQUE}
-#: Messages in a block.
+#: Number of messages in a block.
 _BLOCK = 8192
-#: The latest time in a log, us.
+#: The latest time that is accepted in a log, us.
 _LAST_US = messages.LAST_NS // 1000
-#: Errors of pyulog where a file is damaged.
+#: Errors that pyulog raises for a damaged file.
 _ERRORS = (AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError,
            struct.error)
 
 
 def is_ulog(path: str | Path) -> bool:
-    """Return whether a file is a log of PX4, by its name."""
+    """Return whether the suffix of a file name is that of a PX4 log."""
     return Path(path).suffix.lower() in _SUFFIXES
 
 
@@ -71,10 +72,11 @@ class UlogFile(File):
     """
     A log of PX4, read as messages in the frames of PX4.
 
-    The body axes are front, right, down, and the space axes are north, east, down: an attitude q
-    rotates the former to the latter, and only the order of its components, w x y z, is changed. A
-    torque is normalized, not in N m. Times count from boot. The stamp of a measurement is the time
-    at which it was sampled, and that of a torque the time at which it was published.
+    The body axes are front, right, down, and the space axes are north, east, down. An attitude q
+    rotates from body to space axes, as in PX4; only the order of the components changes, from
+    scalar first to scalar last. A torque is normalized, not in N m. Times count from the boot of
+    the autopilot. The stamp of a measurement is the time at which it was sampled; the stamp of a
+    torque is the time at which it was published.
     """
 
     def __init__(self, path: Path) -> None:
@@ -98,9 +100,9 @@ class UlogFile(File):
                                   found.logged_ns[rows])
 
 
-@lru_cache(1)  # a command reads several topics, and pyulog the whole file each time
+@lru_cache(1)  # a command reads several topics, and pyulog reads the whole file each time
 def _parsed(path: Path, identity: tuple[int, ...]) -> tuple[Mapping[str, _Topic], str]:
-    """Return the topics of a file, and what was lost; the identity identifies its contents."""
+    """Return the topics of a file, and what was lost; `identity` changes if the file changes."""
     from pyulog import ULog
     from pyulog.exceptions import ULogException
     try:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decompress zstd into memory or a temporary folder, and copy files there, within limits."""
+"""Decompress zstd data, and copy files into a temporary folder, within limits on their size."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ from rigid_body_ros.recording.bulk import BadMessageError, Raw
 from rigid_body_ros.runtime.limits import open_file
 import zstandard
 
-#: Limit on the bytes of a chunk, or of the messages in a block; rosbag2 and mcap write 1 MB.
+#: Largest size of a chunk, or of all messages in a block, bytes. The chunks that rosbag2 and mcap
+#: write are about 1 MB long.
 LARGEST = 2 ** 30
 #: Largest possible compression ratio: zstd needs 4 bytes for a block of 128 KiB.
 _DENSEST = 2 ** 15
-#: Limit on the compression ratio of a file that decompresses to more than LARGEST.
+#: Limit on the compression ratio of a file that decompresses to more than LARGEST bytes.
 _RATIO = 1000
 _BLOCK = 2 ** 20
 
@@ -57,7 +58,7 @@ def unpack(data: bytes, most: int, unpacker: zstandard.ZstdDecompressor) -> byte
 
 
 def unpack_each(raw: Raw) -> Raw:
-    """Decompress messages one by one; raise BadMessageError at the first that is not valid."""
+    """Decompress messages one by one; raise BadMessageError at the first invalid message."""
     decompressed, room, unpacker = [], LARGEST, zstandard.ZstdDecompressor()
     for row in range(len(raw.starts)):
         try:

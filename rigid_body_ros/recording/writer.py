@@ -36,14 +36,14 @@ from rigid_body_ros.runtime.files import Part, reported
 
 #: Topics of a recorded motion.
 ATTITUDE, ANGULAR_VELOCITY = '/attitude', '/angular_velocity'
-#: Size at which messages make a chunk, bytes.
+#: Messages are collected, and written as a chunk when they reach this size, bytes.
 _CHUNK = 2 ** 20
 #: The start of a message record: opcode, length, channel, sequence, log time, publish time.
 _HEAD = struct.Struct('<BQHIQQ')
 _HEAD_FIELDS = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                          ('sequence', '<u4'), ('log', '<u8'), ('publish', '<u8')])
-#: The QoS with which a player publishes: reliable, volatile, keep last 10. The numbers are those
-#: that rosbag2 has read since Humble; later versions also read names.
+#: The QoS with which a player publishes: reliable, volatile, keep last 10. Each policy
+#: is a number, because rosbag2 of ROS 2 Humble reads no names; later versions also read names.
 _QOS = '\n'.join([
     '- history: 1', '  depth: 10', '  reliability: 1', '  durability: 2',
     '  deadline:', '    sec: 9223372036', '    nsec: 854775807',
@@ -55,7 +55,7 @@ _QOS = '\n'.join([
 
 
 class Column(NamedTuple):
-    """Many messages of a topic: their frame_id, and their doubles, shape (n, d)."""
+    """Messages of a topic with the same frame_id; `values`, shape (n, d), are their doubles."""
 
     topic: str
     frame_id: str
@@ -67,16 +67,17 @@ class Writer:
     """
     Write an MCAP file; a context manager.
 
-    The file gets its name when it is complete. If writing fails, an existing file of that name is
-    unchanged, and no partial file is left unless `keep_partial` is set.
+    The file appears under its name only when it is complete. If writing fails, an existing file of
+    that name is unchanged, and no partial file is left unless `keep_partial` is set.
 
     Parameters
     ----------
     path : str or Path
+        The file to write.
     keep_partial : bool
         If writing fails or is interrupted, keep the chunks written so far in a new file that ends
-        in `.partial.mcap`. The exception states its name: KeyboardInterrupt in its last argument,
-        InputError in its message.
+        in `.partial.mcap`. The last argument of the KeyboardInterrupt or the message of the
+        InputError names this file.
 
     Raises
     ------
@@ -93,7 +94,7 @@ class Writer:
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, MessageType] = {}
         self._sequence: dict[str, int] = {}
-        #: Messages that wait for the next chunk: records, and (channel, time, offset) of each.
+        #: Messages that wait for the next chunk: the records, and (channel, time, offset) of each.
         self._records = bytearray()
         self._waiting: list[tuple[int, int, int]] = []
 
@@ -114,7 +115,7 @@ class Writer:
         return part.path
 
     def add_topic(self, topic: str, kind: MessageType) -> None:
-        """Add a topic; required once, before its first message."""
+        """Add a topic; call this once for each topic, before writing its first message."""
         schema = Schema(id=0, name=kind.name, encoding='ros2msg', data=kind.definition.encode())
         self._channels[topic] = self._container.add_channel(
             topic, schema, {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.type_hash})
@@ -130,7 +131,7 @@ class Writer:
         self._append(topic, time_ns, time_ns, data)
 
     def copy(self, channel: Channel, schema: Schema | None, raw: Raw) -> None:
-        """Append messages of another file, with the channel and schema that they have there."""
+        """Append messages of a topic of another file, with the channel and schema of that file."""
         topic = channel.topic
         if topic not in self._channels:
             self._channels[topic] = self._container.add_channel(
@@ -151,9 +152,9 @@ class Writer:
     def write_columns(self, stamps_ns: NDArray[np.int64], columns: Sequence[Column],
                       delay_ns: int = 0) -> None:
         """
-        Append one message per column at each stamp, ns.
+        At each stamp, ns, append one message of each column.
 
-        Its log time and its publish time are `delay_ns` later than the stamp.
+        The log time and the publish time of a message are `delay_ns` later than the stamp.
         """
         self._flush()
         fields = [(str(k), self._fields(column)) for k, column in enumerate(columns)]
@@ -224,7 +225,7 @@ class Writer:
             raise InputError(f'{failure}{kept}') from failure
 
     def _finish(self) -> None:
-        """Write the rest of the recording."""
+        """Write the waiting messages and the end of the file, and close the file."""
         self._flush()
         self._container.finish()
         self._stream.close()
