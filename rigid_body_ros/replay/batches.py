@@ -46,7 +46,7 @@ _MOST_OUTPUTS = 10 ** 8
 
 @dataclass(frozen=True)
 class Request:
-    """The arguments of `replay` that determine the motion."""
+    """The arguments of `replay` that determine the motion and the outputs."""
 
     path: str | Path
     scene: Scene
@@ -54,28 +54,28 @@ class Request:
     rate: float | None
     until: float | None
     also: Collection[str] = ()
-    #: Returns what takes each batch besides the output; None for nothing.
+    #: A function that returns the object that receives the batches; None if no object does.
     collect: Callable[[], Collector] | None = None
 
     @property
     def sensor_delay_ns(self) -> int:
-        """Return the delay of the IMU: the time from a measurement to its stamp, ns."""
+        """Return the delay of the IMU, ns: the time from a measurement to its stamp."""
         return self.scene.imu.delay_ns if IMU in self.also else 0
 
 
 class Collector(Protocol):
-    """Takes each batch of a motion."""
+    """An object that receives each batch of a motion."""
 
     def add(self, batch: Batch) -> None:
-        """Take a batch."""
+        """Receive a batch."""
 
 
 class Batch(NamedTuple):
     """
-    A part of the motion, its piece of the torques, and the wall time to compute it, s.
+    A part of the motion, the problem with the torques of this part, and the computing time, s.
 
-    `sensed` is what the IMU measures at the times of the trajectory: the motion earlier by its
-    delay.
+    `sensed` is the motion that the IMU reports at the times of the trajectory. The reported motion
+    lags behind the motion of the body by the delay of the IMU.
     """
 
     problem: Problem
@@ -85,7 +85,7 @@ class Batch(NamedTuple):
 
     @property
     def last_ns(self) -> int:
-        """Return the last stamp of the torques, ns; 0 without torques."""
+        """Return the last stamp of the torques and wheel commands, ns; 0 if there are none."""
         logs = [log.times_ns for log in (*self.problem.sources, self.problem.efforts) if log]
         return max((int(times_ns[-1]) for times_ns in logs), default=0)
 
@@ -98,28 +98,28 @@ class Batches:
     ----------
     request : Request
     topics : str
-        For error messages.
+        The names of the topics, for error messages.
     streams : sequence of Stream
     problem : Problem
-        It has the start. If the torques are one piece, it also has the changes of the body and the
-        efforts.
+        The problem; the torques of `streams` replace its torques. The problem also contains the
+        start state and, if the torques are one piece, the changes of the body and the efforts.
     is_epoch : bool
-        Whether the start is from an epoch of a node, which may have no torques.
+        Whether the motion is an epoch of a node. Such an epoch may have no torques.
 
     Attributes
     ----------
     start : State
     first_ns : int
-        Stamp of the first torque, or of the start if there is none.
+        Stamp of the first torque or command to named wheels; the start time if there are none.
     gaps : tuple of Gaps
-        Those of each log as far as it was read.
+        The gaps in the part of each log that has been read so far.
 
     """
 
     def __init__(self, request: Request, topics: str, streams: Sequence[Stream], problem: Problem,
                  is_epoch: bool) -> None:
         self._problem, start = problem, problem.start
-        #: The contents of the topics other than torques.
+        #: The stamps of the inertia and of the commands to named wheels, if these are read.
         self._others = [log.times_ns for log in (problem.changes, problem.efforts) if log]
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
@@ -129,17 +129,20 @@ class Batches:
         if problem.efforts:
             stamps.append(int(problem.efforts.times_ns[0]))
         self.first_ns = min(stamps, default=start.time_ns)
-        #: By name: the motion, the motion that a late IMU measures, and the motions with other
-        #: interpolations, which are removed if the body spins too fast. None before the first
-        #: piece.
+        #: The motions computed so far: one for each interpolation, by its name, and the motion
+        #: that a delayed IMU measures, under the key `IMU`. Empty before the first piece.
         self._motions: dict[str, Integration] = {}
+        #: The interpolations that were not requested. An interpolation with which the body spins
+        #: too fast is removed.
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
         self._alternatives = names
-        #: Their final attitudes; None if the body spins too fast.
+        #: The final attitude with each interpolation that was not requested; None if the body
+        #: spins too fast.
         self._final_attitudes: dict[str, Floats | None] = {}
-        #: The frames of the torques of each stream so far: whether they are in space axes.
+        #: For each stream, whether the torques read so far are in space axes: False, True or both.
         self._frames: list[set[bool]] = [set() for _ in streams]
-        #: Advances the alternatives. A daemon thread does not delay the end of the program.
+        #: The thread that advances the motions with the interpolations in `_alternatives`. The
+        #: thread is a daemon, so that it does not delay the end of the program.
         self._thread: Thread | None = None
         #: The exception that the thread raised.
         self._failure: BaseException | None = None
@@ -148,7 +151,7 @@ class Batches:
             end_of(request.path, 0, start.time_ns, request.until)
         self.gaps = tuple(Gaps(start.time_ns, self._end_ns, request.scene.timeout_ns)
                           for _ in streams)
-        #: rad/s; at the end of the motion so far.
+        #: The speed of the body at the end of the motion computed so far, rad/s.
         self._speed = _speed(start.angular_velocity)
 
     def __iter__(self) -> Iterator[Batch]:
@@ -166,9 +169,9 @@ class Batches:
 
     def differences(self, end: Floats) -> dict[str, float | None]:
         """
-        Return the angle between `end` and the final attitude of each other interpolation, rad.
+        For each alternative interpolation, return the angle of its final attitude to `end`, rad.
 
-        The value is None if the body spins too fast.
+        A value is None if the body spins too fast with that interpolation.
         """
         self._wait()
         return {name: None if other is None else float(so3.angle_between(other, end))
@@ -194,7 +197,7 @@ class Batches:
             self._thread = Thread(target=self._advance_alternatives, daemon=True,
                                   args=(others, until_ns, times_of(numbers[-1:]), limits))
             self._thread.start()
-            # If it measures the motion late, all torques are one piece.
+            # If the IMU has a delay, all torques are one piece.
             earlier = self._continued(IMU, logs) if self._delay_ns else None
             for first in range(0, max(len(numbers), 1), _LARGEST):
                 times_ns = times_of(numbers[first:first + _LARGEST])
@@ -213,17 +216,22 @@ class Batches:
             raise InputError(f'{self._where}: {error}') from error
 
     def _check_frames(self) -> None:
-        """Drop the other interpolations if a log has torques in both frames."""
+        """Drop the other interpolations if a log has torques in body axes and in space axes."""
         for stream, frames in zip(self.streams, self._frames):
             frames |= set(np.unique(stream.piece.in_space).tolist())
         if any(len(frames) > 1 for frames in self._frames):
             if self._request.interpolation != 'hold' and self._motions:
-                raise NotInOrderError  # the log as a whole is rejected
+                raise NotInOrderError  # reading the whole log raises the error
             self._alternatives = []
             self._final_attitudes.clear()
 
     def _logs(self, interpolation: str, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
-        """Return the torques of each stream from the current end of the motion on."""
+        """
+        Return the torques of each stream for the next part of the motion.
+
+        If there are several streams and `until_ns` is not None, the torques are cut to the
+        interval from `begin_ns` to `until_ns`.
+        """
         logs = []
         for stream in self.streams:
             try:
@@ -268,31 +276,31 @@ class Batches:
                 else:
                     if last_ns.size:  # the last piece may have no output
                         self._final_attitudes[name] = motion.attitude[-1]
-        except BaseException as error:  # raised in the main thread by `_wait`
+        except BaseException as error:  # `_wait` raises it in the main thread
             self._failure = error
 
 
 def _computing_time(logs: Sequence[TorqueLog], span_ns: tuple[int, int], speed: float,
                     scene: Scene) -> float:
-    """Return the longest `computing_time` of a log, with its errors."""
+    """Return the longest `computing_time` of the logs; raise the errors of `computing_time`."""
     return max((computing_time(log, span_ns, speed, scene) for log in logs), default=0.0)
 
 
 class _OutputTimes:
     """
-    The times of the outputs, from one piece of the log to the next.
+    The times of the outputs, which are determined piece by piece.
 
-    The times of an epoch of a node begin at its start, like the states that a node commits. Its
-    torques may all be older than the start, or there may be none.
+    In an epoch of a node, the times begin at the start of the epoch, like the states that a node
+    commits. All torques of an epoch may be older than the start, or the epoch may have no torques.
     """
 
     def __init__(self, request: Request, start_ns: int, is_epoch: bool) -> None:
         self._request, self._start_ns, self._is_epoch = request, start_ns, is_epoch
-        #: End of the motion so far, and number of its outputs.
+        #: End of the motion computed so far, ns, and number of outputs so far.
         self.done_ns, self._count = start_ns, 0
 
     def end_ns(self, stamps_ns: NDArray[np.int64]) -> int:
-        """Return the end of the motion under a log with these stamps, with errors of `end_of`."""
+        """Return the end of the motion, ns, for a log with these stamps; see `end_of`."""
         last_ns = int(stamps_ns[-1]) if stamps_ns.size else self._start_ns
         if self._is_epoch:
             last_ns = max(last_ns, self._start_ns)
@@ -301,10 +309,11 @@ class _OutputTimes:
     def up_to(self, stamps_ns: NDArray[np.int64], until_ns: int | None
               ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
         """
-        Return the numbers of the next outputs and a function that returns their times.
+        Return the indices of the next outputs, and a function that turns indices into times, ns.
 
-        The outputs end at the end of the piece or of the motion. At a high rate the times of all
-        of them would not fit in memory.
+        The next outputs are those up to `until_ns` or, if `until_ns` is None, up to the end of the
+        motion. A function returns the times, because at a high rate the times of all outputs would
+        not fit in memory.
         """
         start_ns, rate = self._start_ns, self._request.rate
         end_ns = self.end_ns(stamps_ns) if until_ns is None else until_ns
@@ -339,7 +348,7 @@ class _OutputTimes:
 
 def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = None) -> int:
     """
-    Return the end of a replay, ns: `until` seconds after the start, by default the last stamp.
+    Return the end of a replay, ns: `until` seconds after the start; by default, the last stamp.
 
     Raises
     ------

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Check a motion against the conservation laws: momentum, energy, or work and energy.
+Check that a motion conserves momentum or energy, or that energy changes by the work done.
 
-Also estimate the effect of the last digits of the data on a motion, for any solver.
+Also estimate how the last digits of the input data affect a motion, for any solver.
 """
 
 from __future__ import annotations
@@ -34,11 +34,13 @@ from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 
-#: The energy balance covers at most this many intervals of at most this angle, rad.
+#: The energy balance covers at most _MOST_INTERVALS intervals; in each interval, the body turns by
+#: at most _INTERVAL_ANGLE, rad.
 _MOST_INTERVALS = 200_000
 _INTERVAL_ANGLE = 0.05
-#: The effect of the last digits covers at most this many samples and this angle, rad, which takes
-#: about 10 ms, and is evaluated at this many times.
+#: The effect of the last digits is estimated over at most _SAMPLES samples and over an angle of at
+#: most _ANGLE, rad. The motions are compared at _TIMES points in time. The estimate takes about
+#: 10 ms.
 _SAMPLES, _ANGLE, _TIMES = 16_384, 4096.0, 64
 #: Gauss-Legendre quadrature on [0, 1].
 _GAUSS_POINTS = 0.5 + 0.1 * np.sqrt(15.0) * np.array([-1.0, 0.0, 1.0])
@@ -49,7 +51,7 @@ class Check(NamedTuple):
     """The finding of a check, as text."""
 
     finding: str
-    #: Time from the start that the check covers, and length of the motion, s.
+    #: The time from the start that the check covers, s; `total` is the length of the motion, s.
     covered: float
     total: float
 
@@ -64,9 +66,9 @@ class LastDigits(NamedTuple):
     """How far a change of the last digits moves a motion, rad; see `last_digit_effect`."""
 
     effect: float
-    #: Expected rounding error over the same angle, rad.
+    #: Expected rounding error of a motion over the part that the estimate covers, rad.
     rounding: float
-    #: Time from the start that this covers, and length of the motion, s.
+    #: The time from the start that the estimate covers, s; `total` is the length of the motion, s.
     covered: float
     total: float
 
@@ -79,10 +81,10 @@ class LastDigits(NamedTuple):
 
 def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
     """
-    Return the effect of the last digits on the beginning of a motion.
+    Estimate how far the beginning of a motion moves if the last digits of its inputs change.
 
-    Return None if start and end are the same, or if the body spins too fast for the estimate,
-    which uses the solver `auto`.
+    The estimate uses the solver `auto`. Return None if the motion ends at its start, or if the
+    body spins too fast for the estimate.
     """
     begin_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
@@ -109,13 +111,18 @@ def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
 
 def drift(problem: Problem, trajectory: Trajectory) -> Check:
     """
-    Return the violation of the conservation laws by a motion with at least one output.
+    Return how much a motion with at least one output violates the conservation laws.
 
-    Without a torque from outside, the angular momentum in space axes is constant; under torques in
-    space axes it follows their integral. Under fields alone the integrals of `_integrals` are
-    constant. Under torques in body axes, damping, fields and torques, or any torque with friction
-    of wheels, work and energy are compared. If the body changes, the motion up to the first change
-    is checked.
+    Without an external torque, the angular momentum in space axes is constant. Under torques in
+    space axes, the change of this momentum equals the integral of the torques. Under fields alone,
+    the integrals of `_integrals` are constant. In all other cases, work and energy are compared:
+
+    - under torques in body axes, or under torques of an actuator;
+    - under damping;
+    - under fields together with torques, or in orbit together with a uniform field;
+    - under friction of wheels together with torques or fields.
+
+    If the body changes, only the motion up to the first change is checked.
     """
     seconds = float(trajectory.times_ns[-1] - problem.start.time_ns) * 1e-9
     change_ns = problem.next_change_ns
@@ -158,10 +165,10 @@ def _integrals(problem: Problem, trajectory: Trajectory) -> str:
     """
     Return the relative changes, as text, of the constants of the motion under fields alone.
 
-    The energy, the potential included, under uniform fields; with it the momentum about their
-    direction if all are parallel (Lagrange). In orbit, Jacobi's integral: the energy less the
-    momentum about the normal of the orbit times the mean motion. Empty for an orbit and uniform
-    fields together, under which nothing is conserved.
+    Under uniform fields the energy, including the potential energy, is constant; if all fields are
+    parallel, the momentum about their direction is constant, too (Lagrange). In orbit, Jacobi's
+    integral is constant: the energy minus the mean motion times the momentum about the normal of
+    the orbit. In an orbit with uniform fields nothing is conserved, and the text is empty.
     """
     start, body, fields = problem.start, problem.body, problem.fields
     times_ns = np.append(start.time_ns, trajectory.times_ns)
@@ -186,17 +193,17 @@ def _integrals(problem: Problem, trajectory: Trajectory) -> str:
 
 
 def _change(terms: Sequence[Floats]) -> float:
-    """Return the largest change of a sum from its first value, relative to its largest term."""
+    """Return the largest change of a sum from its first value, relative to the largest term."""
     total, largest = np.sum(terms, axis=0), float(np.abs(terms).max())
     return float(np.abs(total - total[0]).max()) / (largest or 1.0)
 
 
 def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
-    """Return the largest error of the momentum under torques in space axes, over the momentum."""
+    """Return the relative error of the momentum under torques in space axes."""
     start, body = problem.start, problem.body
     momentum = start_momentum = so3.rotate(
         start.attitude, body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
-    for log in problem.logs:  # the momentum of a rotor is also the integral of a torque
+    for log in problem.logs:  # integrate the torque as if it acted on rotors
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
         rotors = problem.solved_by().replaced(start=State(start.time_ns), log=(), wheels=driven)
         momentum = momentum + rotors.rotor_momentum(trajectory.times_ns)
@@ -218,17 +225,19 @@ def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, flo
     """
     Compare the work on the body with the change of its kinetic energy.
 
-    The work is the integral of (tau - tau_wheel - D w) . w over time, by Gaussian quadrature with
-    three points in intervals of at most 0.05 rad between changes of the torque. The intervals are
-    shorter where rotors, damping or lags change the rates faster than the body turns. The points
-    are rounded to whole nanoseconds, which limits the comparison to about 1e-10 of an interval.
+    The work is the integral of (tau - tau_wheel - D w) . w over time. This integral is computed
+    by Gaussian quadrature with three points in intervals of at most 0.05 rad between changes of
+    the torque. The intervals are shorter where rotors, damping or lags change the rates faster
+    than the body turns. The points are rounded to whole nanoseconds. At 1 rad/s, this rounding
+    changes the work in an interval by a fraction of about 1e-10.
 
     Returns
     -------
     imbalance : float
         |work - change of energy|, relative to the largest kinetic energy.
     seconds : float
-        Time from the start that the comparison covers; the number of intervals is limited.
+        Time from the start that the comparison covers, s. The comparison covers only
+        the beginning if the whole motion needs more than `_MOST_INTERVALS` intervals.
 
     """
     edges = _interval_edges(problem, trajectory)
@@ -253,7 +262,8 @@ def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, flo
 
 
 def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int64]:
-    # Return the changes of the torque and times in between, such that all intervals are short.
+    # Return the times at which the torque changes, and further times between them, so that all
+    # intervals are short.
     changes = np.unique(np.concatenate(
         [np.empty(0, np.int64),
          *(log.segments(problem.options.timeout_ns)[0] for log in problem.acting_sources),

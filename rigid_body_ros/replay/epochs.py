@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The epochs of a node: on all topics of torques, in a recorded motion, and the chosen one."""
+"""Find the epochs of a node in a recorded motion."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from rigid_body_ros.mechanics.state import State
 
 def groups(starts: Sequence[State], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
     """
-    Return the rows of each epoch in a recorded motion; the first is its start state.
+    Return the rows of each epoch in a recorded motion; the first row is the start state.
 
-    An epoch has no rows if its process was killed before it recorded a state.
+    An epoch has no rows if the node was killed before any state was recorded.
 
     Parameters
     ----------
     starts : sequence of State
         The start states of the epochs.
     stamps_ns : array of int64, shape (n,)
-        They ascend within an epoch.
+        Stamps of the recorded states, ascending within an epoch.
     values : array, shape (n, 4) or (n, 7)
-        Attitudes, and body rates, rad/s, if they are recorded.
+        Attitudes, followed by body rates, rad/s, if body rates are recorded.
 
     Raises
     ------
     InputError
-        The first state, or one whose stamp is not later than the previous one, is not the start
-        state of an epoch.
+        The first state, or a state whose stamp is not later than the previous stamp, is not the
+        start state of an epoch.
 
     """
     width = values.shape[1]
@@ -62,7 +62,7 @@ def groups(starts: Sequence[State], stamps_ns: NDArray[np.int64], values: Floats
         left[state] -= 1
         same = numbers.get(state, [])
         following = same[bisect(same, begun[-1][0] if begun else -1):]
-        # A state of the present epoch may equal the start of another one, which then follows.
+        # A state of the current epoch may equal the start state of a later epoch.
         if following and (restarts[row] or left[state] < len(following)):
             begun.append((following[0], row))
         elif restarts[row]:

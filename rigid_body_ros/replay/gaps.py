@@ -28,20 +28,23 @@ from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.runtime.terminal import report
 from rigid_body_ros.scene import Scene
 
-#: A torque that acts for longer than this, s, and than this many usual spacings is reported.
+#: A torque causes a warning if it acts for longer than _LONG, s, and for longer than _TIMES usual
+#: spacings of the samples.
 _LONG, _TIMES = 1.0, 100
-#: Spacings are counted in this many classes per factor of two.
+#: Number of classes per factor of two; spacings are counted in classes of equal width on a
+#: logarithmic scale.
 _CLASSES = 16
-#: Largest number of steps over a gap, which take hours, and the approximate time of a step, s.
+#: Largest number of steps in a gap (so many steps take about 11 hours), and the approximate
+#: computing time of a step, s.
 _MOST_STEPS, _STEP = 1e10, 4e-6
-#: Avoids a division by zero.
+#: Lower bound of divisors, so that no division is by zero.
 _TINY = 1e-250
 #: A computation that takes longer than this, s, is announced.
 _PATIENCE = 10.0
 
 
 class Gap(NamedTuple):
-    """A time between two samples, ns."""
+    """The interval between two neighbouring samples, ns."""
 
     begin_ns: int = 0
     length_ns: int = 0
@@ -49,20 +52,20 @@ class Gap(NamedTuple):
 
 class Gaps:
     """
-    The gaps between the samples of a log, which is added piece by piece.
+    The gaps between the samples of a log that is added piece by piece.
 
     Parameters
     ----------
     start_ns, end_ns : int
-        The times between which the gaps count.
+        Start and end of the motion, ns; only the parts of gaps between these two times count.
     timeout_ns : int
-        If positive, a torque does not act for longer than this.
+        Longest time for which a torque acts, ns; 0 if there is no limit.
 
     Attributes
     ----------
     longest : Gap
     acted : Gap
-        The longest gap in which the torque is not zero and does not time out.
+        The longest gap during which the torque is not zero and does not time out.
 
     """
 
@@ -73,7 +76,7 @@ class Gaps:
         self._last_ns = -2 ** 63
 
     def add(self, log: TorqueLog) -> None:
-        """Add a piece of the log, which may overlap with the previous one."""
+        """Add a piece of the log, which may overlap with the previous piece."""
         times = np.clip(log.times_ns, *self._span)
         first = int(np.searchsorted(times, self._last_ns))
         times, acts = times[first:], _acts(log)[first:]
@@ -90,7 +93,7 @@ class Gaps:
 
     @property
     def usual(self) -> float:
-        """Return the median spacing, s, with an error of a few percent; 0 if there is none."""
+        """Return the median spacing, s, with an error of a few percent; 0 without any spacing."""
         total = np.cumsum(self._counts)
         middle = int(np.searchsorted(total, (total[-1] + 1) // 2))
         return float(2.0 ** ((middle + 0.5) / _CLASSES)) * 1e-9 if total[-1] else 0.0
@@ -114,7 +117,7 @@ class Gaps:
 
 
 def announce(where: str, seconds: float) -> None:
-    """Report the time that a computation takes, if it is long."""
+    """Report how long a computation takes, if it takes longer than `_PATIENCE`."""
     if seconds > _PATIENCE:
         report(f'{where}: computing the motion takes about {timedelta(seconds=round(seconds))} '
                '(h:min:s)')
@@ -130,11 +133,11 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
     log : TorqueLog
         The piece.
     span_ns : tuple of int
-        Start and end of the motion.
+        Start and end of the motion, ns.
     speed : float, rad/s
-        At the start.
+        The speed of the body at the start of the piece.
     scene : Scene
-        Body and solver.
+        The body and the solver.
 
     Raises
     ------
@@ -144,7 +147,7 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
     """
     if not len(log):
         return 0.0
-    # A single interval with the largest torque is an upper bound, and takes no time to compute.
+    # A single interval with the largest torque gives an upper bound that is quick to compute.
     most = _steps(np.array([math.sqrt(3.0) * np.abs(log.torques).max()]),
                   np.array([(span_ns[1] - span_ns[0]) * 1e-9]), speed, scene)
     if most.max() * _STEP <= _PATIENCE:
@@ -164,7 +167,7 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
 
 
 def _sizes(log: TorqueLog) -> Floats:
-    """Return the largest size of the torque from each sample to the next, N m."""
+    """Return the largest magnitude of the torque between each sample and the next, N m."""
     with np.errstate(over='ignore'):
         sizes = np.linalg.norm(log.torques, axis=1)
     return sizes if log.interpolation == 'hold' else np.maximum(sizes, np.append(sizes[1:], 0.0))
@@ -179,7 +182,7 @@ def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats
     rate += sum(float(one.speed(moment, body.principal_moments[2])) for one in scene.fields)
     with np.errstate(over='ignore'):
         gain = np.clip(sizes / moment, _TINY, 1.0 / _TINY)
-        if not body.is_damped:  # beyond the fastest speed, the motion ends with an error
+        if not body.is_damped:  # above the largest speed, the motion ends with an error
             seconds = np.minimum(seconds, FASTEST / gain)
         acting = np.minimum(seconds, options.timeout_ns * 1e-9) if options.timeout_ns else seconds
         stepped = acting if is_closed else seconds
@@ -196,7 +199,7 @@ def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats
 
 
 def _acts(log: TorqueLog) -> NDArray[np.bool_]:
-    """Return whether a torque acts after each sample but the last."""
+    """Return, for each interval between two samples, whether a torque acts in the interval."""
     acts = np.any(log.torques != 0.0, axis=1)
     return acts[:-1] if log.interpolation == 'hold' else acts[:-1] | acts[1:]
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Put the page of several replayed recordings together: a row and a small picture for each."""
+"""Make the page of several replayed recordings: a table with a small picture per recording."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rigid_body_ros.report.page import Markup, Page, table
 from rigid_body_ros.report.thinning import Extremes
 from rigid_body_ros.scene import Scene
 
-#: Size of a picture, in its own units, and the largest number of intervals that it shows.
+#: Width and height of a picture, SVG units, and the largest number of intervals that it shows.
 _WIDTH, _HEIGHT, _INTERVALS = 200.0, 40.0, 128
 
 
@@ -42,7 +42,7 @@ class Picture:
             self._rates.add(motion.times_ns, motion.angular_velocity)
 
     def svg(self) -> str:
-        """Return the curves of the three components as SVG."""
+        """Return the curves of the three components of the angular velocity as SVG."""
         times, low, high = self._rates.result()
         if not len(times):
             return ''
@@ -65,7 +65,7 @@ def page(outcomes: Sequence[Outcome], scene: Scene, command: str) -> Page:
     Parameters
     ----------
     outcomes : sequence of Outcome
-        Of recordings that were replayed with `collect=Picture`.
+        The outcomes of recordings that were replayed with `collect=Picture`.
     scene : Scene
         The scene of all recordings.
     command : str
@@ -87,7 +87,7 @@ def _picture(outcome: Outcome) -> Markup:
 
 
 def _text(outcome: Outcome) -> str:
-    """Return the text of the table in the terminal, with file names in place of paths."""
+    """Return the text of an outcome as in the terminal, with file names in place of paths."""
     text = outcome.summary or f'failed: {outcome.error}'
     for path in (outcome.output, outcome.path):
         text = text.replace(path, os.path.basename(os.path.abspath(path)))

@@ -41,10 +41,10 @@ from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm
 
-#: Names of partial outputs.
+#: Pattern of the names of partial outputs.
 _PARTIAL = '*.partial*.mcap'
 
-#: A recording and the output for its motion.
+#: The paths of a recording and of the output for its motion.
 Task = tuple[str, str]
 
 
@@ -53,7 +53,7 @@ class Outcome:
     """
     The result for one recording: its output and a short summary, or the error.
 
-    `collected` is what `collect` of the options of `replay` returned.
+    `collected` is the object that the option `collect` of `replay` returned.
     """
 
     path: str
@@ -63,7 +63,8 @@ class Outcome:
     collected: Collector | None = None
 
 
-#: Generates the outcomes of tasks, with the options of `replay`, in any order.
+#: A function that generates the outcomes of tasks in any order. The last argument contains the
+#: options of `replay`.
 Pool = Callable[[Sequence[Task], Scene, dict[str, Any]], Generator[Outcome]]
 
 
@@ -79,24 +80,25 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
     scene : Scene
         The scene of all recordings.
     folder : str or Path
-        Created if it does not exist.
+        The folder for the outputs; created if it does not exist.
     pool : Pool, optional
-        What replays them (default: a process for each processor).
+        The function that replays the recordings. By default, one process runs on each processor.
     options
-        As for `replay`.
+        Options of `replay`.
 
     Returns
     -------
     list of Outcome
-        In the order of the recordings.
+        The outcomes in the order of the recordings.
 
     Raises
     ------
     InputError
-        The folder cannot be created, two outputs would have the same name, or an output would
-        replace a recording or the scene, or lie in the folder of a bag.
+        The folder cannot be created; two outputs would have the same name; an output would replace
+        a recording or the scene; or an output would be in the folder of a bag.
     KeyboardInterrupt
-        A signal was received; its last argument names the partial outputs, if there are any.
+        A signal was received. The last argument of the exception names the partial outputs, if
+        there are any.
 
     """
     with protection.reading(*paths, scene=scene.path):
@@ -114,14 +116,15 @@ def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
     """
     Return the outputs for the motions of recordings: FOLDER/NAME.mcap.
 
-    NAME is the name of the recording without `.mcap`, `.db3` or `.csv` and without a `.zst` or
-    `.zstd` that follows. Any other dot is part of the name.
+    NAME is the name of the recording without the suffix `.mcap`, `.db3` or `.csv`, and without a
+    `.zst` or `.zstd` after it. Any other dot is part of the name.
 
     Raises
     ------
     InputError
-        Two recordings have the same name, the folder has the name of a file, or an output is
-        protected (see `protection.protected`) or exists and must not be overwritten.
+        Two recordings have the same name; `folder` has the suffix of a file format, but is not a
+        folder; an output is protected (see `protection.protected`); or an output exists and must
+        not be overwritten.
 
     """
     suffix = files.format_of(folder)
@@ -152,7 +155,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def _name(path: str) -> str:
-    name = os.path.basename(os.path.abspath(path))  # '.' becomes the name of the folder
+    name = os.path.basename(os.path.abspath(path))  # '.' becomes the name of the current folder
     return re.sub(r'(?<=.)(\.(mcap|db3|csv))?(\.zstd?)?$', '', name, flags=re.IGNORECASE)
 
 
@@ -171,14 +174,14 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
 
 def _in_processes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
                   ) -> Generator[Outcome]:
-    """Generate the outcomes in the order in which the processes finish."""
+    """Generate the outcomes in the order in which the processes finish them."""
     replay = _Replay([path for path, _ in tasks], scene, options)
     with Processes() as processes:
         yield from processes.results(partial(_in_process, replay), tasks, _died)
 
 
 def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
-    """Return the workers of a scheduler, with the arguments and errors of `connected`."""
+    """Return a pool of the workers of a scheduler; arguments and errors are as for `connected`."""
     def outcomes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
                  ) -> Generator[Outcome]:
         given = {_absolute(task): task for task in tasks}
@@ -196,17 +199,17 @@ def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
 @dataclass(frozen=True)
 class _Replay:
     """
-    The work of one process on a recording.
+    A call of `replay` for one recording, which a worker process makes.
 
     Attributes
     ----------
     inputs : sequence of str
-        All recordings; no output may replace them.
+        All recordings, none of which an output may replace.
     scene : Scene
     options : dict
-        As for `replay`.
+        Options of `replay`.
     shared : str
-        A folder that a worker finds only if it shares the file system of the command.
+        A folder that a worker finds only if the worker shares the file system of the command.
     overwrite : bool
         Whether outputs may replace existing files.
 
@@ -232,9 +235,9 @@ class _Replay:
 
 
 def _in_process(replay: _Replay, task: Task) -> Outcome:
-    # Replace the default lock, a semaphore, which stays in the system if the process is killed.
+    # Replace the default lock of tqdm, because its semaphore would outlive a killed process.
     tqdm.set_lock(threading.RLock())
-    with redirect_stderr(io.StringIO()):  # one progress bar is enough
+    with redirect_stderr(io.StringIO()):  # only the main process shows a progress bar
         return replay(task)
 
 

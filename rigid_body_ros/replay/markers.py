@@ -28,9 +28,10 @@ BODY, ANGULAR_MOMENTUM, ANGULAR_VELOCITY = '/marker/body', '/marker/angular_mome
     '/marker/angular_velocity'
 TOPICS = {BODY: messages.BOX, ANGULAR_MOMENTUM: messages.ORANGE_ARROW,
           ANGULAR_VELOCITY: messages.BLUE_ARROW}
-#: m; all arrows have the same length, so that small rates are visible.
+#: Length and thickness of arrows, m. All arrows have the same length, so that small rates are
+#: visible.
 _LENGTH, _THICKNESS = 1.0, 0.03
-#: m; smallest size, because rviz rejects markers of size zero.
+#: Smallest size of a marker, m, because rviz rejects markers of size zero.
 _SMALLEST = 1e-3
 
 
@@ -46,7 +47,7 @@ def columns(trajectory: Trajectory, frame: str) -> list[Column]:
 
 
 def box(body: RigidBody) -> Floats:
-    """Return the edges, m, of the box that represents a body (see `uniform_box`), shape (3,)."""
+    """Return the edge lengths, m, shape (3,), of the box for a body (see `uniform_box`)."""
     return np.maximum(uniform_box(body), _SMALLEST)
 
 
@@ -58,7 +59,7 @@ def _arrows(vectors: Floats) -> Floats:
     """
     sizes = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.where(sizes > 0.0, sizes, 1.0)[:, None]).T
-    # The shortest rotation from x to the vector; if the vector points along -x, 180 deg about z.
+    # The shortest rotation from x to the vector; 180 deg about z if the vector points along -x.
     opposite = x < -1.0 + 1e-12
     rotation = np.stack([np.zeros_like(x), np.where(opposite, 0.0, -z),
                          np.where(opposite, 1.0, y), np.where(opposite, 0.0, 1.0 + x)], axis=1)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write a replayed motion: its topics and their messages."""
+"""Write the topics and the messages of a replayed motion."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS:
 
 
 def check_names(also: Collection[str]) -> None:
-    """Raise InputError if a name of additional topics is unknown."""
+    """Raise InputError if `also` contains an unknown name."""
     known = *_ALSO, INPUT
     for name in also:
         if name not in known:
@@ -45,7 +45,7 @@ def check_names(also: Collection[str]) -> None:
 
 
 def topics(request: Request) -> dict[str, MessageType]:
-    """Return the topics of an output with their types."""
+    """Return the topics of an output, with their types."""
     found = dict(_TOPICS)
     if request.scene.has_rotors:
         found[_ROTOR_MOMENTUM] = messages.VECTOR3
@@ -63,12 +63,12 @@ def add_topics(writer: recording.Writer, request: Request) -> None:
     writer.add_metadata(NAME, {
         'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(request.scene.values)),
         'interpolation': request.interpolation,
-        # A file name may hold bytes that are not text.
+        # A file name may contain bytes that are not text.
         'torques': Path(request.path).name.encode(errors='replace').decode()})
 
 
 def write(writer: recording.Writer, request: Request, batch: Batch, delay_ns: int = 0) -> None:
-    """Write a part of a motion; it is logged `delay_ns` later than its stamps."""
+    """Write a part of a motion; the log times are `delay_ns` later than the stamps."""
     scene, trajectory = request.scene, batch.trajectory
     space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
     attitude, rates = trajectory.attitude, trajectory.angular_velocity

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Collect a replayed motion batch by batch for a page, and put the page together."""
+"""Collect a replayed motion batch by batch, and make a page that shows the motion."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from rigid_body_ros.report.text import numbers
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
 
-#: Significant digits of numbers; the output and the terminal have all of them.
+#: Significant digits of numbers on the page; the output and the terminal show all digits.
 _DIGITS = 4
-#: Ratio of two speeds up to which they count as the same.
+#: Two speeds count as the same up to this ratio.
 _SAME = 1.05
 
 
 class PageCollector:
     """
-    The data of a motion that a page shows, thinned while the motion is computed.
+    The data of a motion for a page, thinned while the motion is computed.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class PageCollector:
 
 
 def _headline(times_ns: NDArray[np.int64], keys: Floats) -> str:
-    """Return how far the body turns, and how its speed changes."""
+    """Return a sentence on how far the body turns, and how its speed changes."""
     seconds = 1e-9 * (times_ns - times_ns[0])
     speeds = np.linalg.norm(keys[:, moving_body.RATE], axis=1)
     angle = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(seconds)))

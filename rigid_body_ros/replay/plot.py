@@ -23,14 +23,14 @@ from rigid_body_ros.replay.result import Replay
 
 def draw(path: str | Path, result: Replay, name: str) -> None:
     """
-    Draw a motion and its torques into a PNG file; `replay` must have kept them.
+    Draw a motion and its torques into a PNG file.
 
     Parameters
     ----------
     path : str or Path
         The PNG file, with any suffix; an existing file is overwritten.
     result : Replay
-        With problem and trajectory.
+        The result of `replay` with `keep`, which contains the problem and the trajectory.
     name : str
         Name of the recording, for the title.
 
@@ -40,7 +40,7 @@ def draw(path: str | Path, result: Replay, name: str) -> None:
         The file cannot be written.
 
     """
-    from rigid_body_ros.report import figures  # matplotlib takes long to load
+    from rigid_body_ros.report import figures  # matplotlib is slow to import
     problem, motion = result.problem, result.trajectory
     assert problem
     assert motion

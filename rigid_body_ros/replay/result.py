@@ -41,40 +41,45 @@ class Replay:
     scene : Scene
     interpolation : str
     topic : str
-        Topic of the torques; several are separated by commas.
+        Topics of the torques, separated by commas.
     wheel_source : str
-        Where the torque on the rotors comes from.
+        Source of the torque on the rotors, as text.
     messages : int
         Number of torque messages.
     unordered : int
         Number of messages whose stamp is not later than the stamp of the previous message.
     first_ns, last_ns : int
-        First and last torque stamp, ns.
+        First and last stamp of the torques and wheel commands, ns; both are the start time if
+        there are none.
     damage : str
         Which part of the recording was lost; '' if none.
     start, last : State
         First and last state of the motion.
     solvers : dict
-        By solver and reason, the length of the motion computed with it, ns.
+        For each solver that was used: the length, ns, of the part of the motion that the solver
+        computed. A key names the solver and, in parentheses, the reason for choosing it.
     interpolation_differences : dict
-        For each other interpolation, the angle, rad, between its final attitude and that of the
-        motion; None if the body spins too fast to compute.
+        For each interpolation other than `interpolation`: the angle, rad, between the final
+        attitude with that other interpolation and the final attitude of the motion. None if the
+        body spins too fast with the other interpolation.
     check : Check, optional
-        How much the motion, or the part of it that is checked, violates the conservation laws.
+        How much the motion, or its checked part, violates the conservation laws.
     last_digits : LastDigits, optional
-        How far the motion, or the beginning of it, moves if the last digits of inertia, torques
-        and start change; None if that was not estimated.
+        How far the motion, or its beginning, moves if the last digits of inertia, torques and
+        start change; None if there is no estimate.
     gaps : tuple of Gaps
-        Those of each log: of the torques in the order of the topics, then on the rotors.
+        The gaps in each log of torques, in the order of the topics. The log of the torques on the
+        rotors is last.
     seconds : dict
-        Wall time spent to read, propagate and write, s.
+        Wall time, s, of the three steps 'read', 'propagate' and 'write'.
     problem, trajectory : Problem, Trajectory, optional
-        The problem with all torques, and the whole motion, if `keep` was set.
+        The problem with all torques, and the whole motion; None if `replay` did not keep them
+        (see its option `keep`).
     collected : optional
-        What `collect` returned.
+        The object that `collect` returned.
     earlier : tuple of Replay
-        Those of the earlier epochs, if the recording has several epochs of a node: this one is of
-        the last epoch.
+        The results of the earlier epochs, if the recording contains several epochs of a node. In
+        that case, this object is the result of the last epoch.
 
     """
 
@@ -108,7 +113,7 @@ class Replay:
     __str__ = text
 
     def rows(self, digits: int = 15) -> list[tuple[str, object]]:
-        """Return the facts of a summary as names and texts, with states to so many digits."""
+        """Return the rows of a summary; states are written with `digits` significant digits."""
         last, epochs = self.last, (*self.earlier, self)
         sequence = self.scene.euler_sequence
         angles = euler.from_quaternion(last.attitude, sequence)
@@ -144,7 +149,7 @@ class Replay:
 
 
 def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
-    """Return the facts of the earlier epochs, if there are any, a line for each."""
+    """Return the rows about the earlier epochs; an empty list if there are no earlier epochs."""
     if not result.earlier:
         return []
     return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows '
@@ -156,7 +161,7 @@ def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
 
 
 def _gaps(result: Replay) -> list[tuple[str, object]]:
-    """Return the longest gap in the log that has the longest one, and warnings about all logs."""
+    """Return the longest gap of all logs, and the warnings about all logs."""
     gaps = [gaps for gaps in result.gaps if gaps.longest.length_ns]
     longest = sorted(gaps, key=lambda one: one.longest.length_ns)[-1:]
     return [*(('longest gap', str(one)) for one in longest),

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Replay one recording: read torques, compute the motion, write it.
+Replay one recording: read torques, compute the motion, write the motion.
 
-Torques are read and the motion is computed piece by piece, so neither has to fit in memory. Only
-recordings with stamps far out of order, or with several epochs of a node, are read as a whole.
+Torques are read and the motion is computed piece by piece, so neither has to fit in memory. Some
+recordings are read as a whole, such as those with stamps far out of order or with several epochs
+of a node.
 """
 
 from __future__ import annotations
@@ -69,56 +70,65 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     """
     Compute the motion of a body from the torques of a recording.
 
-    The log of a node may have several epochs. Each has a motion of its own from its start state,
-    and these follow each other in the output.
+    The log of a node may contain several epochs. `replay` computes the motion of each epoch from
+    the start state of that epoch, and writes these motions to the output one after the other.
 
     Parameters
     ----------
     path : str or Path
         The recording; see `recording.Source`.
     scene : Scene
-        If its start_time is 0, the motion starts at the earliest stamp of all topics. The log of a
-        node has its own start.
+        The body, its initial state and the options. If `start_time` is 0, the motion starts at
+        the earliest stamp of all topics. In the log of a node, the start state of each epoch
+        replaces the initial state of the scene.
     output : str or Path, optional
-        Where to write attitude, Euler angles, angular velocity and, if there are rotors, their
-        momentum, and of wheels with names speed and effort: an MCAP file, which may exist, or, if
-        the name does not end in .mcap, a new rosbag2 folder. It must not be the recording or the
-        scene file, under any name, or lie in the folder of the bag.
+        Where to write the motion: an MCAP file if the name ends in .mcap (an existing file is
+        replaced), otherwise a new rosbag2 folder. The output contains the attitude, the Euler
+        angles, the angular velocity, the momentum of the rotors if there are any, and the speeds
+        and efforts of named wheels. The output must not be the recording or the scene file, under
+        any name, and must not be in the folder of a bag that is read.
     topic : str or sequence of str, optional
-        Topics of the torques, which add up; by default those of the scene. If the scene has one
-        topic and the recording has one, their names may differ.
+        Topics whose torques are added up; by default, the torque topics of the scene. If the
+        scene and the recording have one topic each, their names may differ.
     interpolation : str, optional
-        Interpolation between samples; otherwise the scene's.
+        Interpolation between samples; by default, the interpolation that the scene sets.
     rate : float, optional, Hz
-        Output rate; otherwise there is an output at every torque stamp from the start on, and at
-        `until`, and of the log of a node at the start of each epoch.
+        Output rate. By default, there is an output at every torque stamp from the start on, at
+        `until`, and, for the log of a node, at the start of each epoch.
     until : float, optional, s
-        End of the motion, or of each epoch, after its start; otherwise the last stamp.
+        Length of the motion, or of the motion of each epoch. By default, the motion ends at the
+        last stamp.
     start : float, s
-        Skip this many seconds of the recording. Only for one topic of torques, and not for the log
-        of a node.
+        Skip this many seconds at the beginning of the recording. Skipping is not allowed for the
+        log of a node, or if several topics are read.
     time_source : str
-        When a torque takes effect: 'header' (its stamp), 'log' or 'publish'.
+        When a torque takes effect: 'header' (its stamp), 'log' (time of recording) or 'publish'
+        (time of publishing).
     also : collection of str
         Additional topics to write: 'imu' (/imu/data), 'tf' (/tf), 'markers' (/marker/...), and
         'input' (all messages of the recording, byte for byte).
     keep : bool, optional
-        Whether to return log and trajectory, which takes memory; by default if there is no output.
+        Whether the result contains the problem and the trajectory, which take up memory. By
+        default, the result contains them only if there is no output.
     wheel_torque : str, optional
-        Topic of the torque of the motors on the rotors; by default wheel_torque, if the scene has
-        wheels and the recording has that topic.
+        Topic of the torque of the motors on the rotors; by default `wheel_torque`, if the scene
+        has `wheels` and the recording has that topic.
     wheel_momentum : str, optional
-        Topic of the measured momentum of the rotors, which is linear between samples. The motion
-        starts with the measured momentum.
+        Topic of the measured momentum of the rotors, interpolated linearly between samples. The
+        motion starts with the measured momentum. If the momentum is read, the recording is read as
+        a whole.
     wheel_command : str, optional
-        Topic of the commands of wheels with names; by default wheel_command, if the scene has
-        wheel_names and the recording has that topic. The recording is then read as a whole.
+        Topic of the commands to named wheels; by default `wheel_command`, if the scene has
+        `wheel_names` and the recording has that topic. If wheel commands are read, the recording
+        is read as a whole.
     inertia : str, optional
-        Topic of the inertia of a body that changes; by default inertia, if the scene has
-        inertia_topic and the recording has that topic. The recording is then read as a whole.
+        Topic of the inertia of a body that changes; by default `inertia`, if the scene has
+        `inertia_topic` and the recording has that topic. If the inertia is read, the recording is
+        read as a whole.
     collect : callable, optional
-        Returns an object whose method `add` takes each `Batch` of the motion, or of the last
-        epoch. It is called once more if the recording has to be read again.
+        Returns an object whose method `add` receives each `Batch` of the motion or, if there are
+        several epochs, of the motion of the last epoch. `collect` is called again if the recording
+        has to be read again.
 
     Returns
     -------
@@ -165,7 +175,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
 
 
 def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoch]:
-    """Return the motion of torques that are read piece by piece; it has one epoch."""
+    """Return the single epoch of a recording whose torques are read piece by piece."""
     opened, scene = streams.opened(), request.scene
     first_ns = min([int(stream.piece.times_ns[0]) for stream in opened
                     if len(stream.piece.times_ns)], default=0)
@@ -176,7 +186,7 @@ def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoc
 
 
 def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequence[Epoch]:
-    """Return the motions of all epochs, each with its torques as one piece."""
+    """Return all epochs, each with its torques as one piece."""
     return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
                     topics.wheel_source, each.messages, each.unordered, damage=each.damage),
              Batches(request, ', '.join(each.topics), whole(each), each.problem, each.is_epoch))
@@ -209,7 +219,7 @@ def _replayed(request: Request, begin: Callable[[], Sequence[Epoch]], copied: So
 
 def _compute(request: Request, result: Replay, batches: Batches,
              writer: recording.Writer | None, keep: bool, delay_ns: int) -> None:
-    """Compute the motion of an epoch, which is logged `delay_ns` later than its stamps."""
+    """Compute and write the motion of an epoch; log times are `delay_ns` later than stamps."""
     kept: list[Batch] = []
     result.start = result.last = batches.start
     result.first_ns, result.gaps = batches.first_ns, batches.gaps
@@ -256,7 +266,7 @@ def _update(result: Replay, batch: Batch) -> None:
 
 
 def _joined(batches: list[Batch]) -> Trajectory:
-    """Return the motion of all batches of one log."""
+    """Return the motion of all batches as one trajectory."""
     parts = [batch.trajectory for batch in batches]
     motion = [*(part.attitude.ravel() for part in parts),
               *(part.angular_velocity.ravel() for part in parts)]

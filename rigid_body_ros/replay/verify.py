@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute a recorded motion again and compare the two."""
+"""Compute a recorded motion again, and compare the two motions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ from rigid_body_ros.scene import Scene
 
 #: Message types of the states of a node and the attitude of a replay.
 _KINDS = (messages.ODOMETRY, messages.QUATERNION)
-#: rad; largest difference between the first attitude of a node and the start of its scene.
+#: Angle, rad, up to which the first attitude of a node counts as the initial attitude of the
+#: scene.
 _SAME_START = 1e-6
 
 
@@ -51,17 +52,18 @@ class Verified:
     topic : str
     stamps_ns : array of int64, shape (n,)
     same : array of bool, shape (n,)
-        Whether all bits of a state are equal.
+        Whether all bits of the recorded and the computed state are equal.
     angles : array, shape (n,), rad
-        Angles between the two attitudes.
+        Angles between the recorded and the computed attitude.
     versions : dict
-        By package, the version that made the recording and the one in use, if they differ.
+        For each package whose versions differ: the version that made the recording, and the
+        version in use.
     epochs : int
         Number of epochs in the log of a node; 0 if the torques are not the log of a node.
     compared_epochs : int
-        Number of epochs that have a state.
+        Number of epochs with at least one recorded state.
     pending : int
-        Number of stamps of torques without a committed state.
+        Number of torque stamps that have no committed state.
 
     """
 
@@ -75,7 +77,7 @@ class Verified:
     pending: int = 0
 
     def text(self) -> str:
-        """Return the agreement of the two motions, one line per fact."""
+        """Return how well the two motions agree, one line per fact."""
         count = len(self.same)
         rows = [('compared', f'{count} states of {self.topic}{_epochs(self)}'),
                 ('same bits', f'{np.count_nonzero(self.same)} of {count}'),
@@ -95,26 +97,30 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
            topics: Topics | None = None, *, motion_topic: str | None = None,
            interpolation: str | None = None, until: float | None = None) -> Verified:
     """
-    Compute a recorded motion again and compare the two; of a node, in every epoch.
+    Compute a recorded motion again, and compare the two motions.
+
+    If a node recorded the motion, every epoch is compared.
 
     Parameters
     ----------
     path : str or Path
         Recording of the torques, such as the accepted_torque of a node.
     scene : Scene
-        Scene of the recorded motion; its options affect every bit, and so does its start, unless
-        the torques are the log of a node, which has its own.
+        Scene of the recorded motion. The options and the initial state of the scene affect every
+        bit of the motion. If the torques are the log of a node, the start states in the log
+        replace the initial state.
     motion_path : str or Path
         Recording of the motion: the committed states of a node, or the attitude of a replay.
     topics : Topics, optional
-        The topics of the torques; by default those of the scene.
+        The topics of the torques; by default, the torque topics of the scene.
     motion_topic : str, optional
-        By default the committed states of the node whose log `topics` are. Required if the
-        recording of the motion lacks these, and has several suitable topics.
+        Topic of the motion. By default, the committed states of the node that logged the torques.
+        Required if the recording of the motion lacks these states and has several topics of a
+        suitable type.
     interpolation : str, optional
-        Interpolation between samples; otherwise the scene's.
+        Interpolation between samples; by default, the interpolation that the scene sets.
     until : float, optional, s
-        Compare only the states up to this long after the start, or the start of each epoch.
+        Compare only the states up to this time after the start, or after the start of each epoch.
 
     Returns
     -------
@@ -123,8 +129,8 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     Raises
     ------
     InputError
-        A recording cannot be read, does not match the scene, has no states after the start, or a
-        committed state has no counterpart in the log.
+        A recording cannot be read, does not match the scene, or contains no states after the
+        start; or a committed state has no torque in the log.
     ValueError
         `until` is negative or longer than 1e9 s.
 
@@ -132,7 +138,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     topics = topics or Topics()
     epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
                                    progress('reading', size=len))
-    # In addition to the log of a node; a recording of all topics also has its outputs.
+    # Prefer the committed states: a recording of all topics of a node also has other outputs.
     log = next(iter(topics.torques), topics.wheel_command)
     committed = f'{log.rpartition("/")[0]}/committed' if log else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
@@ -165,7 +171,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
 
 def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
     """
-    Return the rows of each epoch in a recorded motion, or of the one motion to compare.
+    Return the rows of each epoch in a recorded motion, or the rows of the only motion.
 
     `values` are attitudes, shape (n, 4), or attitudes and body rates of a node, shape (n, 7).
     """
@@ -174,8 +180,8 @@ def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats
     start, is_state = epochs[0].problem.start, values.shape[1] > 4
     if epochs[0].is_epoch:
         return groups([one.problem.start for one in epochs], stamps_ns, values)
-    # A node records the start of each epoch; without markers the last one is the start of the
-    # scene.
+    # A node records the start of each epoch. Without markers, use the last state at the start
+    # time as the start of the motion.
     begun = np.flatnonzero(stamps_ns == start.time_ns)
     first = int(begun[-1]) if is_state and begun.size else 0
     _check_begins(start, epochs[0].times_ns, stamps_ns[first:])
@@ -186,7 +192,7 @@ def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats
 
 def _until(end_ns: int, stamps_ns: NDArray[np.int64],
            values: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return the states up to a time; raise InputError if there were only later ones."""
+    """Return the states up to a time; raise InputError if all states are later."""
     chosen = stamps_ns <= end_ns
     if stamps_ns.size and not chosen.any():
         raise InputError(f'expected states up to --until, at {end_ns} ns, found the first at '
@@ -196,7 +202,11 @@ def _until(end_ns: int, stamps_ns: NDArray[np.int64],
 
 def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
               values: Floats) -> tuple[NDArray[np.bool_], Floats]:
-    """Return whether all bits of each state agree with the motion, and the angle, rad."""
+    """
+    Compare recorded states with computed states.
+
+    Return whether all bits of each pair are equal, and the angles between the attitudes, rad.
+    """
     try:
         motion = epoch.problem.propagate(at=stamps_ns)
     except ValueError as error:
@@ -208,7 +218,7 @@ def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
 
 
 def _pending(epoch: Logged, stamps_ns: NDArray[np.int64], until_ns: int) -> int:
-    """Return the number of stamps of torques, up to `until`, without a committed state."""
+    """Return how many torque stamps, up to `until_ns` after the start, have no committed state."""
     start_ns, times = epoch.problem.start.time_ns, epoch.times_ns
     due = times[(times > start_ns) & (times <= start_ns + until_ns)]
     return len(np.setdiff1d(due, stamps_ns))
@@ -230,7 +240,7 @@ def _check_begins(start: State, torques_ns: NDArray[np.int64],
 
 
 def _check_start(start: State, stamps_ns: NDArray[np.int64], first: Floats) -> None:
-    """Raise InputError if the committed states of a node do not begin with the start state."""
+    """Raise InputError unless the committed states of a node begin with the start state."""
     late = 'the recorder started late, or the scene or its start_time is not that of the run'
     if start.time_ns not in stamps_ns:
         raise InputError(f'expected the first state at the start of the motion, {start.time_ns} '
@@ -243,9 +253,10 @@ def _check_start(start: State, stamps_ns: NDArray[np.int64], first: Floats) -> N
 
 def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
     """
-    Raise InputError if torques of committed states are missing.
+    Raise InputError if the torque of a committed state is missing.
 
-    A node commits the start of an epoch first, then the state at every torque that it accepted.
+    A node commits the start state of an epoch first, then the state at every torque that it has
+    accepted.
     """
     torques_ns = epoch.times_ns
     missing = np.setdiff1d(stamps_ns, np.append(torques_ns, epoch.problem.start.time_ns))
@@ -258,7 +269,7 @@ def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
 
 
 def _epochs(result: Verified) -> str:
-    """Return the epochs of a node that the states belong to, and torques without a state."""
+    """Return, as text, how many epochs were compared, and how many states are missing."""
     if not result.epochs:
         return ''
     part = '' if result.compared_epochs == result.epochs else f'{result.compared_epochs} of '
