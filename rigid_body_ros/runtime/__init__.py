@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Output files, messages, signals and software versions of the running process."""
+"""What the commands and nodes share: files, parameters, signals, workers and versions."""

@@ -36,28 +36,28 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, package_hash
 from rigid_body_ros.runtime.pool import WorkerError, Workers
 
-if TYPE_CHECKING:  # takes a second to import, and only --scheduler needs it
+if TYPE_CHECKING:  # distributed takes a second to import, and only --scheduler needs it
     from distributed import Client
 
-#: s; how long to try to connect.
+#: How long to try to connect, s.
 _PATIENCE = 10.0
 _ADDRESS = re.compile(r'\w+://.+|[^/\s]+:\d+')
 
 
 class Cluster(Workers):
     """
-    The workers of a Dask scheduler, see `connected`.
+    The workers of a Dask scheduler; see `connected`.
 
-    If a worker dies, others compute its share. Functions, items and results are
-    pickled; a function is sent once to each worker.
+    If a worker dies, other workers compute its items. Functions, items and results are pickled; a
+    function is sent only once to each worker.
 
     Parameters
     ----------
     name : str
-        The scheduler, for messages.
+        The name of the scheduler, for messages.
     client : distributed.Client
-    note : function
-        Takes a line for the user.
+    note : callable
+        Takes a line of text for the user.
 
     """
 
@@ -78,17 +78,18 @@ class Cluster(Workers):
     def results(self, function: Callable[[Any], Any], items: Iterable[Any],
                 died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
-        Generate the results of a function for all items, see `Workers`.
+        Generate the results of a function for all items, as `Workers` does.
 
         Raises
         ------
         InputError
-            A worker has other versions, the connection is lost, or the function raised it.
+            A worker has other versions, the connection is lost, or the function raised InputError.
         KeyboardInterrupt
             A signal was received.
 
         """
-        # A task, unlike scattered data, is computed again if all workers die that have it.
+        # Submit the function as a task, not as scattered data. If all workers that hold the
+        # function die, Dask repeats the task, whereas scattered data would be lost.
         self._function = self.client.submit(bytes, pickle.dumps(function), pure=False)
         try:
             yield from super().results(function, items, died)
@@ -122,9 +123,9 @@ def connected(scheduler: str, note: Callable[[str], None]) -> Iterator[Cluster]:
     Parameters
     ----------
     scheduler : str
-        Its address, such as tcp://10.0.0.1:8786, or the file that it wrote.
-    note : function
-        Takes a line for the user.
+        The address of the scheduler, such as tcp://10.0.0.1:8786, or the file that it wrote.
+    note : callable
+        Takes a line of text for the user.
 
     Raises
     ------
@@ -140,7 +141,7 @@ def connected(scheduler: str, note: Callable[[str], None]) -> Iterator[Cluster]:
 
 
 def _address_in(path: str) -> str:
-    """Return the address in a file of a scheduler."""
+    """Return the address in the file that a scheduler wrote."""
     try:
         address = json.loads(Path(path).read_text(encoding='utf-8'))['address']
     except OSError as error:
@@ -171,7 +172,7 @@ def _client(scheduler: str, address: str) -> Client:
 
 
 async def _kind(address: str) -> str:
-    """Return the kind of server at an address; an unconnected client would block at exit."""
+    """Return the kind of server at an address; a client of any other kind would block at exit."""
     from distributed import rpc, Security
     remote = rpc(address, connection_args=Security().get_connection_args('client'))
     try:
@@ -206,10 +207,12 @@ def _versions() -> dict[str, str]:
 @dataclass(frozen=True)
 class _Call:
     """
-    The call of `_compute`, made when its pickle is loaded; the function is a buffer of the pickle.
+    An item to compute: loading the pickle of this object calls `_compute`.
 
-    The scheduler and the workers receive only bytes and `pickle.loads`. So a worker without this
-    package, or with another version of it, reports an error; Dask would end its process.
+    The user's function is passed as a buffer of the pickle, so the scheduler and the workers
+    receive only bytes and `pickle.loads`. A worker without this package, or with another version
+    of the package, therefore reports an error. If the worker received the function itself, Dask
+    would end the process of the worker.
     """
 
     versions: Mapping[str, str]
@@ -220,11 +223,11 @@ class _Call:
 
 
 def _out_of_band(buffer: pickle.PickleBuffer) -> None:
-    """Leave a buffer out of a pickle."""
+    """Return None, which tells `pickle.dumps` to leave the buffer out of the pickle."""
 
 
 def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:
-    """Return, on a worker, the result for an item."""
+    """Return the result of the function for an item; called in a worker."""
     for name, found in _versions().items():
         if found != versions.get(name):
             raise InputError(f'{socket.gethostname()}: expected the versions of this command, '
@@ -233,6 +236,6 @@ def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:
     return _loaded(function)(item)
 
 
-@lru_cache(maxsize=1)  # for all tasks of a worker
+@lru_cache(maxsize=1)  # all tasks of a worker have the same function
 def _loaded(function: bytes) -> Any:
     return pickle.loads(function)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Public names that stay for one release."""
+"""Deprecated public names, kept for one release."""
 
 import warnings
 
@@ -22,7 +22,7 @@ def warm_up() -> None:
     Do nothing: the kernels are compiled when the package is built.
 
     .. deprecated:: 0.1.0
-        The next release does not have it.
+        The next release removes this function.
     """
     warnings.warn('rigid_body_ros.warm_up does nothing: the kernels are compiled when the package '
                   'is built; the next release does not have it', DeprecationWarning, stacklevel=2)

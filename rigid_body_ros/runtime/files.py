@@ -15,8 +15,8 @@
 """
 Write output files and folders safely.
 
-An output gets its name only when it is complete. It never replaces an input, and a command
-replaces an existing output only with --overwrite.
+An output gets its final name only when it is complete. It never replaces an input, and a command
+replaces an existing file only with --overwrite.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ import weakref
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime.protection import check_apart, protected, real_path
 
-#: Used in place of a suffix: the output is a folder.
+#: Used in place of a suffix for an output that is a folder.
 FOLDER = ''
 #: Suffixes that name a file format. Any other suffix, as in `run.1`, is part of the name.
 _FORMATS = frozenset([
@@ -46,14 +46,14 @@ _FORMATS = frozenset([
     '.sqlite3', '.svg', '.tar', '.tif', '.tiff', '.toml', '.tsv', '.txt', '.ulg', '.urdf', '.webp',
     '.xlsx', '.xml', '.xz', '.yaml', '.yml', '.zarr', '.zip', '.zst', '.zstd',
 ])
-#: Errors that mean that a file system cannot flush a folder.
+#: Errors that a file system raises if it cannot flush a folder.
 _CANNOT_FLUSH = (errno.EINVAL, errno.EACCES, errno.ENOTSUP)
 _may_overwrite: ContextVar[bool] = ContextVar('_may_overwrite', default=True)
 
 
 @contextmanager
 def overwriting(allowed: bool) -> Iterator[None]:
-    """Allow or forbid, within the context, replacing existing files; the default allows it."""
+    """Within the context, allow or forbid outputs to replace existing files (default: allow)."""
     token = _may_overwrite.set(allowed)
     try:
         yield
@@ -93,7 +93,7 @@ def check(*outputs: tuple[str | Path, str]) -> None:
     Parameters
     ----------
     outputs : tuples of path and suffix
-        As for `Part`.
+        The arguments of `Part`, for each output.
 
     Raises
     ------
@@ -112,13 +112,15 @@ def check(*outputs: tuple[str | Path, str]) -> None:
 @contextmanager
 def atomic_output(path: str | Path, suffix: str) -> Iterator[Path]:
     """
-    Yield a temporary path to write to, and rename it at the end unless an exception is raised.
+    Yield a temporary path to write to; at the end, rename it to the final name.
+
+    If an exception is raised, an existing file of that name stays unchanged.
 
     Raises
     ------
     InputError
         The file exists and must not be overwritten, cannot be written, or would replace a
-        protected file. An existing file of that name is left unchanged.
+        protected file.
 
     """
     with reported(path):
@@ -132,7 +134,7 @@ def atomic_output(path: str | Path, suffix: str) -> Iterator[Path]:
 
 @contextmanager
 def reported(path: str | Path, verb: str = 'write') -> Iterator[None]:
-    """Turn an OSError within the context into an InputError that names the file."""
+    """Convert an OSError within the context into an InputError that names the file."""
     try:
         yield
     except OSError as error:
@@ -141,10 +143,10 @@ def reported(path: str | Path, verb: str = 'write') -> Iterator[None]:
 
 class Part:
     """
-    An output under a temporary name in the folder of its final name.
+    An output that is written under a temporary name, in the folder of its final name.
 
-    Every output is written through this class. The temporary name is new and unpredictable, so it
-    replaces nothing. If Python exits before the output is complete, the output is removed.
+    Every output is written through this class. The temporary name is new and unpredictable, so no
+    file is replaced. If Python exits before the output is complete, the output is removed.
 
     Parameters
     ----------
@@ -163,7 +165,7 @@ class Part:
     Raises
     ------
     InputError
-        The name belongs to a file that must not be replaced, or has the suffix of another format.
+        The name is that of a file that must not be replaced, or has the suffix of another format.
     OSError
         The output cannot be written.
 
@@ -176,13 +178,14 @@ class Part:
         short = os.fsdecode(os.fsencode(self.target.name)[:100])  # names are limited to 255 bytes
         self.path = self.target.with_name(
             f'.{short}.{secrets.token_hex(8)}.{os.getpid()}.part')
-        #: Remove the temporary file or folder. Registered before it is created and called when
-        #: Python exits at the latest, because a signal may arrive between any two lines.
+        #: Removes the temporary file or folder. This finalizer is registered before the file is
+        #: created, and called at exit at the latest, because a signal may arrive between any two
+        #: lines.
         self.discard = weakref.finalize(self, _remove, self.path)
         try:
             self._create()
         except OSError:
-            self.discard.detach()  # the existing file belongs to someone else
+            self.discard.detach()  # `discard` must not remove a file that existed
             raise
         if replaced:
             self.path.chmod(replaced.st_mode & 0o777)
@@ -197,7 +200,8 @@ class Part:
         Raises
         ------
         InputError
-            Since the output was opened, a file that must not be replaced has appeared there.
+            Since the output was opened, a file that must not be replaced has appeared under the
+            final name.
         OSError
             The output cannot be written.
 
@@ -216,7 +220,7 @@ class Part:
         try:
             os.replace(self.path, self.target)
         except OSError:
-            if reserved:  # without hard links it is empty
+            if reserved:  # without hard links, the reserved file is empty
                 self.target.unlink(missing_ok=True)
             raise
         self.discard()  # if both names are links to one file, `os.replace` keeps both
@@ -243,12 +247,12 @@ class Part:
         return name
 
     def _reserve_target(self) -> None:
-        """Create the file under its final name; raise FileExistsError if there is one."""
+        """Create the file under its final name; raise FileExistsError if the name exists."""
         try:
             os.link(self.path, self.target)
         except FileExistsError:
             raise
-        except OSError:  # no hard links, as on FAT; the empty file is replaced at once
+        except OSError:  # no hard links, as on FAT; the empty file is replaced right after this
             open(self.target, 'xb').close()
 
     def _create(self) -> None:
@@ -258,9 +262,9 @@ class Part:
             open(self.path, 'xb').close()
 
     def _check_target(self) -> os.stat_result | None:
-        """Return the status of the file to replace, or None if there is none."""
+        """Return the status of the file to replace, or None if there is no such file."""
         found = None
-        paths = self._name, self.target  # they differ if a link was changed in the meantime
+        paths = self._name, self.target  # different files if a link was changed in the meantime
         for path in paths:
             check_apart(path)
         for path in paths:

@@ -40,7 +40,7 @@ def fingerprint() -> dict[str, str]:
 
 def other_versions(made_by: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """
-    Return, by package, the version that made a recording and the one in use, if they differ.
+    Return, by package, the version that made a recording and the version in use, if they differ.
 
     `made_by` is the metadata of the recording.
     """
@@ -57,15 +57,16 @@ def other_versions(made_by: Mapping[str, str]) -> dict[str, tuple[str, str]]:
 
 def build_info() -> dict[str, str]:
     """
-    Return the version of the package, the hash of its kernels, and the level that they run at.
+    Return the version of the package, the hash of its kernels, and the level of the kernels.
 
-    The level is the processor level that they are compiled for, such as x86-64-v3, or `python`.
+    The level is the processor level for which the kernels are compiled, such as x86-64-v3, or
+    `python` if they run uncompiled.
     """
     return {'version': _version(NAME), 'kernels': kernels_hash()[:12], 'level': LEVEL}
 
 
 def package_hash() -> str:
-    """Return a hash of the sources of the package."""
+    """Return a hash of the source files of the package."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).resolve().parents[1].rglob('*.py')):
         digest.update(path.read_bytes())

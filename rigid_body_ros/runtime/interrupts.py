@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Handle SIGINT and SIGTERM between two steps of a command's work.
+Handle SIGINT and SIGTERM between two steps of the work of a command.
 
 An exception raised by a signal handler can be lost: Python drops it in weak reference callbacks
-and finalizers, and numpy drops it when it calls back from C. It can also arrive in the middle of a
-cleanup. So the handlers only record the signal, and long-running work checks for it. Work that
-does not check is interrupted after a second.
+and finalizers, and numpy drops it in callbacks from C. The exception can also arrive in the middle
+of a cleanup. So the handlers only record the signal, and long-running work calls `check`. Work
+that does not call `check` within a second is interrupted.
 """
 
 from __future__ import annotations
@@ -33,26 +33,31 @@ from types import FrameType
 from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-#: s; if the work does not check for a signal for this long, KeyboardInterrupt is raised.
+#: If the work does not call `check` for this long after a signal, s, a handler raises
+#: KeyboardInterrupt.
 _PATIENCE = 1.0
-#: s; it is raised again after this time, in case it was lost; a cleanup takes less time.
+#: Period, s, with which the handler raises KeyboardInterrupt again, in case the exception was
+#: lost. The period is longer than a cleanup takes.
 _AGAIN = 5.0
 
-#: The number of the first signal.
+#: Contains the number of the first signal; empty until a signal arrives.
 _received: list[int] = []
-#: Set if threads may still compute when the command ends.
+#: Set if threads may still be computing when the command ends.
 _abandoned = Event()
 
 
 @contextmanager
 def deferred(until_exit: bool) -> Iterator[None]:
     """
-    Record SIGINT and SIGTERM; `check` or the end of the context raises KeyboardInterrupt.
+    Record SIGINT and SIGTERM within a context.
+
+    After a signal, `check` and the end of the context raise KeyboardInterrupt. If the work reaches
+    neither of these two points within a second, a signal handler raises the exception.
 
     Parameters
     ----------
     until_exit : bool
-        Whether the process exits after the context. If so, later signals are ignored.
+        Whether the process exits after the context. If so, signals after the context are ignored.
 
     """
     before = {number: signal.signal(number, _record) for number in _SIGNALS}
@@ -78,8 +83,9 @@ def check() -> None:
     Raises
     ------
     KeyboardInterrupt
-        A signal was received; its number is the argument. It is raised only once, so that it does
-        not interrupt the cleanup that follows.
+        A signal was received. The argument of the exception is the number of the signal. The
+        exception is raised again only if `check` is called again, so that it does not interrupt
+        the cleanup.
 
     """
     if _received:
@@ -88,25 +94,29 @@ def check() -> None:
 
 
 def abandon_threads() -> None:
-    """Make `end` not wait for threads: nothing stops a thread in compiled code."""
+    """Tell `end` not to wait for threads: nothing can stop a thread in compiled code."""
     _abandoned.set()
 
 
 def end(status: int) -> int:
-    """Return an exit status, or end the process with it if there are abandoned threads."""
+    """Return an exit status; if threads were abandoned, end the process with that status."""
     if _abandoned.is_set():
-        os._exit(status)  # in them, Python would free what the compiled code uses
+        os._exit(status)  # a normal exit would free memory that the threads still use
     return status
 
 
 @contextmanager
 def blocked_in_children() -> Iterator[None]:
-    """Block SIGINT in processes started within the context; a terminal sends it to all of them."""
+    """
+    Within the context, start processes with SIGINT blocked.
+
+    A terminal sends SIGINT to all processes, but only the process of the command has to react.
+    """
     if sys.platform == 'win32':
         yield
         return
     from multiprocessing import resource_tracker
-    resource_tracker.ensure_running()  # starting it resets the signal mask
+    resource_tracker.ensure_running()  # starting the tracker resets the signal mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

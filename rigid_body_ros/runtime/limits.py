@@ -32,18 +32,18 @@ from yaml.resolver import BaseResolver
 try:
     from yaml.cyaml import CParser  # type: ignore[attr-defined]
 except ImportError:  # PyYAML was built without libyaml
-    _EventLoader = yaml.BaseLoader  # the same, ten times slower
+    _EventLoader = yaml.BaseLoader  # does the same, ten times slower
 else:
     class _EventLoader(Composer, CParser, BaseResolver):  # type: ignore[no-redef]
-        """Parse with libyaml, but compose nodes in Python, which limits its recursion."""
+        """Parse with libyaml, but compose nodes in Python, which limits the recursion."""
 
         def __init__(self, text: str) -> None:
             CParser.__init__(self, text)
             Composer.__init__(self)
             BaseResolver.__init__(self)
 
-#: Limits of a file: bytes, and of YAML, values and levels. A bag of 2000 files has 0.5 MB and
-#: 30 000 values.
+#: Limits on the bytes of a file, and on the number of values and the depth of nesting in YAML. The
+#: metadata of a bag of 2000 files takes 0.5 MB and contains 30 000 values.
 _MAX_BYTES, _MAX_VALUES, _MAX_LEVELS = 2 ** 22, 100_000, 50
 #: Integers in JSON with this number of digits or more are read as floats.
 _DIGITS = 300
@@ -64,7 +64,7 @@ def open_file(path: str | Path, what: str) -> BinaryIO:
     Raises
     ------
     InputError
-        The file cannot be opened, or is a folder, a pipe or a device, from which reading may
+        The file cannot be opened, or it is a folder, a pipe or a device; reading from these may
         never end.
 
     """
@@ -83,7 +83,7 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
     """
     Return the root node of a YAML file, or None if the file is empty.
 
-    Tags are ignored and no value is converted, so no value can fail to convert.
+    Tags are ignored, and no value is converted, so that no conversion can fail.
 
     Parameters
     ----------
@@ -92,10 +92,11 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
     what : str
         What the file contains, for the error message, such as 'scene'.
     aliases : bool
-        Whether anchors and aliases are allowed; PyYAML writes them when it writes one object
-        twice. Each use of an alias counts all its values. An alias must not contain another one,
-        because then 1 kB can expand to gigabytes. If they are not allowed, merge keys are not
-        either, because they merge aliases, and rcl reads them as names of groups.
+        Whether anchors and aliases are allowed. PyYAML writes an anchor and an alias for an object
+        that occurs twice. Toward the limit on values, each use of an alias counts as all values
+        that the alias stands for. An alias must not contain another alias, because 1 kB could then
+        expand to gigabytes. If aliases are not allowed, merge keys are not allowed either: a merge
+        key merges aliases, and rcl reads a merge key as the name of a group.
 
     Raises
     ------
@@ -129,7 +130,7 @@ def read_json(path: str | Path, what: str) -> Any:
     Raises
     ------
     InputError
-        The file cannot be read, is not JSON in UTF-8, is too long, or has a key twice.
+        The file cannot be read, is not JSON in UTF-8, is too long, or contains a key twice.
 
     """
     text = _text(path, what, 'JSON')
@@ -152,7 +153,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _integer(digits: str) -> int | float:
-    # Python reads a million digits slowly, or not at all.
+    # Python converts a million digits slowly, or refuses to convert them.
     return int(digits) if len(digits) < _DIGITS else float(digits)
 
 
@@ -177,7 +178,7 @@ class _Loader(_EventLoader):
         super().__init__(text)
         self._aliases = aliases
         self._values = self._level = self._repeated = 0
-        #: Number of values of each anchor that contains no alias.
+        #: For each anchor without an alias inside: the number of values that the anchor contains.
         self._sizes: dict[str, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:

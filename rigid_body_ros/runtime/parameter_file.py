@@ -15,10 +15,10 @@
 """
 ROS 2 parameter files: YAML as rcl_yaml_param_parser reads it, which differs from PyYAML.
 
-Numbers and Booleans are recognized as by rcl: 1e-9 is a number, although PyYAML reads it as text.
-As in rcl, the entries of a group of parameters that occurs twice are merged, and names of nodes
-may have wildcards and namespaces. A parameter that is given twice is an error: rcl takes the last
-value, or the one in the group if the other name has a dot.
+Numbers and Booleans are recognized as in rcl: 1e-9 is a number, although PyYAML reads it as text.
+As in rcl, if a group of parameters occurs twice, its entries are merged, and names of nodes may
+have wildcards and namespaces. Unlike in rcl, a parameter that is given twice is an error. (rcl
+uses the last value, or, if one of the two is written with a dot, the value in the group.)
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
 import yaml
 
-#: Numbers that C's strtoll (base 0) and strtod accept, which rcl calls.
+#: Numbers that the C functions strtoll (base 0) and strtod accept; rcl calls these functions.
 _INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _FLOAT = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
                     r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
 _TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON')
 _FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
 _EXAMPLE = '/**: ros__parameters: inertia: ...'
-#: Parameters of all nodes.
+#: The name under which a file lists the parameters of all nodes.
 _ANY_NODE = '**'
 #: Largest number of characters in the full name of a parameter.
 _LONGEST = 500
@@ -45,23 +45,24 @@ _LONGEST = 500
 
 def node_parameters(root: yaml.Node | None, node: str) -> tuple[str, dict[str, Any]]:
     """
-    Return the name under which a file has the parameters of a node, and these, by full name.
+    Return the name under which a file lists the parameters of a node, and the parameters.
 
-    Parameters of `/**` apply to every node, and those of the node itself override them. A file
-    with neither is accepted if it has parameters for a single node, under whatever name.
+    The keys are the full names of parameters. Parameters of `/**` apply to every node, but the
+    parameters of the node itself take precedence. A file that contains neither is accepted if it
+    contains the parameters of a single node, whatever the name of that node.
 
     Parameters
     ----------
     root : yaml.Node or None
-        The root of the file, see `read_yaml`.
+        The root of the file; see `read_yaml`.
     node : str
         The name of the node, without a namespace.
 
     Raises
     ------
     InputError
-        The YAML is not a parameter file, has parameters for several nodes of this name, or has
-        a parameter of the node twice.
+        The YAML is not a parameter file, contains parameters for several nodes of this name, or
+        contains a parameter of the node twice.
 
     """
     sections = _sections(root, '')
@@ -80,7 +81,7 @@ def node_parameters(root: yaml.Node | None, node: str) -> tuple[str, dict[str, A
 
 
 def number(text: str) -> float | None:
-    """Return the number that rcl reads from an unquoted text, or None."""
+    """Return the number that rcl reads from unquoted text, or None."""
     return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan')) \
         if _FLOAT.fullmatch(text) else None
 
@@ -102,7 +103,7 @@ def _sections(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]
 def entries(node: yaml.Node | None, where: str,
             example: str = _EXAMPLE) -> list[tuple[yaml.ScalarNode, yaml.Node]]:
     """
-    Return the keys and values of a mapping in their order; a key may occur twice.
+    Return the keys and values of a mapping in order; a key may occur twice.
 
     Raises
     ------

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Parameters: how they are declared, and the checks of their names and values.
+Declare parameters, and check their names and values.
 
-Stacks share parameter files, so a file may have parameters of other nodes, which are ignored. A
-name that resembles a known one is a mistake.
+The nodes of a robot share parameter files, so a file may contain parameters of other nodes.
+Parameters of other nodes are ignored, but an unknown name that resembles a known name is rejected
+as a mistake.
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ T = TypeVar('T')
 
 #: Limits of parameters that have no narrower limits.
 BIG, TINY = 1e300, 1e-300
-#: Shorter names resemble other words, as mode resembles model and node.
+#: Names with fewer letters easily resemble other words, as mode resembles model and node.
 _SHORT = 6
-#: Letters to insert or delete in a misspelt name; to replace one counts as both.
+#: Largest number of letters to insert into or delete from a misspelt name. Replacing a letter
+#: counts as one deletion and one insertion.
 _EDITS = 2
 
 
 class Value(Generic[T]):
-    """An attribute of an object with `values`: the value of the parameter of the same name."""
+    """An attribute that returns the parameter of the same name from `values` of its object."""
 
     def __set_name__(self, kind: type, name: str) -> None:
         self._name = name
@@ -51,13 +53,13 @@ class Value(Generic[T]):
 
 
 class Parameter(NamedTuple):
-    """A parameter. If it has no default, it is a required float."""
+    """A parameter. If `default` is None, the parameter is a float, and must be given."""
 
     name: str
     default: bool | int | float | str | list[str] | None
     unit: str
     description: str
-    #: Lowest and highest value of a number, both allowed.
+    #: The lowest and the highest value that a number may have.
     interval: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
 
@@ -69,12 +71,13 @@ class Parameter(NamedTuple):
 
 def is_foreign(name: str, value: Any, known: Collection[str]) -> bool:
     """
-    Return whether a parameter is not one of the known ones, but one of another node.
+    Return whether a parameter is unknown, and therefore belongs to another node.
 
     Raises
     ------
     InputError
-        The name resembles a known one, or is a group of known ones or a member of such a group.
+        The name is not known, but it resembles a known name, names a group of known names, or
+        names a member of such a group.
 
     """
     if name in known:
@@ -93,11 +96,12 @@ def is_foreign(name: str, value: Any, known: Collection[str]) -> bool:
 
 def resembled(name: str, known: Collection[str]) -> str | None:
     """
-    Return the known name that another name, probably misspelt, resembles most, or None.
+    Return the known name that a probably misspelt name resembles most, or None.
 
-    Such names differ in capitals, in one letter, in the order of two letters, or in two missing or
-    additional letters. Short names differ in capitals alone. Names with different digits, such as
-    those of two topics, never resemble each other.
+    Two names resemble each other if they differ only in capitals, in one letter, in the order of
+    two letters, or in two missing or additional letters. Short names resemble each other only if
+    they differ in capitals alone. Names with different digits, such as those of two topics, never
+    resemble each other.
     """
     one, edits = name.lower(), {}
     for candidate in known:
@@ -121,16 +125,16 @@ def _members(group: str, known: Collection[str]) -> list[str]:
 
 
 def checked(parameter: Parameter, given: Any) -> Any:
-    """Return a value converted to the type of its parameter; raise InputError if it is invalid."""
+    """Convert a value to the type of its parameter; raise InputError if the value is invalid."""
     name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
     kind = {float: 'a number', int: 'an integer', str: 'text',
             bool: 'true or false', list: 'a list of text'}[parameter.value_type]
     if given is None and parameter.default == []:
         return []
-    if given is None:  # also what rclpy makes of an empty list
+    if given is None:  # rclpy also converts an empty list to None
         raise InputError(f'{name}: expected {kind}{unit}, found none: {parameter.description}')
     value = float(given) if parameter.value_type is float and type(given) is int else given
-    # A bool is an int to Python.
+    # In Python, a bool is an int.
     wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
              or not isinstance(value, parameter.value_type))
     if wrong:
@@ -146,7 +150,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
 
 
 def limits(low: float, high: float) -> str:
-    """Return the range of a parameter as text."""
+    """Return an allowed range as text."""
     if high < BIG:
         return f'{low:g} to {high:g}'
     return 'a finite number' + {-BIG: '', 0.0: ' not less than 0', TINY: ' greater than 0'}[low]

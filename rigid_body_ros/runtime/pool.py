@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute in threads or in processes; `cluster` has the workers of a Dask scheduler."""
+"""Compute in threads or in processes; `cluster` computes on workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from typing import Any
 
 from rigid_body_ros.runtime import interrupts
 
-#: s; how often to look for signals, and for workers that join.
+#: Time between two checks for signals, and for workers that join, s.
 _INTERVAL = 0.1
-#: s; how long a worker process may take to clean up.
+#: How long a worker process may take to clean up, s.
 _PATIENCE = 10.0
 
 
 class WorkerError(Exception):
-    """The process that was to compute an item has died; the message says how."""
+    """The process that computed an item has died; the message says how the process ended."""
 
 
 class Workers:
     """
-    Threads, for functions that release Python's lock; a context manager.
+    Threads, for functions that release the global interpreter lock; a context manager.
 
     Parameters
     ----------
@@ -71,9 +71,9 @@ class Workers:
         function : callable
             Takes an item.
         items : iterable
-            Items are taken as workers become idle.
+            The next item is taken when a worker becomes idle.
         died : callable, optional
-            Takes an item whose worker has died, and the error, and returns a result.
+            Takes an item whose worker has died, and the WorkerError; returns the result to use.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class Workers:
                 yield result
 
     def ahead(self) -> int:
-        """Return the number of items to submit: each worker computes one, and one waits."""
+        """Return the number of items to submit: per worker, one to compute and one that waits."""
         return 2 * self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
@@ -114,7 +114,7 @@ class Workers:
 
 class Processes(Workers):
     """
-    Processes; one that dies affects only the item that it computes.
+    Processes; if one dies, only the item that it computes is affected.
 
     Functions, items and results are pickled.
 
@@ -137,7 +137,7 @@ class Processes(Workers):
         super().__exit__(None)
 
     def ahead(self) -> int:
-        """Return the number of items to submit: each gets a process at once, so none can wait."""
+        """Return the number of items to submit: one for each process, so that no item waits."""
         return self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
@@ -152,13 +152,13 @@ class _Process:
     """A process that computes one item at a time."""
 
     def __init__(self) -> None:
-        # Spawn, because a fork would copy the locks of threads but not the threads.
+        # Spawn, because a fork would copy the locks of threads, but not the threads.
         context = multiprocessing.get_context('spawn')
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
         with interrupts.blocked_in_children():
             self._process.start()
-        theirs.close()  # otherwise the end of the process would go unnoticed
+        theirs.close()  # otherwise `call` would not notice that the process has ended
 
     def call(self, work: tuple[Callable[[Any], Any], Any]) -> Any:
         try:
@@ -192,14 +192,14 @@ def _serve(connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process once its parent has, even if a function of the user does not return."""
+    """End this process when its parent ends, even if a function of the user does not return."""
     if parent := multiprocessing.parent_process():
         parent.join()
         os._exit(1)
 
 
 def _received(connection: Connection) -> Iterator[Any]:
-    """Generate the messages sent until the connection is closed or the parent has exited."""
+    """Generate the received messages until the connection is closed or the parent exits."""
     with suppress(EOFError, OSError):
         while True:
             yield connection.recv()

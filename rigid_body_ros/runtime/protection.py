@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Protect the inputs of a command, and its other outputs, from an output.
+Prevent an output from replacing an input of a command, or another output.
 
-A file is protected under any name: relative paths, symbolic links and hard links.
+A file is protected under all its names: relative paths, symbolic links and hard links.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rigid_body_ros.common.errors import InputError
 
 #: Suffixes of the files that SQLite keeps next to a database.
 _JOURNALS = ('-wal', '-shm', '-journal')
-#: A file or folder under any name: its real path, and its device and inode.
+#: What identifies a file or folder under any name: its real path, or its device and inode.
 _Identity = str | tuple[int, int]
 #: Files and folders that no output may replace, with their descriptions for error messages.
 _protected: ContextVar[Mapping[_Identity, str]] = ContextVar(
@@ -41,9 +41,9 @@ _protected: ContextVar[Mapping[_Identity, str]] = ContextVar(
 @contextmanager
 def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
     """
-    Reject, in the context, any output that would replace these files or be in these folders.
+    Within the context, reject any output that would replace these files or be in these folders.
 
-    A path covers every name of its file: relative paths, symbolic links and hard links.
+    A path protects its file under every name: relative paths, symbolic links and hard links.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def reading(*recordings: str | Path | None, **others: str | Path | None) -> Iter
     Parameters
     ----------
     recordings : str or Path or None
-        Files, and whole bags, even if the path names one file of a bag.
+        Recordings. If a path names one file of a bag, the whole bag is protected.
     others : str or Path or None
-        By role, see `protected`.
+        Other files; error messages describe each file by the name of its argument.
 
     """
     with ExitStack() as stack:
@@ -86,12 +86,12 @@ def reading(*recordings: str | Path | None, **others: str | Path | None) -> Iter
 
 def check_apart(path: str | Path) -> None:
     """
-    Check that an output does not replace a protected file or lie in a protected folder.
+    Check that an output does not replace a protected file and is not in a protected folder.
 
     Raises
     ------
     InputError
-        The output would do so.
+        The output would replace a protected file, or be in a protected folder.
 
     """
     known = _protected.get()
@@ -118,7 +118,7 @@ def _paths_of_recording(path: str) -> Iterator[str]:
     """Generate the paths of a folder and its files, or of a file, its journals and its bag."""
     yield path
     if os.path.isdir(path):
-        with suppress(OSError):  # reported when the folder is read
+        with suppress(OSError):  # the error is reported when the folder is read
             yield from (entry.path for entry in os.scandir(path))
         return
     yield from (f'{path}{journal}' for journal in _JOURNALS)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Print for the user; the standard streams may be closed, and their readers may have exited."""
+"""Print for the user, even if standard streams are closed or their readers have exited."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError, printable, shortened
 from rigid_body_ros.runtime import interrupts
 
-#: Wraps an iteration over items, which are this many, to show its progress.
+#: A function that takes items and the number of items. The function returns the items, and shows
+#: the progress of the iteration over them.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
 def report(text: str) -> None:
-    """Print one line of bounded length to standard error, if that is writable."""
+    """Print one line of limited length to standard error, if standard error is writable."""
     if sys.stderr is None:
         return
     try:
@@ -49,7 +50,7 @@ def show(text: str, end: str = '\n') -> None:
         The reader of standard output has exited.
 
     """
-    encoding = sys.stdout.encoding or 'utf-8'  # a file name may hold bytes that are not text
+    encoding = sys.stdout.encoding or 'utf-8'  # a file name may contain bytes that are not text
     text = '\n'.join(map(printable, text.split('\n')))
     try:
         print(text.encode(encoding, 'backslashreplace').decode(encoding), end=end, flush=True)
@@ -62,11 +63,11 @@ def show(text: str, end: str = '\n') -> None:
 
 def progress(label: str, unit: str = ' stamps',
              size: Callable[[Any], int] = lambda item: 1) -> Track:
-    """Return a function that shows the progress of an iteration, if stderr is a terminal."""
-    from tqdm import tqdm  # takes longer to import than all else here
+    """Return a function that shows the progress of an iteration if stderr is a terminal."""
+    from tqdm import tqdm  # takes longer to import than everything else here
 
     def track(items: Iterable[Any], total: int) -> Iterator[Any]:
-        # disable=None: no bar if standard error is not a terminal.
+        # With disable=None, tqdm shows no bar if standard error is not a terminal.
         with tqdm(None, label, total, unit=unit, unit_scale=True, leave=False,
                   disable=True if sys.stderr is None else None) as shown:
             for item in items:
@@ -77,5 +78,5 @@ def progress(label: str, unit: str = ' stamps',
 
 
 def no_progress(items: Iterable[Any], total: int) -> Iterable[Any]:
-    """Return the items: a `Track` that shows nothing."""
+    """Return the items unchanged; a `Track` that shows no progress."""
     return items
