@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-ROS messages as bytes: the only package with message fields, CDR and message definitions.
+Encode and decode ROS messages; all knowledge of fields, CDR and definitions is in this package.
 
-`kinds` has the types and `definitions` their text; `joints` has the type whose lists have names.
-`contents` converts states and torques.
+`kinds` defines the types, `definitions` contains their text, and `joints` adds the type for named
+joints. `contents` converts states and torques to messages and back.
 """
 
 from rigid_body_ros.messages.contents import (

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The contents of messages: states, torques, inertias, frames."""
+"""Convert states, torques and inertias to messages and back, and interpret frame_ids."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from rigid_body_ros.messages.kinds import (
     WRENCH,
 )
 
-#: The frame_id of an epoch marker: this word, and the numbers of the start state.
+#: The first word in the frame_id of an epoch marker. The values of the start state follow.
 _EPOCH = '/epoch'
 _EPOCH_NUMBERS = re.compile(_EPOCH + ' attitude(' + 4 * r' \S+' + ') rates(' + 3 * r' \S+'
                             + ') rotors(' + 3 * r' \S+' + r')(?: wheels((?: \S+)+))?')
@@ -46,10 +46,10 @@ ORIENTATION = slice(3, 7)
 ANGULAR_VELOCITY = slice(46, 49)
 #: Position of the mass and the centre of mass in the doubles of an InertiaStamped.
 MASS_AND_CENTRE = slice(0, 4)
-#: m^2 and m^2/s^2; the variance of a position and a linear velocity that nobody has measured.
+#: Variance of a position (m^2) or a linear velocity (m^2/s^2) that was not measured.
 _UNKNOWN = 1e6
 _NO_ERRORS = ImuErrors()
-#: Positions of ixx, iyy, izz, ixy, ixz, iyz.
+#: Positions of ixx, iyy, izz, ixy, ixz, iyz in the doubles of an InertiaStamped.
 _ENTRIES = [4, 7, 9, 5, 6, 8]
 
 
@@ -64,12 +64,12 @@ def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
 
 
 def inertia_entries(values: Floats) -> Floats:
-    """Return ixx, iyy, izz, ixy, ixz, iyz, shape (..., 6), of the doubles of an InertiaStamped."""
+    """Return ixx, iyy, izz, ixy, ixz, iyz, shape (..., 6), from InertiaStamped doubles."""
     return values[..., _ENTRIES]
 
 
 def inertia(stamp_ns: int, frame_id: str, entries: ArrayLike) -> bytes:
-    """Return an InertiaStamped with these entries, kg m^2, shape (6,), see `inertia_entries`."""
+    """Return an InertiaStamped; `entries`, kg m^2, shape (6,), are as in `inertia_entries`."""
     values = np.zeros(INERTIA.doubles)
     values[_ENTRIES] = entries
     return INERTIA.encode(stamp_ns, frame_id, values)
@@ -79,8 +79,9 @@ def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
     """
     Return the marker that begins an epoch in the log of a node: a message of zeros.
 
-    Its stamp is the time of the start state; its frame_id has the numbers of that state with all
-    digits. No frame of tf2 has a name like that, because of the leading slash.
+    The stamp of the message is the time of the start state, and its frame_id contains the numbers
+    of that state with all digits. The frame_id begins with a slash, so it cannot be the name of a
+    tf2 frame.
     """
     groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
               'rotors': start.rotor_momentum}
@@ -91,18 +92,18 @@ def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
 
 
 def is_epoch_marker(frame_id: str) -> bool:
-    """Return whether a message with this frame_id begins an epoch; see `epoch_marker`."""
+    """Return whether a message with this frame_id is an epoch marker (see `epoch_marker`)."""
     return frame_id.startswith(f'{_EPOCH} ')
 
 
 def epoch_start(stamp_ns: int, frame_id: str) -> State:
     """
-    Return the start state in the stamp and the frame_id of an epoch marker.
+    Return the start state from the stamp and the frame_id of an epoch marker.
 
     Raises
     ------
     ValueError
-        The frame_id is not one that `epoch_marker` writes.
+        The frame_id is not in the format that `epoch_marker` writes.
 
     """
     found = _EPOCH_NUMBERS.fullmatch(frame_id)
@@ -120,7 +121,7 @@ def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
     Raises
     ------
     ValueError
-        The frame_id is neither empty nor one of the two frames.
+        The frame_id is none of '', `body_frame` and `space_frame`.
 
     """
     if frame_id in ('', body_frame):
@@ -134,16 +135,16 @@ def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
 def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
                  links: Frames) -> tuple[str, Frame | None]:
     """
-    Return the axes, 'body' or 'space', of the torque of a WrenchStamped, and its frame.
+    Return the axes of the torque in a WrenchStamped ('body' or 'space'), and a frame or None.
 
-    The frame is one of `links`; it converts the wrench to a torque about the centre of mass.
-    Without a frame the torque is about the centre of mass already, and
-    the force has no effect.
+    The frame is one of `links`; it converts the wrench to a torque about the centre of mass. None
+    means that the torque is already about the centre of mass and that the force has no effect.
 
     Raises
     ------
     ValueError
-        The frame_id is neither one that `torque_frame` accepts nor one of the links.
+        The frame_id is that of a link on which forces are not accepted, or it is not that of a
+        link and `torque_frame` does not accept it.
 
     """
     if frame_id not in ('', body_frame, space_frame) and (
@@ -164,8 +165,10 @@ def odometry(state: State, space_frame: str, body_frame: str, attitude_variance:
     """
     Return an Odometry at the origin with the attitude and the body rates of a state.
 
-    A variance other than 0, rad^2 or rad^2/s^2, is on the diagonal of its covariance. Position and
-    linear velocity, which are not estimates, then have a variance of 1e6 m^2 or m^2/s^2.
+    If `attitude_variance`, rad^2, is not 0, it is the variance of the orientation; the variance of
+    the position is then 1e6 m^2, because the position is not an estimate. If `rate_variance`,
+    rad^2/s^2, is not 0, it is the variance of the angular velocity; the variance of the linear
+    velocity is then 1e6 m^2/s^2.
     """
     values = np.zeros(ODOMETRY.doubles)
     values[ORIENTATION] = state.attitude
@@ -177,7 +180,7 @@ def odometry(state: State, space_frame: str, body_frame: str, attitude_variance:
 
 
 def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERRORS) -> bytes:
-    """Return an Imu with a stamp, with what an IMU measures of a state; see `imu_values`."""
+    """Return an Imu with the attitude and the rates that an IMU measures; see `imu_values`."""
     values = imu_values(np.array([time_ns]), state.attitude[None], state.angular_velocity[None],
                         errors)
     return IMU.encode(time_ns, body_frame, values[0])
@@ -186,14 +189,15 @@ def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERR
 def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity: Floats,
                errors: ImuErrors = _NO_ERRORS) -> Floats:
     """
-    Return the doubles of Imu messages with attitude and body rates, and no acceleration.
+    Return the doubles of Imu messages that contain attitude and rates but no acceleration.
 
     Parameters
     ----------
     stamps_ns, attitude, angular_velocity : array
         As for `ImuErrors.measured`.
     errors : ImuErrors
-        Covariances are those of its noise. Without noise they are zero, which means unknown.
+        The errors of the IMU. The covariances in the messages are those of the noise; without
+        noise they are zero, which means unknown.
 
     Returns
     -------
@@ -214,5 +218,5 @@ def transform(state: State, space_frame: str, body_frame: str) -> bytes:
 
 
 def transform_values(attitude: Floats) -> Floats:
-    """Return the doubles of transforms, (n, 7), for attitudes (n, 4)."""
+    """Return the doubles of transforms, shape (n, 7), from attitudes, shape (n, 4)."""
     return np.pad(attitude, ((0, 0), (3, 0)))

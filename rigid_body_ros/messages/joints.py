@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages about named joints: JointState, of which wheels use velocities and efforts."""
+"""JointState messages, which carry the velocities and the efforts of named wheels."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _NONE = np.empty(0)
 
 
 class JointState(NamedTuple):
-    """A decoded JointState; a list is empty, or has an entry for each name."""
+    """A decoded JointState; each array is empty or contains one number for each name."""
 
     stamp_ns: int
     frame_id: str
@@ -49,7 +49,8 @@ def decoded_joints(data: bytes) -> JointState:
     Raises
     ------
     ValueError
-        The bytes are not a JointState, or a list has neither no entry nor one for each name.
+        The bytes are not a JointState, or a list of numbers is neither empty nor as long as the
+        list of names.
 
     """
     try:
@@ -93,14 +94,15 @@ def encoded_joints(stamp_ns: int, frame_id: str, names: Sequence[str],
 @dataclass(frozen=True)
 class JointCommands(MessageType):
     """
-    JointState messages with the efforts of some of these joints.
+    The type of JointState messages that contain the efforts of joints.
 
-    Their doubles are the efforts in the order of `joints`, NaN for those that a message does not
-    list.
+    The doubles of a message are the efforts in the order of `joints`, with NaN for each joint that
+    the message does not list.
 
     Attributes
     ----------
     joints : tuple of str
+        Names of all joints that a message may list.
 
     """
 
@@ -121,8 +123,8 @@ class JointCommands(MessageType):
         Raises
         ------
         ValueError
-            The bytes are not a JointState, a name is not one of the joints or occurs twice, or
-            there is no finite effort for each name.
+            The bytes are not a JointState; a name is not one of the joints or occurs twice; or
+            an effort is missing or not finite.
 
         """
         found = decoded_joints(data)
@@ -143,15 +145,15 @@ class JointCommands(MessageType):
 
 
 def joint_commands(joints: Sequence[str]) -> JointCommands:
-    """Return the type of commands of these joints."""
+    """Return the type of messages that command the efforts of joints with these names."""
     return JointCommands(_NAME, len(joints), joints=tuple(joints))
 
 
 def joint_states(joints: Sequence[str]) -> MessageType:
     """
-    Return the type of JointState messages with velocity and effort of each of these joints.
+    Return the type of JointState messages with the velocity and the effort of each joint.
 
-    `joint_values` returns their doubles.
+    `joint_values` returns the doubles of such messages.
     """
     lists = _padded(_names(joints)) + struct.pack('<2I', 0, len(joints))
     return MessageType(_NAME, 2 * len(joints) + 1, before_doubles=lists)
@@ -159,12 +161,12 @@ def joint_states(joints: Sequence[str]) -> MessageType:
 
 def joint_values(velocities: Floats, efforts: Floats) -> Floats:
     """
-    Return the doubles of `joint_states`.
+    Return the doubles of messages of the type that `joint_states` returns.
 
     Parameters
     ----------
     velocities, efforts : array, shape (n, joints)
-        In rad/s and N m; one row for each message.
+        Velocities, rad/s, and efforts, N m, with one row for each message.
 
     Returns
     -------
@@ -172,7 +174,7 @@ def joint_values(velocities: Floats, efforts: Floats) -> Floats:
 
     """
     rows, joints = velocities.shape
-    # The length of the list of efforts, with what aligns its doubles, is as long as a double.
+    # In CDR, the length of the list of efforts and the padding after it take up one double.
     length = np.full((rows, 1), joints, '<u8').view('<f8')
     return np.hstack([velocities, length, efforts])
 
@@ -194,7 +196,7 @@ def _padded(data: bytes, size: int = 4) -> bytes:
 
 
 def _count_at(body: memoryview, offset: int, order: str) -> tuple[int, int]:
-    """Return the number of entries of a list, and where they begin."""
+    """Return the number of entries of a list, and the offset of the first entry."""
     offset += -offset % 4
     count, = struct.unpack_from(order + 'I', body, offset)
     return count, offset + 4

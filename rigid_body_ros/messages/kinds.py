@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Types of messages, and their bytes.
+Types of messages, and how messages are encoded as bytes.
 
-All types here have one structure: a header, in some types a second name, then doubles. There are
-three exceptions. A Wrench has no header. A TFMessage is a list of transforms, here always of one.
-A Marker has other fields around its doubles, here with constant values.
+All types here have the same structure: a header, in some types a second name, then doubles. There
+are three exceptions. A Wrench has no header. A TFMessage is a list of transforms; here the list
+always has one entry. A Marker has other fields before and after its doubles; here the values of
+these other fields are constant.
 
 The encoding is XCDR1 of the DDS-XTypes specification, section 7.4. Messages are written in little
 endian and read in either byte order. Doubles are aligned to 8 bytes, counted from the end of the
@@ -41,7 +42,7 @@ LAST_NS = 2 ** 31 * 10 ** 9 - 1
 
 
 class Stamped(NamedTuple):
-    """A decoded message: stamp, frame, second name if it has one, doubles in field order."""
+    """A decoded message: stamp, frame_id, child_frame_id ('' if the type has none), doubles."""
 
     stamp_ns: int
     frame_id: str
@@ -49,7 +50,7 @@ class Stamped(NamedTuple):
     values: Floats
 
 
-@dataclass(frozen=True, eq=False)  # otherwise each look into a cache hashes all its fields
+@dataclass(frozen=True, eq=False)  # otherwise each cache lookup would hash all fields
 class MessageType:
     """
     A ROS message type: its definition, and how its messages are encoded and decoded.
@@ -65,6 +66,7 @@ class MessageType:
     is_list : bool
         Whether a message is a list with one entry.
     has_header : bool
+        Whether a message has a header.
     before_doubles, after_doubles : bytes
         Constant CDR bytes between the names and the doubles, and after the doubles.
 
@@ -80,7 +82,7 @@ class MessageType:
 
     @property
     def type_hash(self) -> str:
-        """Return the hash by which ROS 2 identifies the type since Iron (REP-2011)."""
+        """Return the hash by which ROS 2, since Iron, identifies the type (REP-2011)."""
         return definitions.HASHES[self.name]
 
     @property
@@ -90,14 +92,14 @@ class MessageType:
 
     def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
                child_frame_id: str = '') -> bytes:
-        """Return a message as CDR bytes; values in field order, shape (doubles,)."""
+        """Return a message as CDR bytes; `values`, shape (doubles,), are in field order."""
         head, names = _around_stamp(self, frame_id, child_frame_id)
         stamp = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9))
         doubles = np.asarray(values, '<f8').tobytes()
         return head + stamp + names + doubles + self.after_doubles
 
     def layout(self, frame_id: str, child_frame_id: str = '') -> np.dtype[np.void]:
-        """Return the dtype of an array of messages with these frame names; `fill` fills it."""
+        """Return the dtype of an array of encoded messages with these names, for `fill`."""
         head, names = _around_stamp(self, frame_id, child_frame_id)
         return np.dtype([('head', f'V{len(head)}'), ('sec', '<i4'), ('nanosec', '<u4'),
                          ('names', f'V{len(names)}'), ('doubles', '<f8', (self.doubles,)),
@@ -105,7 +107,7 @@ class MessageType:
 
     def fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64], values: Floats,
              frame_id: str, child_frame_id: str = '') -> None:
-        """Fill messages, shape (n,), with values in field order, shape (n, doubles)."""
+        """Fill an array of n messages; `values`, shape (n, doubles), are in field order."""
         head, names = _around_stamp(self, frame_id, child_frame_id)
         rows['head'], rows['names'] = np.void(head), np.void(names)
         rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, 10 ** 9)
@@ -149,7 +151,7 @@ class MessageType:
 
 
 def _marker(shape: int, *color: float) -> MessageType:
-    """Return a Marker type with a shape and color (r, g, b, a); its doubles are pose and scale."""
+    """Return a Marker type with a shape and color (r, g, b, a); the doubles are pose and scale."""
     no_text, no_list = struct.pack('<I4x', 1), bytes(4)
     texture = bytes(8) + no_text + no_text + no_list
     after = [struct.pack('<4f8xB3x', *color, 0), no_list, no_list, no_text, texture, no_list,
@@ -177,11 +179,12 @@ IMU = MessageType('sensor_msgs/msg/Imu', 37)
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
 #: tf2_msgs/msg/TFMessage with one transform; doubles: translation x y z, rotation x y z w.
 TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
-#: Types that are only read; doubles: position, orientation x y z w, 36 covariances (second type).
+#: Types that are read but never written; doubles: position, orientation x y z w, and in
+#: PoseWithCovarianceStamped 36 covariances.
 POSE = MessageType('geometry_msgs/msg/PoseStamped', 7)
 POSE_WITH_COVARIANCE = MessageType('geometry_msgs/msg/PoseWithCovarianceStamped', 43)
 TRANSFORM_STAMPED = MessageType('geometry_msgs/msg/TransformStamped', 7, has_child_frame=True)
-#: The arrows also differ in lightness, for colour-blind readers.
+#: The arrows differ in lightness as well as in hue, for colour-blind users.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
 TYPES = {kind.name: kind for kind in (
@@ -201,14 +204,14 @@ def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tupl
 
 
 def opened(data: bytes) -> tuple[memoryview, str]:
-    """Return the bytes of a message after its encapsulation, and their order for `struct`."""
+    """Return a message without its encapsulation header, and its byte order for `struct`."""
     if data[0] != 0 or data[1] not in (0, 1):
         raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
     return memoryview(data)[4:], '<' if data[1] else '>'
 
 
 def header_at(body: memoryview, offset: int, order: str) -> tuple[int, str, int]:
-    """Return the stamp, ns, and the frame_id of a header, and where it ends."""
+    """Return the stamp, ns, and the frame_id of a header, and the offset of its end."""
     seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)
     if seconds < 0 or nanoseconds >= 10 ** 9:
         raise ValueError(f'invalid stamp: {seconds} s and {nanoseconds} ns')
@@ -217,7 +220,7 @@ def header_at(body: memoryview, offset: int, order: str) -> tuple[int, str, int]
 
 
 def text_at(body: memoryview, offset: int, order: str) -> tuple[str, int]:
-    """Return a string, and where it ends."""
+    """Return a string, and the offset of its end."""
     offset += -offset % 4
     size, = struct.unpack_from(order + 'I', body, offset)
     start, end = offset + 4, offset + 4 + size
