@@ -13,14 +13,18 @@
 # limitations under the License.
 
 """
-The ROS node: it receives torques on a topic and publishes the attitude.
+The ROS node, which receives torques on a topic and publishes the attitude.
 
-`attitude_node` has the plain node and `lifecycle` the managed one; `component` is what they share
-and connects the modules; `process` and `spinning` run a node as a command. Input: `drain` (the
-queue of the subscription), `parameters` (the scene). Processing, on top of the package `live`:
-`mode` (slices of work), `realtime` or `lockstep` (which torques are accepted, and when a state is
-published). Output: `outputs` (topics), `diagnostics`. `attitude_controller` is an example of a
-controller in lockstep, and `recorded` a node in lockstep that keeps its log.
+`attitude_node` contains the plain node, and `lifecycle` the managed node. Both nodes use
+`component`, which connects the other modules. `process` and `spinning` run a node as a command.
+
+`drain` takes messages from subscriptions, and `parameters` reads the scene. `mode` applies torques
+in slices of work. `realtime` or `lockstep` decides which torques are accepted, and when a state is
+published. `outputs` publishes states and the log, and `diagnostics` reports problems. The package
+`live` does the work that does not need ROS.
+
+`attitude_controller` is an example of a controller in lockstep. `recorded` is a node in lockstep
+that keeps its own log, for `attitude_regress`.
 """
 
 from importlib import import_module
@@ -30,11 +34,11 @@ if TYPE_CHECKING:
     from rigid_body_ros.node.attitude_node import AttitudeNode
     from rigid_body_ros.node.process import main
 else:
-    #: The module of each public name.
+    #: The module that defines each public name.
     _HOMES = {'AttitudeNode': 'attitude_node', 'main': 'process'}
 
     def __getattr__(name: str) -> Any:
-        """Import a name when it is first used: `attitude_controller` does not need the engine."""
+        """Import a name on first use, so that `attitude_controller` starts without the engine."""
         if name not in _HOMES:
             raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
         return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)

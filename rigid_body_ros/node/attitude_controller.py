@@ -16,17 +16,17 @@
 A quaternion-feedback controller (PD) for a node in lockstep: a closed loop over DDS.
 
 The controller replies to every state on `odometry` with a torque at the stamp of the state, and
-repeats the torque if no new state arrives. The loop runs as fast as both nodes can, loses nothing,
-and gives the same numbers every time.
+repeats the torque if no new state arrives. The loop runs as fast as both nodes can, loses no
+message, and computes the same numbers in every run.
 
     attitude_node --ros-args --params-file config/tumbler.yaml -p mode:=lockstep -p step:=0.01
     attitude_controller --ros-args -p stop_after:=60.0
 
-or start both with `ros2 launch rigid_body_ros closed_loop.launch.py`.
+Or start both nodes with `ros2 launch rigid_body_ros closed_loop.launch.py`.
 
 The control law is that of Wie and Barba ("Quaternion feedback for spacecraft large angle
-maneuvers", 1985). It turns the short way round: q and -q are the same attitude, and the law takes
-the sign from the scalar part.
+maneuvers", 1985). It turns the body the short way round: q and -q are the same attitude, so the
+law uses the sign of the scalar part.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.node.spinning import executor_of, spin
 from rigid_body_ros.runtime.parameters import is_foreign
 
-#: s; how long to wait for a state before the torque is sent again.
+#: How long to wait for a state before the torque is sent again, s.
 _PATIENCE = 0.2
-#: Largest attitude error (rad) and rate (rad/s) of a settled body.
+#: Largest attitude error (rad) and angular velocity (rad/s) of a settled body.
 _SETTLED = 1e-3
 
 
@@ -130,7 +130,7 @@ class AttitudeController(Node):
 
 
 def _relative(target: Sequence[float], attitude: Quaternion) -> tuple[float, ...]:
-    """Return the quaternion x y z w from the target to an attitude, in body axes."""
+    """Return the rotation from the target to an attitude as a quaternion x y z w in body axes."""
     a, b, c, d = target
     x, y, z, w = attitude.x, attitude.y, attitude.z, attitude.w
     return (d * x - a * w - b * z + c * y, d * y - b * w - c * x + a * z,
@@ -162,6 +162,6 @@ def _initialize(command_line: Sequence[str]) -> None:
         'attitude_controller',
         description='Turn the body of a node in lockstep to a target attitude.',
         epilog='Parameters (--ros-args -p NAME:=VALUE): target.x to target.w, proportional_gain '
-               '(N m/rad), derivative_gain (N m s/rad), stop_after (s)',
+               '(N m/rad), derivative_gain (N m s/rad), stop_after (s from the first state)',
     ).parse_args(remove_ros_args(command_line)[1:])
     rclpy.init(args=list(command_line), signal_handler_options=SignalHandlerOptions.NO)

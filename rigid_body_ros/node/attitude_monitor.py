@@ -39,7 +39,7 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.alarms import ERROR, Judgement, WARN
 
 NAME = 'attitude_monitor'
-#: s; period of the search for windows that are over, and period of diagnostics.
+#: Period of the search for windows that have ended, and period of diagnostics, s.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
 _SEVERAL = 'messages of several publishers on one topic are treated as those of one sensor'
 
@@ -48,8 +48,8 @@ class AttitudeMonitor(Node):
     """
     Check a model against measurements, window by window.
 
-    It subscribes to the torques of the scene and to the topics of `monitor.measured`. Any executor
-    may spin it; all its callbacks are in one mutually exclusive group.
+    The node subscribes to the torques of the scene and to the topics of `monitor.measured`. Any
+    executor may spin the node; all its callbacks are in one mutually exclusive group.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class AttitudeMonitor(Node):
     Raises
     ------
     InputError
-        The name is not valid, or the parameters are not a scene with a monitor.
+        The name of the node is not valid, or the parameters are not a scene with a monitor.
 
     """
 
@@ -81,19 +81,19 @@ class AttitudeMonitor(Node):
         self._attitude, self._rate = (self.create_publisher(Vector3Stamped, f'~/{name}', 10)
                                       for name in ('attitude_error', 'rate_error'))
         self._torque = self.create_publisher(WrenchStamped, '~/residual_torque', 10)
-        #: s, monotonic clock; when the next report is due.
+        #: When the next report is due, s, monotonic clock.
         self._report_at = 0.0
         self.create_timer(_WATCH_PERIOD, self._watch,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def subscriptions(self) -> Iterator[Subscription[Any]]:
-        """Return the subscriptions that an executor waits for: all but those that are polled."""
+        """Return the subscriptions that an executor waits for: all except the polled ones."""
         polled = self._inputs.polled if hasattr(self, '_inputs') else []
         return (one for one in super().subscriptions if one not in polled)
 
     def _watch(self) -> None:
-        """Judge the windows that are over; once a second, look for topics, and report."""
+        """Judge the windows that have ended; once a second, look for topics, and report."""
         inputs, now = self._inputs, time.monotonic()
         inputs.now_ns()
         inputs.take()
@@ -160,7 +160,7 @@ def _described(judgement: Judgement) -> str:
 
 
 def _check(scene: Scene) -> None:
-    """Raise InputError if a scene is not one that a monitor can check."""
+    """Raise InputError if a monitor cannot check a scene."""
     for name in ('monitor.attitude_noise', 'monitor.rate_noise'):
         if not scene.values[name]:
             raise InputError(f'{name}: expected the standard deviation of a component, found 0')

@@ -31,11 +31,11 @@ class AttitudeNode(Node):
     """
     Compute the attitude of a rigid body from torques on a topic, and publish it.
 
-    Any executor may spin it, alone or beside other nodes. All its callbacks are in one mutually
-    exclusive group, so that a MultiThreadedExecutor runs one of them at a time.
+    Any executor may spin this node, alone or beside other nodes. All its callbacks are in one
+    mutually exclusive group, so a MultiThreadedExecutor runs only one of them at a time.
 
-    Without an inertia or a URDF among the parameters, the constructor waits for a URDF on the
-    topic `robot_description`.
+    If the parameters contain neither an inertia nor a URDF, the constructor waits for a URDF on
+    the topic `robot_description`.
 
     Parameters
     ----------
@@ -46,14 +46,14 @@ class AttitudeNode(Node):
     Raises
     ------
     InputError
-        The name is not valid, or the parameters are not a valid scene.
+        The name of the node is not valid, or the parameters are not a valid scene.
 
     """
 
     def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
         with one_line_errors():
             super().__init__(node_name, **kwargs)
-        #: None if no state may be pending.
+        #: None until the component is active, and again after it has published the pending states.
         self._component: AttitudeComponent | None = None
         try:
             component = AttitudeComponent(self)
@@ -73,11 +73,11 @@ class AttitudeNode(Node):
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Raise an InputError in place of an error of rclpy about the arguments of a node."""
+    """Raise InputError in place of an error of rclpy about the arguments of a node."""
     try:
         yield
     except NameValidationException as error:
         text, name, _ = str(error).splitlines()  # the last line points at a character
         raise InputError(f'{text} {name.strip()}') from error
-    except ParameterException as error:  # use_sim_time has another type
+    except ParameterException as error:  # for example, if use_sim_time is not a Boolean
         raise InputError(str(error)) from error

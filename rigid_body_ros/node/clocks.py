@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The clock of a node: stamps for messages without one, jumps, and whether the clock advances."""
+"""The clock of a node: stamp messages on arrival, detect jumps, and check for progress."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ from rclpy.node import Node
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.events import FUTURE, LATE, RejectedError
 
-#: s; if the clock does not advance for longer, that is reported as a warning.
+#: If the clock stands still for longer than this, s, diagnostics warn.
 _MAX_PAUSE = 1.0
-#: Simulated time may be this many times as fast as real time. After a pause of the node, or of the
-#: publisher, it is ahead by as much without a jump.
+#: Simulated time may run this many times as fast as real time. After a pause of the node or of the
+#: publisher of /clock, the clock may therefore advance by this many times the pause without a
+#: jump.
 _FASTEST = 10
-#: ns; a publisher that is silent for longer has stopped.
+#: A publisher of /clock that is silent for longer than this, ns, is assumed to have stopped.
 _LONGEST_PAUSE_NS = 3 * 10 ** 9
-#: A wall clock that is adjusted does not jump, even if no torque may be late.
+#: A smaller step ahead than this, ns, is not a jump, even if `history` is shorter.
 _SMALLEST_JUMP_NS = 10 ** 8
-#: A stamp further ahead of or behind the clock is assumed to come from another clock.
+#: A stamp that differs from the clock by more than this, ns, is assumed to be from another clock.
 OTHER_CLOCK_NS = 3600 * 10 ** 9
 _ADVICE = ('; if the messages come from a bag, play it with --clock and set use_sim_time, or set '
            'time_source:=arrival')
 
 
 def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future') -> None:
-    """Raise RejectedError for a stamp of another clock, or ahead by more than a lead, s."""
+    """Raise RejectedError if a stamp is from another clock, or ahead by more than `lead`, s."""
     ahead_ns = stamp_ns - now_ns
     advice = _ADVICE if abs(ahead_ns) > OTHER_CLOCK_NS else ''
     if ahead_ns > duration_ns(lead, name):
@@ -54,8 +55,9 @@ class ArrivalStamps:
     """
     Stamp messages with the time of their arrival; each stamp is later than the previous one.
 
-    Simulated time advances in ticks. Between two ticks the stamps advance as fast as simulated
-    time did between the last two ticks, but by no more than one tick. A jump is not a tick.
+    Simulated time advances in ticks. After each tick, the stamps advance as fast as simulated time
+    did during the previous tick, but by no more than the length of one tick. Jumps do not count as
+    ticks.
     """
 
     def __init__(self) -> None:
@@ -68,7 +70,7 @@ class ArrivalStamps:
         """Record the clock time, ns; call this whenever the clock may have changed."""
         if now_ns == self._now_ns:
             return
-        if now_ns < self._now_ns:  # the clock was set back: so are the stamps
+        if now_ns < self._now_ns:  # the clock was set back, so the stamps go back, too
             self._last_ns = 0
         wall_ns = time.monotonic_ns()
         tick_ns = max(0, now_ns - self._now_ns) if self._now_ns else 0
@@ -95,19 +97,19 @@ class JumpDetector:
     """
     Detect jumps of a clock from one reading to the next.
 
-    Simulated time jumps if it is set back at all, or ahead by more than a limit. After a pause of
-    the node or of the publisher it may be ahead by more, also in several steps, because messages
-    on /clock have waited. Jumps of a wall clock are relative to the steady clock, and it may be
-    set back up to the limit.
+    Simulated time jumps if it is set back at all, or if it advances by more than a limit. After a
+    pause of the node or of the publisher, the limit is larger for several readings, because
+    messages on /clock have piled up. A wall clock jumps if it moves ahead or back, relative to the
+    steady clock, by more than the limit.
 
     Parameters
     ----------
     clock : Clock
     is_simulated : bool
     limit_ns : int
-        The limit, ns.
+        The limit, ns, for jumps ahead; for a wall clock, also the limit for jumps back.
     ahead_ns : int
-        The least limit ahead, ns.
+        Lower bound, ns, of the limit for jumps ahead.
 
     """
 
@@ -117,10 +119,10 @@ class JumpDetector:
         self._is_simulated = is_simulated
         self._most_back_ns = 0 if is_simulated else limit_ns
         self.most_ahead_ns = max(limit_ns, ahead_ns)
-        #: The last reading, between which times it was taken, and when the clock advanced, steady
-        #: clock.
+        #: The last reading of the clock, ns, and three times of the steady clock, ns: just before
+        #: that reading, just after that reading, and when the clock last advanced.
         self._now_ns = self._read_at_ns = self._read_by_ns = self._advanced_at_ns = 0
-        #: The longest recent pause; it is forgotten after the same time.
+        #: The longest recent pause, ns, minus the time that has passed since its end.
         self._pause_ns = 0
 
     def read(self) -> ClockReading:
@@ -132,7 +134,8 @@ class JumpDetector:
         if not self._now_ns:
             self._now_ns, self._read_at_ns, self._advanced_at_ns = now_ns, before_ns, before_ns
             self._read_by_ns = before_ns
-        # An upper bound, because the process may be interrupted while it reads the clocks.
+        # `elapsed_ns` is an upper bound, because the process may be interrupted while it
+        # reads the clocks.
         after_ns = time.monotonic_ns()
         elapsed_ns = after_ns - self._read_at_ns
         silence_ns = min(after_ns - self._advanced_at_ns, _LONGEST_PAUSE_NS)
@@ -149,7 +152,7 @@ class JumpDetector:
 
 
 class ClockMonitor:
-    """Check that simulated time advances; wall time always does."""
+    """Check that simulated time advances; wall time needs no check."""
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()

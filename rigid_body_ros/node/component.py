@@ -46,15 +46,17 @@ from rigid_body_ros.node.sources import BODY, check_topics, COMMANDS, sources_of
 from rigid_body_ros.scene.parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
-#: Best effort matches any publisher; in lockstep a lost torque stops the loop.
+#: In real time, the QoS is best effort, which matches any publisher. In lockstep, the QoS is
+#: reliable, because a lost torque would stop the loop.
 _TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
-#: s; how long publishing the pending states may take.
+#: Longest time for publishing the pending states at the end, s.
 _END_TIME = 0.8
-#: s; period of the search for silent sources, and period of diagnostics, a multiple of it.
+#: Period of the search for silent sources, and period of diagnostics, s. The second period is a
+#: multiple of the first.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
-#: s; period of the worker. A slice of work takes longer, so slices follow each other immediately.
-#: The worker is idle between slices only while all torques wait for the clock.
+#: Period of the worker, s. A slice of work takes longer than this, so the next slice follows
+#: immediately. The worker is idle between slices only while all torques wait for the clock.
 _WORK_PERIOD = 0.001
 
 
@@ -65,9 +67,9 @@ class AttitudeComponent:
     Parameters
     ----------
     node : Node
-        Its parameters are the scene. All callbacks are in its default callback group.
+        A node whose parameters are the scene. All callbacks are in the default group of the node.
     is_managed : bool
-        Whether the parameters of the scene may change when the component is destroyed.
+        Whether the parameters of the scene may change after the component is destroyed.
 
     Raises
     ------
@@ -78,7 +80,7 @@ class AttitudeComponent:
 
     def __init__(self, node: Node, is_managed: bool = False) -> None:
         self._node, others = node, _entities(node)
-        #: Entities that are created in `activate`, and before it.
+        #: Entities that `activate` creates, and entities that the constructor creates.
         self._active: set[Any] = set()
         self._own: set[Any] = set()
         self._parameters = NodeParameters(node, lambda rate: self._mode.set_rate(rate), is_managed)
@@ -103,9 +105,9 @@ class AttitudeComponent:
             mode = Lockstep if self._scene.mode == LOCKSTEP else Realtime
             self._mode = mode(self._node, self._parameters, self._inputs, self._outputs,
                               self._diagnostics, self._checkpoint)
-        #: The sources that were silent at the last look.
+        #: The sources that were silent at the last check.
         self._silent: set[int] = set()
-        #: s, monotonic clock; when the next diagnostics are due.
+        #: When the next diagnostics are due, s, monotonic clock.
         self._report_at = 0.0
 
     @property
@@ -140,12 +142,13 @@ class AttitudeComponent:
                 f'QoS overrides of other nodes are ignored: {listed(others)}')
         self._node.create_service(Trigger, '~/reset', self._on_reset)
         self._timer(_WATCH_PERIOD, self._watch)
-        #: Active while torques or a state wait: one slice of work in each cycle of the executor.
+        #: The timer that runs while torques wait, or a state waits to be published. In each cycle
+        #: of the executor, the callback of this timer does one slice of work.
         self._worker = self._timer(_WORK_PERIOD, self._work)
 
     def _timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        # Each has a clock of its own, because the reset of a timer makes EventsExecutor call
-        # overdue timers of the same clock twice, which then pause to make up for it.
+        # Each timer has a separate clock. If a timer is reset, EventsExecutor calls overdue timers
+        # of the same clock twice, and these timers then pause to make up for the additional calls.
         return self._node.create_timer(period, callback,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -156,7 +159,7 @@ class AttitudeComponent:
         self._destroy(self._active)
 
     def finish(self) -> None:
-        """Publish pending states and the last diagnostics, as long as ROS is not shut down."""
+        """Publish pending states and the last diagnostics, unless ROS has been shut down."""
         if not self._node.context.ok():
             self._node.get_logger().warning('ROS was shut down before this node was destroyed: '
                                             'pending states are not published')
@@ -164,7 +167,7 @@ class AttitudeComponent:
         begin = time.monotonic()
         until, half_time = begin + _END_TIME, begin + 0.5 * _END_TIME
         while not self._mode.process() and time.monotonic() < half_time:
-            pass  # the rest of the time is for the states held back
+            pass  # the other half of the time is for the states that are not committed yet
         now_ns = self._mode.now_ns() if self._mode.run.epoch else 0
         self._mode.end(until)
         if self._checkpoint:
@@ -175,7 +178,7 @@ class AttitudeComponent:
                                             f'not acknowledged it within {_END_TIME:g} s')
 
     def destroy(self) -> None:
-        """Destroy what the component has created, and release the parameters."""
+        """Destroy everything that the component has created, and release the parameters."""
         if self._active:
             self.deactivate()
         self._destroy(self._own)
@@ -211,7 +214,7 @@ class AttitudeComponent:
                                      self._start_work, self._scene.mode == REALTIME)
             callback.subscription = subscription(
                 self._node, source.kind, source.topic, callback,
-                # An inertia comes once, so it must not be lost.
+                # An inertia is sent only once, so it must not be lost.
                 _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode])
             return callback
         self._states = subscription(
@@ -219,7 +222,7 @@ class AttitudeComponent:
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE))
         check_topics(self._node, self._sources, [self._states.topic_name, *(
             publisher.topic_name for publisher in self._outputs.publishers)])
-        #: By number of the source.
+        #: The callback of each subscription to torques, by number of the source.
         self._drains = {source.number: torques(source) for source in self._sources}
         self._torques = {number: drain.subscription for number, drain in self._drains.items()}
 
@@ -235,7 +238,7 @@ class AttitudeComponent:
             self._diagnostics.reject(rejected, source)
 
     def _start_work(self) -> None:
-        if self._worker.is_canceled():  # otherwise the timer continues the work
+        if self._worker.is_canceled():  # otherwise the timer of the worker continues the work
             self._work()
         else:
             self._mode.catch_up()
@@ -247,7 +250,7 @@ class AttitudeComponent:
             self._start_worker()
 
     def _start_worker(self) -> None:
-        if self._worker.is_canceled():  # a reset would postpone a running one
+        if self._worker.is_canceled():  # resetting a running timer would postpone it
             self._worker.reset()
 
     def _on_state(self, data: bytes) -> None:
@@ -269,13 +272,13 @@ class AttitudeComponent:
         return response
 
     def _watch(self) -> None:
-        """Once a second, and when a source falls silent or sends again: report, and save."""
+        """Report and save once a second; also report when a source falls silent or resumes."""
         now_ns = self._mode.now_ns()
         silent = {torque.source: torque for torque in self._mode.run.silent(now_ns)}
         for source in silent.keys() - self._silent:
             self._node.get_logger().warning(self._silence(silent[source], now_ns))
         now = time.monotonic()
-        # The timer is not exact, and on a busy machine it skips periods.
+        # The timer is not exact, and skips periods on a busy machine.
         is_due = now > self._report_at - 0.5 * _WATCH_PERIOD
         if is_due:
             self._report_at = max(self._report_at, now - 0.5 * _REPORT_PERIOD) + _REPORT_PERIOD
@@ -317,7 +320,7 @@ def _entities(node: Node) -> set[Any]:
 
 @contextmanager
 def _one_line_errors() -> Iterator[None]:
-    """Raise an InputError in place of an error of rclpy, such as an invalid QoS override."""
+    """Raise InputError in place of an error of rclpy, as for an invalid QoS override."""
     try:
         yield
     except (RuntimeError, AssertionError, ParameterException) as error:

@@ -53,20 +53,21 @@ from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.sources import BODY, COMMANDS, TorqueTopic
 
-if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
+if TYPE_CHECKING:  # in Lyrical, rclpy.endpoint_info contains it
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _SEVERAL_PUBLISHERS, _QOS = 'several publishers', 'incompatible QoS'
 _OF_TORQUES = (REPLACED, FORCE, LOST)
 _OF_COMMANDS = (REPLACED, CLIPPED, TOO_FAST, LOST)
 _OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, TIME_JUMP, STATES, STATES_REJECTED)
-#: The time since the newest torque of a source arrived.
+#: The key under which the time since the newest torque of a source arrived is reported.
 AGE = 'age of the newest torque (s)'
-#: Counts that make a status an error, or a warning, in any second in which they increase.
+#: A status is an error if a count in `_ERRORS` has increased since the last report, and a warning
+#: if a count in `_WARNINGS` or `_TORQUE_WARNINGS` has increased.
 _ERRORS = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, STATES_REJECTED)
 _WARNINGS = (TIME_JUMP,)
 _TORQUE_WARNINGS = (REPLACED, TOO_FAST, LOST)
-#: s; shortest time between two log messages of one kind.
+#: Shortest time between two log messages of one kind, s.
 _LOG_PERIOD = 5.0
 
 
@@ -86,7 +87,7 @@ class _Counts(Counter[str]):
 
 class Diagnostics:
     """
-    Count events of the torques of each source, and of the motion.
+    Count events that concern the torques of each source, and events that concern the motion.
 
     Every torque sent is either lost or received. Every torque received is applied, rejected for a
     cause, or waiting.
@@ -95,7 +96,7 @@ class Diagnostics:
     def __init__(self, node: Node, sources: Sequence[TorqueTopic]) -> None:
         self._node, self._sources = node, {source.number: source for source in sources}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        # Latched, so that it reaches a subscription that is not connected yet.
+        # Latched, so that a result also reaches a subscription that connects later.
         self._results = node.create_publisher(
             DiagnosticStatus, '~/initial_state_result',
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
@@ -111,16 +112,16 @@ class Diagnostics:
                                      once=True)
 
     def count(self, name: str, source: int, number: int = 1) -> None:
-        """Count events of torques of a source without logging them."""
+        """Add a number of events to a count of a source, without logging."""
         self._torques[source][name] += number
 
     def accept_state(self, result: str, stamp_ns: int) -> None:
-        """Count a state that begins an epoch, and publish the result."""
+        """Count an accepted initial state, which begins an epoch, and publish the result."""
         self._motion[STATES] += 1
         self._acknowledge(result, stamp_ns, is_error=False)
 
     def reject(self, rejected: RejectedError, source: int) -> None:
-        """Count a rejected torque of a source and log the reason."""
+        """Count a rejected torque of a source, and log the reason."""
         cause, counts = rejected.cause, self._torques[source]
         counts[cause] += 1
         what = self._sources[source].what + self._place(source)
@@ -128,12 +129,12 @@ class Diagnostics:
                   f'({counts[cause]} so far): {cause}: {rejected}')
 
     def event(self, name: str, text: str, kind: str = '') -> None:
-        """Count a problem of the motion and log it; each kind is logged at a limited rate."""
+        """Count a problem of the motion, and log it; each kind is logged at a limited rate."""
         self._motion[name] += 1
         self._log(f'{name} {kind}', text)
 
     def count_force(self, source: int) -> None:
-        """Count an ignored force, and log only the first, as it is not a fault."""
+        """Count an ignored force; log only the first one, because ignored forces are no fault."""
         self._torques[source][FORCE] += 1
         if sum(counts[FORCE] for counts in self._torques.values()) == 1:
             self._node.get_logger().info('the force of a WrenchStamped is ignored, as it has no '
@@ -141,7 +142,7 @@ class Diagnostics:
                                          'such forces')
 
     def reject_state(self, rejected: RejectedError, stamp_ns: int | None) -> None:
-        """Count a rejected initial state, log the reason and publish it."""
+        """Count a rejected initial state, and log and publish the reason."""
         reason = f'{rejected.cause}: {rejected}'
         self.event(STATES_REJECTED, f'initial_state rejected: {reason}')
         self._acknowledge(reason, stamp_ns, is_error=True)
@@ -151,7 +152,7 @@ class Diagnostics:
         self._results.publish(self.status('initial_state', is_error, False, text, stamp))
 
     def count_lost(self, source: int, number: int) -> None:
-        """Count torques that are missing between two torques from one publisher."""
+        """Count the torques that are missing between two torques of one publisher, and warn."""
         counts = self._torques[source]
         counts[LOST] += number
         self._log(f'{LOST} {source}', f'{self._sources[source].what}s{self._place(source)} lost '
@@ -166,20 +167,20 @@ class Diagnostics:
                             inputs: Iterable[Subscription], outputs: Iterable[Publisher],
                             several: str) -> Mapping[int, list[str]]:
         """
-        Add missing, surplus and incompatible connections to problems, and return these.
+        Add missing, surplus and incompatible connections to `problems`, and return `problems`.
 
         Parameters
         ----------
         problems : mapping of int to list of str
-            By source.
+            The problems of each source.
         torques : mapping of int to DrainCallback
-            Those of the subscriptions to torques by source.
+            The callbacks of the subscriptions to torques, by source.
         inputs : iterable of Subscription
             All subscriptions of the node.
         outputs : iterable of Publisher
             All publishers of the node.
         several : str
-            Text for the log: what happens to the torques of several publishers of one topic.
+            Text for the log: what happens to torques if several nodes publish one topic.
 
         Returns
         -------
@@ -187,7 +188,7 @@ class Diagnostics:
 
         """
         for source, drain in torques.items():
-            if source != BODY:  # whoever changes the inertia need not stay
+            if source != BODY:  # the publisher of an inertia need not stay connected
                 problems[source].extend(self._surplus(drain, several))
         topics = {drain.subscription.topic_name: source for source, drain in torques.items()}
         first = next(iter(problems))
@@ -235,9 +236,11 @@ class Diagnostics:
                 ages: Mapping[int, float | None], epoch: str, stamp: Time,
                 others: Iterable[DiagnosticStatus] = ()) -> None:
         """
-        Publish all counts, and other statuses; counts that have increased set the levels.
+        Publish all counts, and the statuses `others`; counts that have increased set the levels.
 
-        Problems, numbers of waiting torques, and ages of the newest torques, s, are by source.
+        The keys of `problems`, `waiting` (how many torques wait) and `ages` (of the newest torque,
+        s) are the numbers of the sources. `epoch` is the message of the status `motion` if nothing
+        is wrong.
         """
         statuses = [self._torque_status(source, problems.get(source, []), {
             WAITING: waiting[source], AGE: _age(ages[source])}) for source in self._sources]
@@ -268,8 +271,9 @@ class Diagnostics:
     def status(self, name: str, is_error: bool, is_warning: bool, message: str,
                values: Mapping[str, object]) -> DiagnosticStatus:
         """Return a status of the node."""
-        # With the namespace: aggregators know a status by its name, and nodes of a fleet differ
-        # in their namespaces alone. Without the leading slash it would not be the name of a node.
+        # The name includes the namespace, because aggregators identify a status by its name, and
+        # nodes of a fleet differ only in their namespaces. The name keeps the leading slash,
+        # because it begins with the full name of the node.
         node = self._node.get_fully_qualified_name()
         level = DiagnosticStatus.WARN if is_warning else DiagnosticStatus.OK
         return DiagnosticStatus(
@@ -290,8 +294,8 @@ def _age(seconds: float | None) -> str:
 
 def _is_replaced(info: TopicEndpointInfo, peers: Iterable[TopicEndpointInfo],
                  heard: Mapping[Sender, tuple[float, float]]) -> bool:
-    """Return whether a publisher has been silent since another of the same name sends."""
-    # The middleware lists a publisher that was killed until its lease ends.
+    """Return whether a publisher fell silent before its node's next publisher was first heard."""
+    # After a publisher is killed, the middleware lists it until its lease ends.
     _, last = heard.get(bytes(info.endpoint_gid), (0.0, math.inf))
     return any(heard.get(bytes(peer.endpoint_gid), (0.0, 0.0))[0] > last
                for peer in peers if _full_name(peer) == _full_name(info))

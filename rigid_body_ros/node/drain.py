@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Raw subscriptions, and a callback that empties the queue of one and counts lost messages."""
+"""Raw subscriptions, and a callback that empties their queues and counts lost messages."""
 
 from __future__ import annotations
 
@@ -33,17 +33,18 @@ try:
 except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
-#: s; time limit for taking messages in one call.
+#: Time limit for taking messages in one call, s.
 _BUDGET = 0.02
-#: Largest number of known publishers; the one that was silent for longest is removed first.
+#: Largest number of publishers to remember. If there are more, the publisher that has been silent
+#: for longest is forgotten.
 _MAX_SENDERS = 100
 
 
 def subscription(node: Node, kind: type, topic: str, callback: Callable[..., None],
                  qos: QoSProfile) -> Subscription:
-    """Return a subscription to serialized messages, whose QoS parameters can override."""
-    # Without events: rmw_fastrtps may wait for itself for ever if a message is lost while an event
-    # is taken (ros2/rmw_fastrtps#890).
+    """Return a subscription to serialized messages; parameters can override its QoS."""
+    # Disable events, because rmw_fastrtps may deadlock if a message is lost while an event is
+    # taken (ros2/rmw_fastrtps#890).
     return node.create_subscription(
         kind, topic, callback, copy(qos), raw=True,
         event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
@@ -52,31 +53,31 @@ def subscription(node: Node, kind: type, topic: str, callback: Callable[..., Non
 
 class DrainCallback:
     """
-    A callback that takes the messages waiting in a subscription and counts lost ones.
+    A callback that takes the messages waiting in a subscription, and counts lost messages.
 
-    Publishers number their messages. A gap in the numbers is a loss, whether the network or the
-    full queue of the subscription dropped the messages. An executor passes one message at a time.
-    With `takes_all`, this callback also takes all others that wait, so that the queue is empty
-    before other work starts.
+    Publishers number their messages. A gap in the numbers is a loss, whether the network dropped
+    the messages or the queue of the subscription was full. An executor passes one message at a
+    time. With `takes_all`, this callback also takes all other messages that wait, so that the
+    queue is empty before other work starts.
 
     Parameters
     ----------
     on_message : callable
-        Receives the bytes of each message, its sender, and when the middleware received it, ns of
-        the system clock, 0 if it does not say.
+        Receives the bytes of each message, its sender, and the time at which the middleware
+        received it, ns of the system clock; 0 if the middleware does not report the time.
     on_gap : callable
-        Receives the number of messages missing in a gap.
+        Receives the number of messages that are missing in a gap.
     on_empty : callable, optional
-        Called after the messages.
+        Called after the messages have been taken.
     takes_all : bool
-        If false, `on_empty` is called after each message, without looking for others first.
+        If false, take only the message that the executor passes, then call `on_empty`.
 
     Attributes
     ----------
     subscription : Subscription
-        To be set when the subscription exists.
+        The caller must set this attribute after it has created the subscription.
     heard : dict
-        When each publisher was heard first and last, s, monotonic clock.
+        For each publisher: when its first and its last message were taken, s, monotonic clock.
 
     """
 
@@ -93,9 +94,9 @@ class DrainCallback:
         self.subscription: Subscription
 
     def __call__(self, *taken: Any) -> None:
-        """Take a message and, with `takes_all`, all that wait after it."""
+        """Take a message and, with `takes_all`, all messages that wait after it."""
         with self.subscription.handle:
-            # EventsExecutor passes message and information as one tuple, other executors as two.
+            # EventsExecutor passes a tuple (message, information); others pass two arguments.
             self._take(taken if len(taken) == 2 else taken[0])
         self._on_empty()
 
@@ -105,7 +106,7 @@ class DrainCallback:
             self._take(self._next())
 
     def _take(self, found: tuple[bytes, dict[str, Any]] | None) -> None:
-        # The limit ends the loop even if messages arrive faster than it takes them.
+        # The time limit ends the loop even if messages arrive faster than they are taken.
         until = time.monotonic() + _BUDGET
         while found is not None:
             message, info = found

@@ -37,12 +37,12 @@ _AUTOSTART = Parameter('autostart', False, '', 'whether the node configures and 
 
 class AttitudeLifecycleNode(LifecycleNode):
     """
-    An `AttitudeNode` whose life a manager controls.
+    Compute the attitude of a rigid body in a node whose lifecycle a manager controls.
 
-    *configure* reads the scene; *activate* subscribes and publishes; *deactivate*
-    unsubscribes and keeps the motion, which continues under the last torques; *cleanup* publishes
-    the end of the log and forgets the motion. If the parameter `autostart` is true, the node
-    configures and activates itself.
+    *configure* reads the scene. *activate* subscribes and publishes. *deactivate* unsubscribes and
+    keeps the motion, which continues under the last torques. *cleanup* publishes the end of the
+    log and discards the motion. If the parameter `autostart` is true, the node configures and
+    activates itself.
 
     Parameters
     ----------
@@ -53,7 +53,8 @@ class AttitudeLifecycleNode(LifecycleNode):
     Raises
     ------
     InputError
-        The name is not valid; or `autostart` is true, and the parameters are not a valid scene.
+        The name of the node is not valid; or `autostart` is true, and the parameters are not a
+        valid scene.
 
     """
 
@@ -96,15 +97,15 @@ class AttitudeLifecycleNode(LifecycleNode):
         return super().on_deactivate(state) if self._attempt(self._deactivate) else _FAILURE
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Publish the end of the log, and forget the motion."""
+        """Publish the end of the log, and discard the motion."""
         return super().on_cleanup(state) if self._attempt(self._clean_up) else _FAILURE
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Publish the end of the log, and forget the motion."""
+        """Publish the end of the log, and discard the motion."""
         return super().on_shutdown(state) if self._attempt(self._clean_up) else _FAILURE
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the motion, so that the node can be configured again."""
+        """Discard the motion, so that the node can be configured again."""
         return super().on_error(state) if self._attempt(self._forget) else _FAILURE
 
     def destroy_node(self) -> None:
@@ -122,7 +123,7 @@ class AttitudeLifecycleNode(LifecycleNode):
             self._error = error
             self.get_logger().error(str(error))
             return False
-        except Exception:  # rclpy does not log it
+        except Exception:  # rclpy does not log the traceback
             self.get_logger().error(traceback.format_exc())
             raise
         return True
@@ -160,5 +161,5 @@ class AttitudeLifecycleNode(LifecycleNode):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the managed node until SIGINT or SIGTERM; errors are those of `process.main`."""
+    """Run the managed node until SIGINT or SIGTERM; raise the errors of `process.main`."""
     process.main(arguments, AttitudeLifecycleNode, 'attitude_lifecycle_node')

@@ -16,7 +16,8 @@
 Lockstep: the response to each torque is the state one step later.
 
 If several topics have publishers, the response to a stamp waits until each of these topics has a
-torque with this stamp. So the order in which they arrive does not change the response.
+torque with this stamp. Therefore, the order in which the torques arrive does not change the
+response.
 """
 
 from __future__ import annotations
@@ -46,17 +47,18 @@ from rigid_body_ros.node.sources import BODY, sources_of
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-#: s; period of the check whether to publish the state again.
+#: Period of the check whether to publish the state again, s.
 _CHECK_PERIOD = 0.1
-#: s; a longer silence, or a longer computation of one response, is reported as a warning.
+#: Diagnostics warn if a silence, or the computation of one response, lasts longer than this, s.
 _WARN_AFTER = 1.0
-#: s; how long to look for another publisher of /clock, and then to wait for its name.
+#: How long to look for another publisher of /clock, and how long to wait for the name of a
+#: publisher that was found, s.
 _DISCOVERY_TIME, _NAME_DELAY = 3.0, 0.5
 _CLOCK = '/clock'
 
 
 class Lockstep(Mode):
-    """Publish the state `step` after a stamp as soon as all torques of this stamp have arrived."""
+    """Publish the state one `step` after a stamp when all torques of that stamp have arrived."""
 
     several_publishers = 'only the first torque for each state is used'
 
@@ -66,17 +68,18 @@ class Lockstep(Mode):
         self._monitor = ClockMonitor(self._node)
         self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
         history_ns = duration_ns(self._scene.history, 'history')
-        #: By source, as the subscriptions to torques.
+        #: The duplicate filter of each source, by number of the source.
         self._duplicates = {source.number: DuplicateFilter(history_ns)
                             for source in sources_of(self._parameters.scene)}
         self._republishing = RepublishPolicy()
-        #: Whether torques wait in the queue until this is false again.
+        #: Whether the loop is paused; torques wait in the queue during a pause.
         self._is_paused = False
         saved = self._checkpoint and self._checkpoint.start
         self._start = saved or self.run.initial(self._given_start_ns)
-        #: The state that waits for a torque, and since when it waits, s.
+        #: The state that waits for a torque, and since when it waits, s, monotonic clock.
         self._latest, self._since = Snapshot(self._start, self._start), time.monotonic()
-        #: The stamp of the state that waited for a torque when the motion was reset.
+        #: After a reset: the stamp of the state that waited for a torque then, ns; None as soon as
+        #: the new motion has reached this stamp.
         self._stale_ns: int | None = None
         if saved or self._given_start_ns:
             self._begin(self._start)
@@ -84,21 +87,21 @@ class Lockstep(Mode):
             self._warn_away(self._checkpoint.age)
 
     def activate(self) -> None:
-        """Begin to publish the state until torques come, and to pause on request."""
+        """Publish the state until torques arrive, and offer the service that pauses the loop."""
         self._since = time.monotonic()
         self._node.create_timer(_CHECK_PERIOD, self._republish,
                                 clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._node.create_service(SetBool, '~/pause', self._on_pause)
 
     def deactivate(self) -> None:
-        """Do nothing: the owner of the node destroys timer and service."""
+        """Do nothing: the owner of the node destroys the timer and the service."""
 
     def set_rate(self, rate: float) -> None:
         """Do nothing: torques set the pace."""
 
     def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
         """
-        Queue a torque message of a source, which gets a response.
+        Queue a torque message of a source; `process` responds to it.
 
         Raises
         ------
@@ -110,12 +113,12 @@ class Lockstep(Mode):
         self._queue.put(Queued(source, data, sender, 0, time.monotonic()))
 
     def process(self) -> bool:
-        """Apply waiting torques for one slice of time; return whether no work is left."""
+        """Apply waiting torques for one slice of time; return whether all work is done."""
         return self._is_paused or super().process()
 
     def set_state(self, state: State) -> str:
         """
-        Begin an epoch with a state, and return a description.
+        Begin an epoch with a state, and return a text that describes the epoch.
 
         If the stamp of the state is zero, the epoch begins at the stamp of the next torque. The
         rotors keep their momentum.
@@ -140,23 +143,23 @@ class Lockstep(Mode):
         return f'initial_state received: a new epoch begins at {begin}'
 
     def reset(self) -> str:
-        """Return to the state before the first torque, and return a description."""
+        """Go back to the state before the first torque, and return a text that says so."""
         self.end()
         self._start = self.run.initial(self._given_start_ns)
         if self._given_start_ns:
             self._begin(self._start)
         self._clear_duplicates()
-        # The torque that responds to this state may be in transit.
+        # A torque that responds to the latest state may be in transit; it will be rejected.
         self._stale_ns = self._latest.state.time_ns
         self._publish_start()
         return 'reset to the initial state; waiting for the first torque'
 
     def now_ns(self) -> int:
-        """Return the stamp to which the latest state is the response, ns: the time of the loop."""
+        """Return the time of the loop, ns: the stamp to which the latest state responds."""
         return max(0, self._latest.state.time_ns - self._step_ns)
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the present problems by source; the first source also has those of the loop."""
+        """Return the present problems by source; the first source also gets those of the loop."""
         if self._clock is not None and self._node.count_publishers(_CLOCK) > 1:
             self._node.destroy_publisher(self._clock)
             self._clock = None
@@ -183,12 +186,16 @@ class Lockstep(Mode):
         return []
 
     def _awaited(self) -> list[int]:
-        """Return the sources whose torques the state waits for, all if none has a publisher."""
+        """
+        Return the sources from which the latest state still awaits a torque.
+
+        If no torque is missing, return all sources except the inertia.
+        """
         return self._missing(self._latest.state.time_ns, self._torques) or [
             source for source in self._torques if source != BODY]
 
     def stamp(self) -> Time:
-        """Return the present time; if this node publishes /clock, the time published last."""
+        """Return the present time or, if this node publishes /clock, the time published last."""
         if self._clock is None:
             return self._node.get_clock().now().to_msg()
         return _time(self._latest.state.time_ns)
@@ -202,7 +209,7 @@ class Lockstep(Mode):
 
     def _begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         self._start = start
-        if self.run.epoch is not None:  # otherwise the queued torques belong to the new one
+        if self.run.epoch is not None:  # otherwise the queued torques belong to the new epoch
             self.end()
         self.run.begin(start, torques)
         self._parameters.set_start(start)
@@ -221,7 +228,7 @@ class Lockstep(Mode):
         return torque
 
     def _is_due(self, torque: Torque) -> bool:
-        # A publisher that a response waited for may have ended: then a repeated torque gets it.
+        # If the response waited for a publisher that has ended, respond to a repeated torque.
         return not self._missing(torque.stamp_ns, self._torques.keys() - {torque.source})
 
     def _missing(self, stamp_ns: int, sources: Iterable[int]) -> list[int]:
@@ -263,7 +270,7 @@ class Lockstep(Mode):
         self._duplicates[torque.source].discard(torque)
 
     def _publish_start(self) -> None:
-        # The state of the epoch, with the torques on the body and on the wheels.
+        # The snapshot of an epoch also contains the torques on the body and on the wheels.
         start = Snapshot(self._start, self._start)
         if self.run.epoch is not None:
             start = self.run.snapshot(self._start.time_ns, math.inf) or start
@@ -271,7 +278,7 @@ class Lockstep(Mode):
 
     def _publish(self, snapshot: Snapshot, latest: Snapshot) -> None:
         self._latest, self._since = latest, time.monotonic()
-        if snapshot.state.time_ns == self._stale_ns:  # the new motion has reached the same time
+        if snapshot.state.time_ns == self._stale_ns:  # the new motion has reached this stamp
             self._stale_ns = None
         self._send(snapshot, is_repeated=False)
 

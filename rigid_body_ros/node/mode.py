@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The part that both modes share: the run, and the queue of torques, worked on in short slices."""
+"""What both modes share: the run, and the queue of torques that is processed in short slices."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import NodeParameters
 from rigid_body_ros.scene.parameters import LOCKSTEP
 
-#: s; length of a slice of work, after which all other callbacks run.
+#: Length of a slice of work, s. After each slice, all other callbacks run.
 BUDGET = 0.02
 
 
 class Mode:
     """
-    Apply and log the torques of a queue, in slices short enough for other callbacks.
+    Apply and log the torques of a queue, in short slices, between which other callbacks run.
 
-    A mode decides which torques are accepted, and when a state is published.
+    Each mode is a subclass that decides which torques are accepted, and when a state is published.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Mode:
     outputs : Publishers
     diagnostics : Diagnostics
     checkpoint : Checkpoint, optional
-        If it has a state, the run continues from it.
+        If the checkpoint contains a state, the run continues from that state.
 
     """
 
@@ -63,15 +63,16 @@ class Mode:
         self._given_start_ns = scene.start.time_ns
         self.run = Run(scene, outputs, diagnostics)
         self._queue = TorqueQueue(diagnostics, is_patient=self._scene.mode == LOCKSTEP)
-        #: By source, as their publishers are counted.
+        #: The subscriptions to torques by source, to count their publishers.
         self._torques: Mapping[int, Subscription] = {}
-        #: The torque that is being applied, and whether it has been applied and responded to.
+        #: The torque that is being processed; whether it has been applied; and whether the
+        #: response has been published.
         self._current: tuple[Torque, Queued] | None = None
         self._is_applied = self._is_answered = False
         self._wake: Callable[[], None] = lambda: None
 
     def connect(self, torques: Mapping[int, Subscription], wake: Callable[[], None]) -> None:
-        """Set the subscriptions to torques by source, and a function that starts work at once."""
+        """Set the subscriptions to torques, by source, and a function that starts work at once."""
         self._torques, self._wake = torques, wake
 
     @property
@@ -83,10 +84,10 @@ class Mode:
         return waiting
 
     def catch_up(self) -> None:
-        """Publish overdue outputs, because many messages arrive and delay all timers."""
+        """Publish overdue outputs; called while many messages arrive and delay all timers."""
 
     def process(self) -> bool:
-        """Apply waiting torques for one slice of time; return whether no work is left."""
+        """Apply waiting torques for one slice of time; return whether all work is done."""
         until = time.monotonic() + BUDGET
         try:
             while (self._current or self._queue) and time.monotonic() < until:
@@ -102,10 +103,10 @@ class Mode:
         """
         End the epoch, if there is one, and reject all torques that still wait.
 
-        Torques that are early for the cause `kept` stay for the next epoch. The states of the
-        epoch are committed by `until`, s, monotonic clock, or within 0.2 s.
+        Early torques held for the cause `kept` remain for the next epoch. The states of the epoch
+        are committed by the time `until`, s, monotonic clock; if None, within 0.2 s.
         """
-        if self._current and self._is_applied:  # its response takes too long
+        if self._current and self._is_applied:  # the response takes too long to compute
             self.run.log(self._current[0])
         elif self._current:
             self._queue.put(self._current[1])  # to be rejected
@@ -114,7 +115,7 @@ class Mode:
         self.run.end(until)
 
     def _next(self) -> tuple[Torque, Queued] | None:
-        """Return the first torque of the queue, or None if it is not to be applied now."""
+        """Remove and return the first torque of the queue, or None if it is not applied now."""
         queued = self._queue.pop()
         try:
             torque = self._read(queued)
@@ -124,7 +125,7 @@ class Mode:
         return (torque, queued) if torque else None
 
     def _finish(self, torque: Torque, queued: Queued, until: float) -> None:
-        # The response comes before all that can wait, because a controller waits for it.
+        # The response comes first, because a controller waits for it; everything else can wait.
         if not self._is_applied:
             self._is_applied = self.run.apply(torque, queued.arrived_ns or torque.stamp_ns)
             if not self._is_applied:
@@ -138,7 +139,7 @@ class Mode:
         self.run.log(torque)
 
     def _read(self, queued: Queued) -> Torque | None:
-        """Return the torque to apply, None if there is none; raise RejectedError to reject it."""
+        """Decode a torque: return it, return None to skip it, or raise RejectedError."""
         raise NotImplementedError
 
     def _respond(self, torque: Torque, until: float) -> None:
@@ -148,10 +149,10 @@ class Mode:
         """Respond to a torque that cannot be applied."""
 
     def _miss_deadline(self, error: TimeoutError) -> None:
-        """Report that a slice of work was not enough."""
+        """Report that a computation did not finish within its slice of work."""
 
     def _warn_away(self, seconds: float) -> None:
-        """Warn of the time between the last life of the node and this one."""
+        """Warn that the node was down for a time, s, before this start."""
         self._node.get_logger().warning(
             f'the node continues from the checkpoint {self._checkpoint}, after it was down for '
             f'{seconds:.3g} s: no torque acts in between')

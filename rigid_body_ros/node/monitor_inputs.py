@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a live check: messages with torques and measurements are put into a `Monitor`."""
+"""The inputs of a live check: put received torques and measurements into a `Monitor`."""
 
 from __future__ import annotations
 
@@ -54,29 +54,31 @@ from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
 from rigid_body_ros.sensing.reading import KINDS, samples
 
-#: How to decode a message, and what to do with several: stamps, ns, and contents.
+#: The types of a function that decodes one message, and of a function that uses the stamps, ns,
+#: and the contents of several messages.
 _Decode = Callable[[bytes], Any]
 _Put = Callable[..., None]
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-#: s; how long to wait for a topic that is behind others by more than `history`, and after a jump
-#: of the clock for messages from before it. A reliable connection may take three seconds to send a
-#: lost message again.
+#: How long to wait for a topic that is behind others by more than `history`, s. For this time
+#: after a jump of the clock, messages from before the jump may also arrive. A reliable connection
+#: may take three seconds to send a lost message again.
 _PATIENCE = 5.0
-#: s; a reading of the clock, which takes as long as a message, counts for so long.
+#: How long a reading of the clock is reused, s. Reading the clock takes as long as processing a
+#: message.
 _CLOCK_PERIOD = 0.005
-#: s; how far a stamp may be ahead of simulated time.
+#: How far a stamp may be ahead of simulated time, s.
 _OVERTAKING = 60.0
-#: Reasons why windows are not judged, in addition to those of `Monitor`.
+#: Reasons why windows are not judged, in addition to the reasons of `Monitor`.
 _LOST, _JUMP = 'torques lost', 'the clock jumped'
-#: ns; the smallest step of a wall clock that is a jump.
+#: The smallest step of a wall clock that counts as a jump, ns.
 _STEP_NS = 10 ** 6
-#: Number of the first measured topic as a source of diagnostics; torques have lower ones.
+#: Number of the first measured topic as a source in diagnostics; torques have lower numbers.
 _FIRST_MEASURED = 10 ** 6
 
 
 class MonitorInputs:
     """
-    Subscriptions to the torques of a scene and to measurements, and the check of their model.
+    Subscriptions to the torques of a scene and to measurements, and the check of the model.
 
     Parameters
     ----------
@@ -88,9 +90,9 @@ class MonitorInputs:
     sources : dict of int to TorqueTopic
     diagnostics : Diagnostics
     drains : dict of int to DrainCallback
-        By source: those that are subscribed to.
+        The callback of each source that has a subscription, by number of the source.
     monitor : Monitor
-        Begins again when the clock jumps.
+        The check. When the clock jumps, a new monitor replaces this one.
 
     """
 
@@ -105,14 +107,15 @@ class MonitorInputs:
         self._history_ns = duration_ns(scene.history, 'history')
         self._is_simulated = node.get_parameter('use_sim_time').value
         self._arrivals = ArrivalStamps()
-        # Stamps before and after the smallest step of a wall clock do not fit together.
+        # Even a small step of a wall clock is a jump: stamps before and after it are inconsistent.
         self._jumps = JumpDetector(node.get_clock(), self._is_simulated, self._history_ns) \
             if self._is_simulated else JumpDetector(node.get_clock(), False, _STEP_NS, _STEP_NS)
-        #: s, monotonic clock; until when a reading counts, and when the clock jumped by how much.
+        #: Until when `_reading` is reused, and when the clock last jumped, s, monotonic clock.
         self._read_until = self._jumped_at = 0.0
         self._reading, self._jump_ns = ClockReading(0, 0), 0
-        #: By source: how to decode its messages and what to do with them, and those that wait,
-        #: each with the time and the stamp of its arrival, ns, and whether others are lost before.
+        #: For each source: the functions that decode and use its messages, and the messages that
+        #: wait. A waiting message is stored with the clock time on arrival, ns, the arrival stamp,
+        #: ns, and whether messages were lost just before this message.
         self._takes: dict[int, tuple[_Decode, _Put]] = {}
         self._waiting: dict[int, list[tuple[bytes, int, int, bool]]] = {}
         self._has_gap: set[int] = set()
@@ -124,31 +127,34 @@ class MonitorInputs:
                             self._apply)
 
     def _begin(self) -> None:
-        """Begin without any torque or measurement."""
+        """Begin a check that contains no torque or measurement yet."""
         self.monitor = Monitor(self._scene.problem(), settings_of(self._scene.values),
                                self._scene.actuators or ())
-        #: By source: the newest stamp, ns, and whether the topic has attitudes (1), angular
-        #: velocities (2) or both (3).
+        #: For each source: the newest stamp, ns.
         self._newest_ns: dict[int, int] = {}
+        #: For each measured topic: 1 if it contains attitudes, 2 if it contains angular
+        #: velocities, and 3 if it contains both.
         self._measured: dict[int, int] = {}
-        #: s, monotonic clock; when a message was accepted, and when the topic was last not behind
-        #: others by more than `history`.
+        #: For each source: when a message was last accepted, s, monotonic clock.
         self._heard_at: dict[int, float] = {}
+        #: For each source: when its newest stamp was last at most `history` older than the newest
+        #: stamp of all sources, s, monotonic clock.
         self._abreast_at: dict[int, float] = {}
 
     @property
     def subscriptions(self) -> list[Subscription]:
-        """Return the subscriptions."""
+        """Return the subscriptions to torques and measurements."""
         return [drain.subscription for drain in self.drains.values()]
 
     @property
     def polled(self) -> list[Subscription]:
         """
-        Return the subscriptions whose messages `take` takes: no executor need wait for them.
+        Return the subscriptions that `take` polls, so that no executor waits for their messages.
 
-        Waking an executor for each message takes more time than everything else. The middleware
-        records the wall time at which a message arrives; simulated time has to be read at that
-        moment.
+        Waking an executor for each message would take more time than all other work. With wall
+        time this is not necessary, because the middleware records when a message arrives. With
+        simulated time an executor must wait, because the node has to read the time when the
+        message arrives.
         """
         return [] if self._is_simulated else self.subscriptions
 
@@ -158,13 +164,13 @@ class MonitorInputs:
                 if number in self._newest_ns else None for number in self.sources}
 
     def is_silent_since(self, time_ns: int) -> bool:
-        """Return whether messages after a time should have made a window by now."""
+        """Return whether a window that begins after a time should be complete by now."""
         window_ns = duration_ns(self._scene.values['monitor.window'], 'window')
         patience_ns = 2 * window_ns + self._history_ns + duration_ns(_PATIENCE, 'patience')
         return self._reading.now_ns > time_ns + patience_ns
 
     def problems(self) -> dict[int, list[str]]:
-        """Return problems by source, and subscribe to the topics that have a type by now."""
+        """Return the problems by source; also subscribe to topics whose type is now known."""
         ages, longest = self.ages(), self._scene.stale_after
         problems: dict[int, list[str]] = {number: [] for number in self.sources}
         for number, source in self.sources.items():
@@ -213,7 +219,7 @@ class MonitorInputs:
             (data, now_ns, received_ns or self._arrivals.stamp(), is_after_gap))
 
     def now_ns(self) -> int:
-        """Return the time, ns, 0 if there is none yet; begin again if the clock has jumped."""
+        """Return the time, ns (0: none yet); after a jump of the clock, begin the check again."""
         now = time.monotonic()
         if self._reading.now_ns and now < self._read_until:
             return self._reading.now_ns
@@ -227,18 +233,18 @@ class MonitorInputs:
                                    's: the check begins again')
             self._jump_ns, self._jumped_at = reading.jump_ns, now
             self._begin()
-            # Messages from before a small jump cannot be told from later ones.
+            # Messages from before a small jump cannot be distinguished from later messages.
             self.monitor.skip(reading.now_ns - self._reach_ns, reading.now_ns + self._reach_ns,
                               _JUMP)
         return reading.now_ns
 
     @property
     def _reach_ns(self) -> int:
-        """Return the largest age of a message from before a small jump, ns."""
+        """Return how long before and after a clock jump, ns, the stamps are ambiguous."""
         return min(abs(self._jump_ns), 2 * self._history_ns) + self._history_ns
 
     def take(self) -> None:
-        """Take the messages that have arrived, topic by topic: many at once are cheaper."""
+        """Take the messages that have arrived, topic by topic, because batches are faster."""
         for source, arrived in self._waiting.items():
             if not self._is_simulated:
                 self.drains[source].poll()
@@ -264,10 +270,10 @@ class MonitorInputs:
                 put(np.array(stamps_ns), found)
 
     def _stamp(self, stamp_ns: int, now_ns: int, arrival_ns: int) -> int:
-        """Return the stamp to use; raise RejectedError if it is not one of the present time."""
+        """Return the stamp to use; raise RejectedError if it is too far from the present time."""
         if not stamp_ns or self._scene.time_source == ARRIVAL:
             stamp_ns = arrival_ns
-        if self._is_simulated:  # a message may overtake the one on /clock sent before it
+        if self._is_simulated:  # a message may overtake the /clock message that was sent before it
             check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
         else:
             check_stamp(stamp_ns, now_ns, self._scene.max_future)
@@ -281,7 +287,7 @@ class MonitorInputs:
 
     def _apply(self, source: int, topic: str, stamps_ns: NDArray[np.int64],
                found: Sequence[Torque]) -> None:
-        """Put torques into the check."""
+        """Pass torques to the check."""
         self.monitor.awaited.add(source)
         self._count(source, stamps_ns, self.monitor.apply(
             stamps_ns, np.array([torque.values for torque in found]),
@@ -289,12 +295,13 @@ class MonitorInputs:
 
     def _measure(self, kind: messages.MessageType, source: int, topic: str,
                  stamps_ns: NDArray[np.int64], found: Sequence[messages.Stamped]) -> None:
-        """Put measurements into the check."""
+        """Pass measurements to the check."""
         attitude, rates = samples(kind, np.array([message.values for message in found]))
         sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])
         if sent.any():
             self._measured.setdefault(source, int(sent[sent > 0][0]))
-        # As in a recording, every message of a topic has the same quantities as the first.
+        # As in a recording, every message of a topic must contain the same quantities as the first
+        # message.
         usable = sent == self._measured.get(source, -1)
         for _ in range(int(np.sum(~usable))):
             self.diagnostics.reject(RejectedError(
@@ -304,7 +311,7 @@ class MonitorInputs:
             topic, stamps_ns[usable], attitude[usable], rates[usable]))
 
     def _count(self, source: int, stamps_ns: NDArray[np.int64], fits: NDArray[np.bool_]) -> None:
-        """Count messages, and reject those that do not fit, because they are too late."""
+        """Count messages; reject those for which `fits` is false, because they are late."""
         for stamp_ns in stamps_ns[~fits].tolist():
             self.diagnostics.reject(RejectedError(
                 LATE, f'stamped {stamp_ns} ns, in a window that has been judged: a window is '
@@ -335,14 +342,14 @@ class MonitorInputs:
                                     f'{quoted(found)}')
 
     def complete_ns(self, now: float) -> int:
-        """Return up to when the messages of all topics but silent ones have arrived, ns."""
+        """Return the time, ns, up to which all topics are complete; silent topics do not count."""
         newest_ns = self.monitor.newest_ns
         sending = []
         for number in self.drains:
             found_ns = self._newest_ns.get(number, 0)
             if found_ns >= newest_ns - self._history_ns or number not in self._abreast_at:
                 self._abreast_at[number] = now
-            # After a pause of the process, its messages may wait behind those of other topics.
+            # After a pause of the process, a topic may wait behind the messages of other topics.
             if now < max(self._abreast_at[number], self._heard_at.get(number, 0.0)) + _PATIENCE:
                 sending.append(found_ns)
         return min(sending, default=newest_ns) - self._history_ns

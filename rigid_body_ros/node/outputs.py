@@ -49,8 +49,8 @@ except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import PublisherEventCallbacks
 
 _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-# No message of the log of a run may be lost, not even to a recorder that starts a moment later;
-# the states of the last `history` are published in one burst at the end.
+# No message of the log may be lost, not even to a recorder that starts a moment later. The queue
+# is deep, because an epoch ends with a burst: the states of the last `history`.
 _LOG_QOS = QoSProfile(depth=LOG_DEPTH, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -59,8 +59,8 @@ class Publishers:
     """
     The publishers of a node.
 
-    If the middleware fails to publish a message, for example because memory is exhausted, the
-    failure is counted and logged.
+    If the middleware fails to publish a message, for example because memory is exhausted,
+    `Diagnostics` counts and logs the failure.
     """
 
     def __init__(self, node: Node, scene: Scene, sources: Iterable[TorqueTopic],
@@ -69,8 +69,8 @@ class Publishers:
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
         imu, variances = scene.imu, scene.odometry_variances
-        #: The publisher of each topic, and how it encodes a snapshot. Odometry comes first: in
-        #: lockstep, controllers wait for it.
+        #: The publisher of each topic, and the function that encodes a snapshot for it. Odometry
+        #: comes first because controllers wait for it in lockstep.
         self._states: list[tuple[Publisher, Callable[[State, State, Floats], bytes]]] = [
             (self._publisher(Odometry, 'odometry'), lambda state, *_: (
                 messages.odometry(state, space, body, *variances))),
@@ -97,7 +97,7 @@ class Publishers:
         if scene.publish_tf:
             self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, *_: (
                 messages.transform(state, space, body))))
-        #: By number of the source.
+        #: The publisher of the log of each source, by number of the source.
         self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)
                           for source in sources}
         self._kinds = {source.number: source.message for source in sources}
@@ -105,7 +105,7 @@ class Publishers:
 
     @property
     def publishers(self) -> list[Publisher]:
-        """All publishers of states and of the log."""
+        """Return all publishers of states and of the log."""
         return [*(publisher for publisher, _ in self._states), *self._accepted.values(),
                 self._committed]
 
@@ -121,7 +121,7 @@ class Publishers:
                 self._send(publisher, encode(*snapshot))
 
     def begin_log(self, start: State) -> None:
-        """Mark in the logs of torques that an epoch begins with a state."""
+        """Publish the marker of a new epoch, with its start state, in each log of torques."""
         for source, publisher in self._accepted.items():
             self._send(publisher, messages.epoch_marker(start, self._kinds[source]))
 
@@ -133,20 +133,20 @@ class Publishers:
             torque.stamp_ns, self._frames[torque.frame], torque.values))
 
     def log_state(self, state: State) -> None:
-        """Log a final state."""
+        """Log a state that no later torque can change."""
         self._send(self._committed, messages.odometry(
             state, self._frames['space'], self._frames['body']))
 
     def deliver(self, until: float) -> bool:
         """
-        Wait until subscribers acknowledge the log, at most to `until`, s, monotonic clock.
+        Wait until subscribers acknowledge the log, at most until `until`, s, monotonic clock.
 
-        Return False if they do not.
+        Return False if a subscriber has not acknowledged the log by `until`.
         """
         is_delivered = True
         for publisher in (self._committed, *self._accepted.values()):
             remaining = max(0.0, until - time.monotonic())
-            with suppress(RuntimeError):  # not every middleware supports it
+            with suppress(RuntimeError):  # not every middleware supports acknowledgement
                 is_delivered &= publisher.wait_for_all_acked(Duration(seconds=remaining))
         return is_delivered
 
@@ -168,12 +168,12 @@ class Publishers:
 
 
 def _wheel_states(wheels: Sequence[Wheel]) -> Callable[[State, State, Floats], bytes]:
-    """Return how the speeds and efforts of wheels with names are encoded."""
+    """Return the function that encodes the speeds and efforts of named wheels."""
     kind = messages.joint_states([wheel.name for wheel in wheels])
     speeds = np.array([wheel.initial_speed for wheel in wheels])
 
     def encode(state: State, *_: object) -> bytes:
-        # A start that is not computed has no efforts, and that of the scene no speeds.
+        # A start state that was not computed lacks efforts; the start of the scene lacks speeds.
         values = (found if found.size else default for found, default in (
             (state.wheel_speeds, speeds), (state.wheel_efforts, np.zeros(len(wheels)))))
         return kind.encode(state.time_ns, '', messages.joint_values(*(

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scene as parameters of a node."""
+"""The scene as the parameters of a node."""
 
 from __future__ import annotations
 
@@ -45,9 +45,10 @@ from rigid_body_ros.scene.parameters import checked_names, parameters_with, QOS
 from rigid_body_ros.scene.wheels import WHEEL_NAMES
 
 _RATE = 'publish_rate'
-#: Topics of rclpy itself.
+#: QoS overrides for topics of rclpy itself have names that begin with `QOS` and one of these.
 _OF_RCLPY = ('/clock.', '/parameter_events.', '/rosout.')
-#: Parameters that the node sets when an epoch begins, so that a dump is the scene of the epoch.
+#: Parameters that the node sets when an epoch begins, so that a dump of the parameters is the
+#: scene of the epoch.
 _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
           *(f'initial_angular_velocity.{name}' for name in 'xyz'),
           *(f'initial_rotor_momentum.{name}' for name in 'xyz'))
@@ -61,9 +62,9 @@ class NodeParameters:
     ----------
     node : Node
     on_rate : callable
-        Receives a new `publish_rate`.
+        Called with each new `publish_rate`.
     is_managed : bool
-        Whether `release` is called when the scene is no longer used.
+        Whether the node calls `release` when it no longer uses the scene.
 
     Raises
     ------
@@ -85,7 +86,7 @@ class NodeParameters:
             node.add_pre_set_parameters_callback(_with_float_rate)
 
     def release(self) -> None:
-        """If the node is managed, restore the given parameters, which may change again."""
+        """If the node is managed, restore the given parameters, so that they can be set again."""
         if self._is_managed:
             self._node.remove_on_set_parameters_callback(self._on_set)
             if hasattr(self._node, 'remove_pre_set_parameters_callback'):
@@ -95,7 +96,7 @@ class NodeParameters:
             declare(self._node, self._given)
 
     def set_start(self, start: State) -> None:
-        """Set the parameters to the start state of an epoch, or raise RuntimeError."""
+        """Set the parameters to the start state of an epoch; raise RuntimeError on failure."""
         wheels = Wheels(self.scene.named_wheels)
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
                   *wheels.others(start).tolist()]
@@ -104,7 +105,8 @@ class NodeParameters:
             wheel.initial_speed for wheel in self.scene.named_wheels]
         epoch |= {f'{name}.initial_speed': speed for name, speed in zip(wheels.names, speeds)}
         self._fixed |= epoch
-        # The descriptors are those that the node has stored: only users may not set the values.
+        # Make the values, which stay read-only for users, writable during this call. The node
+        # returns the descriptors that it stores, not copies.
         descriptors = self._node.describe_parameters(list(epoch))
         is_fixed = [descriptor.read_only for descriptor in descriptors]
         for descriptor in descriptors:
@@ -117,7 +119,7 @@ class NodeParameters:
             raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
     def _declare(self) -> Scene:
-        # Those of a managed node are declared, and may have changed since the start.
+        # A managed node has already declared its parameters, which may have changed since then.
         given = given_parameters(self._node)
         for key in (FIELDS, WHEEL_NAMES):
             if self._node.has_parameter(key):
@@ -137,7 +139,7 @@ class NodeParameters:
             if name in declared:
                 self._node.undeclare_parameter(name)
             descriptor = _descriptor(checked.parameters[name])
-            descriptor.read_only &= not self._is_managed  # which rclpy could not undeclare
+            descriptor.read_only &= not self._is_managed  # rclpy cannot undeclare read-only ones
             self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return checked
 
@@ -147,7 +149,7 @@ class NodeParameters:
             if value != self._fixed.get(name, value):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it defines the trajectory')
-            # rclpy declares those of quality of service with each endpoint.
+            # rclpy declares the parameters of quality of service together with each endpoint.
             if self._node.has_parameter(name) and name.startswith((QOS, 'use_sim_time')):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it takes effect only at the start')
@@ -160,22 +162,23 @@ class NodeParameters:
 
 
 def declare(node: Node, given: Mapping[str, Any]) -> None:
-    """Declare the parameters of a scene, so that they can be set; others than given have none."""
+    """Declare the parameters of a scene; only given parameters have values."""
     for name, parameter in _known(given).items():
         node.declare_parameter(name, given.get(name), ParameterDescriptor(
             description=_described(parameter), dynamic_typing=True), ignore_override=True)
 
 
 def _known(given: Mapping[str, Any]) -> dict[str, SceneParameter]:
-    """Return the parameters of a scene; those of what it names only if the names are valid."""
+    """Return the parameters of a scene; skip those of fields and wheels if a name is invalid."""
     with suppress(InputError):
         return parameters_with(checked_names(given))
     return PARAMETERS
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
-    """Return the values of all parameters given to a node, those of other nodes included."""
-    # rclpy can only declare them all, and fails if one of another node is an empty list.
+    """Return the values of all parameters given to a node, including those for other nodes."""
+    # The public interface of rclpy returns only declared parameters. Declaring all of them fails
+    # if a parameter for another node is an empty list.
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
 
@@ -198,7 +201,8 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
               if name.startswith(QOS) and name not in known
               and not name.removeprefix(QOS).startswith(_OF_RCLPY)]
     for name in others:
-        # The namespace of another body may differ in one letter.
+        # Compare only names in the same namespace, because the namespaces of two bodies may differ
+        # in only one letter.
         space = name.rpartition('/')[0]
         close = resembled(name, [own for own in known if own.rpartition('/')[0] == space])
         if close:
@@ -223,7 +227,7 @@ def _descriptor(parameter: SceneParameter) -> ParameterDescriptor:
     limits = ', '.join(parameter.choices)
     descriptor = ParameterDescriptor(
         name=parameter.name, description=_described(parameter), read_only=fixed,
-        # While the node runs, 50 is accepted for 50.0.
+        # With dynamic typing, a running node accepts a rate of 50 in place of 50.0.
         dynamic_typing=not fixed,
         additional_constraints='; '.join(filter(None, [
             limits and f'one of {limits}',

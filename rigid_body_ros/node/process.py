@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`main`, which runs a node in a process of its own."""
+"""`main`, which runs a node as a command."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _initialize(command_line: Sequence[str], command: str, described: str) -> No
             command, description=described.partition('\n')[0],
             epilog='Pass the scene as ROS parameters: --ros-args --params-file FILE',
         ).parse_args(others)
-        # rclpy's own handlers would shut ROS down before the last states are published.
+        # The signal handlers of rclpy would shut ROS down before the last states are published.
         rclpy.init(args=[*command_line, *_without_log_file()],
                    signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:

@@ -50,12 +50,12 @@ from rigid_body_ros.node.clocks import (
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.scene.parameters import ARRIVAL, REBASE, RESET
 
-#: s; how long a torque waits for a /clock message that was sent before it.
+#: How long a torque waits for a /clock message that was sent before the torque, s.
 _CLOCK_DELAY = 0.5
 
 
 class Realtime(Mode):
-    """Publish the state at the present time, at a rate."""
+    """Publish the state at the present time, at the rate `publish_rate`."""
 
     several_publishers = ('torques of several publishers of one topic are not summed, and each '
                           'replaces the previous one; list a topic for each in torque_topics')
@@ -70,13 +70,13 @@ class Realtime(Mode):
         self._rate = self._scene.publish_rate
         self._timer: Timer | None = None
         self._jumps: JumpHandle | None = None
-        #: Time, ns, of the state to publish as soon as it is known; 0 if there is none.
+        #: Time, ns, of a state to publish as soon as it is computed; 0 if there is none.
         self._deferred_ns = 0
-        #: s, monotonic clock; when the next state is overdue.
+        #: When the next state is overdue, s, monotonic clock.
         self._overdue_at = 0.0
 
     def activate(self) -> None:
-        """Begin to publish, with an epoch if there is none."""
+        """Begin to publish; begin an epoch if there is none."""
         node_clock = self._node.get_clock()
         if self._is_simulated:  # rclpy does not report jumps of a wall clock
             ahead = Duration(nanoseconds=self._clock.most_ahead_ns)
@@ -110,7 +110,7 @@ class Realtime(Mode):
         Raises
         ------
         RejectedError
-            There is no time yet, or too many torques wait.
+            The clock has no time yet, or too many torques wait.
 
         """
         self._valid_now_ns()
@@ -118,7 +118,7 @@ class Realtime(Mode):
         self._queue.put(Queued(source, data, sender, self._arrivals.stamp(), time.monotonic()))
 
     def process(self) -> bool:
-        """Apply waiting torques for one slice of time; return whether no work is left."""
+        """Apply waiting torques for one slice of time; return whether all work is done."""
         for cause in (FUTURE, LATE):
             while (first := self._queue.first_early(cause)) and not self._early_cause(first):
                 self._queue.release(cause)
@@ -130,22 +130,22 @@ class Realtime(Mode):
         return is_done and not self._deferred_ns
 
     def catch_up(self) -> None:
-        """Publish the present state if the timer is late, because many messages arrive."""
-        # Simulated time, which the timer then follows, may stop.
+        """Publish the present state if many messages delay the timer."""
+        # In simulated time, which may stop, the timer has to follow the clock.
         if self._timer and not self._is_simulated and self._is_overdue:
             self._publish_now()
 
     def set_state(self, state: State) -> str:
         """
-        Begin an epoch with an attitude and body rates, and return a description.
+        Begin an epoch with an attitude and body rates; return a text that describes the epoch.
 
         The rotors keep their momentum.
 
         Raises
         ------
         RejectedError
-            There is no time yet, or the stamp of the state is too far ahead of the clock, too far
-            behind it, or older than the newest torque by `history` or more.
+            The clock has no time yet, or the stamp of the state is too far ahead of the clock, too
+            far behind the clock, or older than the newest torque by `history` or more.
 
         """
         now_ns = self._valid_now_ns()
@@ -157,12 +157,12 @@ class Realtime(Mode):
 
     def reset(self) -> str:
         """
-        Begin an epoch with the initial state, and return a description.
+        Begin an epoch with the initial state, and return a text that describes the epoch.
 
         Raises
         ------
         RejectedError
-            There is no time yet.
+            The clock has no time yet.
 
         """
         now_ns = self._valid_now_ns()
@@ -173,11 +173,11 @@ class Realtime(Mode):
         return self._begin(self.run.initial(now_ns), torques, 'reset')
 
     def now_ns(self) -> int:
-        """Return the present time, ns, or 0 if there is none yet."""
+        """Return the present time, ns, or 0 if the clock has no time yet."""
         return self._update()
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the present problems by source; the first source also has those of the clock."""
+        """Return the present problems by source; the first source also gets those of the clock."""
         now_ns, timeout = self._update(), self._scene.torque_timeout
         problems = {source: [] for source in self._torques}
         problems[next(iter(problems))] = self._monitor.problems()
@@ -195,7 +195,7 @@ class Realtime(Mode):
         return self._node.get_clock().now().to_msg()
 
     def end(self, until: float | None = None, kept: str = LATE) -> None:
-        """End the epoch, as `Mode.end`; states that wait to be published are dropped."""
+        """End the epoch, as `Mode.end` does; drop states that wait to be published."""
         self._deferred_ns = 0
         super().end(until, kept)
 
@@ -207,17 +207,17 @@ class Realtime(Mode):
             return None
 
     def _early_cause(self, queued: Queued) -> str | None:
-        """Return why a torque is early, or None if it is not."""
+        """Return why a torque is early, or None if the torque is not early."""
         try:
             self._decoded(queued)
         except EarlyError as early:
             return early.cause
         except RejectedError:
-            pass  # counted when its turn comes
+            pass  # `process` rejects and counts it later
         return None
 
     def _hold_early_torques(self) -> None:
-        """Before the epoch ends, let torques wait that are early for the present clock."""
+        """Before the epoch ends, hold all torques that are early by the present clock."""
         for queued in self._queue.pop_all():
             cause = self._early_cause(queued)
             if cause:
@@ -226,7 +226,7 @@ class Realtime(Mode):
                 self._queue.put(queued)
 
     def _decoded(self, queued: Queued) -> Torque:
-        """Return a torque whose stamp is valid; raise RejectedError, or EarlyError."""
+        """Return a torque if its stamp is valid; raise RejectedError, or EarlyError if early."""
         torque = self._inputs.torque(queued.data, queued.source)
         if not torque.stamp_ns or self._scene.time_source == ARRIVAL:
             torque = torque._replace(stamp_ns=queued.arrived_ns)
@@ -237,8 +237,8 @@ class Realtime(Mode):
         return torque
 
     def _check_early(self, stamp_ns: int, queued: Queued) -> None:
-        # A torque may overtake the /clock message that was sent before it. It is then ahead of
-        # the clock, or, if that message sets the clock back, too old for the present epoch.
+        # A torque may overtake the /clock message that was sent before it. The torque is then
+        # ahead of the clock or, if that message sets the clock back, too old for the epoch.
         now_ns = self._node.get_clock().now().nanoseconds
         try:
             self._check_stamp(stamp_ns, now_ns)
@@ -257,8 +257,8 @@ class Realtime(Mode):
         now_ns = self._update()
         if not now_ns or now_ns < self.run.epoch.start.time_ns:
             return
-        # A torque that waits is applied first, unless there are always some: then a state that
-        # does not contain them is better than none.
+        # Waiting torques are applied before the state is published. But an overdue state is
+        # published without them; otherwise a flood of torques would stop the states.
         if (self._current or self._queue) and not self._is_overdue:
             self._deferred_ns = now_ns
         else:
@@ -268,8 +268,9 @@ class Realtime(Mode):
         """
         Publish the state at a time, immediately if one slice of work is enough to compute it.
 
-        Otherwise `process` publishes it, because there is no further call if simulated time stands
-        still. `process` also publishes it again after the torques that wait, which may change it.
+        Otherwise `process` publishes the state later, because the timer does not call again while
+        simulated time stands still. If torques wait, which may change the state, `process` applies
+        these torques, and publishes the state again.
         """
         self._deferred_ns = time_ns if self._current or self._queue else 0
         began = time.monotonic()
@@ -278,7 +279,7 @@ class Realtime(Mode):
         except TimeoutError as error:
             self._miss_deadline(error)
             self._deferred_ns = time_ns
-            # Most of the time is for messages, services and torques.
+            # Wait for ten slices: most of the time belongs to messages, services and torques.
             self._overdue_at = began + 10.0 * BUDGET
             self._wake()
             return
@@ -298,9 +299,9 @@ class Realtime(Mode):
         return now_ns
 
     def _update(self) -> int:
-        """Read the clock, and begin an epoch if necessary; return the time, ns, or 0 if none."""
+        """Read the clock, and begin an epoch if necessary; return the time, ns (0: none yet)."""
         now_ns, jump_ns = self._clock.read()
-        if not now_ns:  # simulated time before the first message on /clock
+        if not now_ns:  # simulated time, before the first message on /clock
             return 0
         self._arrivals.tick(now_ns)
         if self.run.epoch is None:
@@ -310,7 +311,7 @@ class Realtime(Mode):
         return now_ns
 
     def _start(self, now_ns: int) -> None:
-        """Begin the first epoch: from the checkpoint if it has a state, else from the scene."""
+        """Begin the first epoch: from the state in the checkpoint, if any, else from the scene."""
         state = self._checkpoint and self._checkpoint.start
         if not state:
             self._begin(self.run.initial(self._given_start_ns or now_ns), (), 'start')
@@ -332,7 +333,7 @@ class Realtime(Mode):
             return
         if action in (REBASE, RESET):
             start_ns = self._given_start_ns if self._is_simulated else 0
-            # A start before a jump ahead would integrate all the time between them.
+            # If the start preceded a jump ahead, the motion during the jump would be computed.
             start_ns = max(start_ns, now_ns) if is_ahead else start_ns or now_ns
             self._begin(self.run.initial(start_ns), (), text, is_ahead)
 
@@ -342,7 +343,8 @@ class Realtime(Mode):
             self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the current state cannot be '
                                     'computed; the motion starts again from the initial state')
             return False
-        # Shift the stamp, so that the torque keeps its age until it times out.
+        # Shift the stamps by the jump, so that the torques keep their age, which the timeout
+        # limits.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
                    for torque in self.run.epoch.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]
@@ -354,12 +356,13 @@ class Realtime(Mode):
     def _begin(self, start: State, torques: Sequence[Torque], reason: str,
                is_ahead: bool = False) -> str:
         """
-        Begin an epoch; `torques` are earlier ones that still act.
+        Begin an epoch; return a text about it. `torques` are earlier torques that still act.
 
-        Torques that wait for the clock, and come from after it jumped, are kept: those ahead of
-        the clock if it jumped ahead, otherwise those that are too old for the present epoch.
+        The torques that wait for the clock and were sent after its jump are kept. If the clock
+        jumped ahead, these are the torques ahead of the clock; otherwise, they are the torques
+        that are too old for the previous epoch.
         """
-        if self.run.epoch is not None:  # otherwise the queued torques belong to the new one
+        if self.run.epoch is not None:  # otherwise the queued torques belong to the new epoch
             self.end(kept=FUTURE if is_ahead else LATE)
         self.run.begin(start, torques)
         self._parameters.set_start(start)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A node in lockstep that keeps its own log, for a command that runs a closed loop."""
+"""A node in lockstep that keeps its own log, for `attitude_regress`."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP
 
 _COMMITTED = '~/committed'
-#: Nothing is lost, however long the node computes.
+#: The queue is deep enough to lose nothing, however long the node computes.
 _QOS = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: s; how long to wait for the end of the log, and how often to look.
+#: How long to wait for the end of the log, and the time between two checks, s.
 _PATIENCE, _PERIOD = 5.0, 0.02
-#: s; after this time without another publisher of torques, there will be none.
+#: If no other publisher of torques appears for this long, s, no more publishers are expected.
 _QUIET = 3.0
 
 
@@ -53,35 +53,36 @@ class _Logged(NamedTuple):
 
 class RecordedNode:
     """
-    The node of a scene in lockstep, in the domain of the environment; a context manager.
+    A node in lockstep for a scene; a context manager.
 
-    If the scene has several topics of torques, the node begins when each of them has a publisher:
-    it does not wait for a publisher that comes later. A checkpoint is neither read nor written.
+    The node uses the ROS domain that the environment sets. If the scene has several topics of
+    torques, the node begins only when the expected topics have publishers, because it would not
+    wait for a publisher that connects later. The node neither reads nor writes a checkpoint.
 
     Parameters
     ----------
     scene : Scene
     logs : collection of str
         The logs of the topics to wait for, such as 'accepted_torque'. If empty, the node waits
-        until no more topics get a publisher, and uses those that have one.
+        until no more topics get a publisher, and begins with the topics that have a publisher.
 
     """
 
     def __init__(self, scene: Scene, logs: Collection[str] = ()) -> None:
         self._scene = scene
         self._context = rclpy.Context()
-        # No files; warnings about the scene are the command's.
+        # Write no log files, and no warnings about the scene, which the command itself prints.
         rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
                    context=self._context)
         self._listener = rclpy.create_node('attitude_regress', context=self._context)
         self._logs = {source.log: source for source in sources_of(scene)}
-        #: By log, the messages of the present epoch.
+        #: The messages of the current epoch in each log.
         self._received: dict[str, list[_Logged]] = {name: [] for name in (*self._logs, _COMMITTED)}
         self._elapsed_ns: dict[str, int] = {}
         self._topics = {_base(name): self._listener.resolve_topic_name(source.topic)
                         for name, source in self._logs.items() if source.number != BODY}
         self._awaited = {self._topics[name] for name in logs if name in self._topics}
-        #: The topics without a publisher, and since when they are those, s, monotonic clock.
+        #: The topics without a publisher, and when this list changed last, s, monotonic clock.
         self._missing, self._since = self.unpublished, time.monotonic()
         self._node: AttitudeNode | None = None
         if len(self._topics) == 1:
@@ -95,9 +96,10 @@ class RecordedNode:
         self._node = AttitudeNode(context=self._context, parameter_overrides=[
             Parameter(name, value=value) for name, value in given.items()])
         self._node.get_logger().set_level(LoggingSeverity.WARN)
-        #: By log, its full name; the node does not resolve names when it has ended.
+        #: The full name of each log, because a destroyed node does not resolve names.
         self._names = {name: self._node.resolve_topic_name(name) for name in self._received}
-        # No executor: what it had queued would outlive the node.
+        # No executor spins these subscriptions: messages in the queue of an executor would outlive
+        # the node.
         self._subscriptions = {name: self._listener.create_subscription(
             source.kind if (source := self._logs.get(name)) else Odometry, self._names[name],
             lambda data: None, _QOS, raw=True) for name in self._received}
@@ -122,7 +124,7 @@ class RecordedNode:
 
     @property
     def unpublished(self) -> list[str]:
-        """Return the topics of torques that no node publishes."""
+        """Return the torque topics that have no publisher."""
         return [topic for topic in self._topics.values()
                 if not self._listener.count_publishers(topic)]
 
@@ -133,7 +135,12 @@ class RecordedNode:
         return self._listener.count_publishers(states) > (self._node is not None)
 
     def spin(self, seconds: float) -> None:
-        """Run the node for this time, s."""
+        """
+        Run the node for a number of seconds.
+
+        If the node has not begun, sleep for this time instead, and then begin the node if the
+        publishers are ready.
+        """
         if not self._node:
             time.sleep(seconds)
             if self._is_connected():
@@ -145,7 +152,7 @@ class RecordedNode:
         self._take()
 
     def _is_connected(self) -> bool:
-        """Return whether all topics that torques are to come from have a publisher."""
+        """Return whether all topics from which the node expects torques have a publisher."""
         if (missing := self.unpublished) != self._missing:
             self._missing, self._since = missing, time.monotonic()
         if self._awaited:
@@ -178,7 +185,7 @@ class RecordedNode:
         Raises
         ------
         InputError
-            A state is missing.
+            The committed state at a torque is missing.
 
         """
         self._executor.shutdown()
@@ -194,14 +201,14 @@ class RecordedNode:
                              'shorter history in the scene')
 
     def _pending(self) -> set[int]:
-        """Return the stamps of the present epoch without a committed state."""
+        """Return the stamps of torques of the current epoch that have no committed state yet."""
         torques = [name for name, source in self._logs.items() if source.number != BODY]
         due, final = ({one.stamp_ns for name in names for one in self._received[name]}
                       for names in (torques, [_COMMITTED]))
         return due - final
 
     def write(self, path: str | Path, last_ns: int) -> None:
-        """Write the log of the present epoch, up to this time after the start, to a recording."""
+        """Write the log of the current epoch to a recording, up to `last_ns` after the start."""
         start_ns = next(found[0].stamp_ns for name, found in self._received.items()
                         if name in self._logs)
         with recording.Writer(path) as writer:
@@ -211,7 +218,7 @@ class RecordedNode:
                 topic = self._names[name]
                 writer.add_topic(topic, _message_type(self._logs.get(name)))
                 first = 0
-                if name == _COMMITTED:  # it has no markers: the last start begins the epoch
+                if name == _COMMITTED:  # without markers: the last start state begins the epoch
                     stamps = [one.stamp_ns for one in found]
                     first = len(stamps) - 1 - stamps[::-1].index(start_ns)
                 for one in found[first:]:
@@ -224,5 +231,5 @@ def _base(name: str) -> str:
 
 
 def _message_type(source: TorqueTopic | None) -> messages.MessageType:
-    """Return the type of the log of a source, or of the states."""
+    """Return the message type of the log of a source; for None, that of the log of states."""
     return source.message if source else messages.ODOMETRY

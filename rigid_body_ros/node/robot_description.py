@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The URDF of a body from the topic on which robot_state_publisher publishes it."""
+"""Wait for the URDF of a body on the topic on which robot_state_publisher publishes it."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
 from std_msgs.msg import String
 
-#: The topic, and the parameter that it replaces.
+#: The name of the topic, and of the parameter that can be given instead.
 ROBOT_DESCRIPTION = 'robot_description'
-#: As in robot_state_publisher; a later subscription also receives the last message.
+#: The QoS of robot_state_publisher: a later subscription also receives the last message.
 _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MOMENTS = ('inertia.ixx', 'inertia.iyy', 'inertia.izz')
-#: s; time between two looks at the topic, and between two log messages.
+#: Time between two checks of the topic, and time between two log messages, s.
 _PERIOD, _LOG_PERIOD = 0.05, 10.0
 
 
 def with_robot_description(node: Node, given: Mapping[str, Any]) -> Mapping[str, Any]:
     """
-    Return the given parameters, with the robot_description of the topic if none has an inertia.
+    Return the given parameters; if none gives an inertia, add the URDF from the topic.
 
-    Parameters come first: if there is an inertia or a robot_description among them, the node
-    neither waits for the topic nor subscribes to it.
+    If an inertia or a `robot_description` is among the parameters, the node neither subscribes to
+    the topic nor waits for it.
 
     Raises
     ------
     InputError
-        A parameter is not valid, whatever the inertia; this is reported before the node waits.
+        A parameter other than the inertia is not valid. The error is raised before the node waits.
     ExternalShutdownException
         The context is shut down while the node waits.
 
@@ -59,7 +59,7 @@ def with_robot_description(node: Node, given: Mapping[str, Any]) -> Mapping[str,
 
 
 def _received(node: Node) -> str:
-    """Wait for a message without an executor, because the node may belong to one already."""
+    """Wait for a message without an executor, because the node may already belong to one."""
     subscription = node.create_subscription(String, ROBOT_DESCRIPTION, lambda _: None, _LATCHED)
     topic, logger = subscription.topic_name, node.get_logger()
     logger.info(f'waiting for a URDF on {topic}, because the parameters have neither inertia.ixx '

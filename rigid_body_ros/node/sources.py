@@ -29,33 +29,33 @@ from rigid_body_ros.propagation.segment import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
 from sensor_msgs.msg import JointState
 
-#: The topic of the torque of the motors on the rotors.
+#: The topic of the torque that the motors exert on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'
-#: The source of the inertia of a body that changes.
+#: The topic of the inertia, for a body whose inertia changes.
 _INERTIA = 'inertia'
-#: The source of the commands of wheels with names.
+#: The topic of the commands to named wheels.
 _WHEEL_COMMAND = 'wheel_command'
 
 
 class TorqueTopic(NamedTuple):
-    """A topic of torques, of commands of wheels, or of inertia."""
+    """A topic of torques, of commands to wheels, or of the inertia."""
 
-    #: The source of `Propagator.apply`, COMMANDS, WHEELS or BODY.
+    #: The number of a source, as for `Propagator.apply`, or COMMANDS, WHEELS or BODY.
     number: int
     topic: str
-    #: The topic on which its accepted torques are logged.
+    #: The topic on which the accepted messages of the source are logged.
     log: str
-    #: Its name in diagnostics.
+    #: The name of the source in diagnostics.
     status: str
-    #: The type of its messages, and their content.
+    #: The type of the messages, and what each message contains.
     kind: type = WrenchStamped
     what: str = 'torque'
-    #: How its messages are encoded.
+    #: How the messages are encoded.
     message: messages.MessageType = messages.WRENCH
 
 
 def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
-    """Return the sources of torque of a scene, in the order in which they are summed."""
+    """Return the sources of torque and inertia of a scene; torques are summed in this order."""
     suffixes = ['', *(f'_{number}' for number in range(1, len(scene.torque_topics)))]
     sources = [TorqueTopic(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}')
                for number, (topic, suffix) in enumerate(zip(scene.torque_topics, suffixes))]
@@ -75,16 +75,16 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
 
 def check_topics(node: Node, sources: Iterable[TorqueTopic], others: Iterable[str]) -> None:
     """
-    Check that the topics of the sources differ from each other and from others of the node.
+    Check that the topics of the sources differ from each other and from other topics.
 
-    The others are full names.
+    `others` contains the full names of the other topics of the node.
 
     Raises
     ------
     InputError
         Two topics are the same after remapping.
     RuntimeError
-        A name is not valid.
+        The name of a topic is not valid.
 
     """
     used = set(others)

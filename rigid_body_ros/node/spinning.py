@@ -25,13 +25,13 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rigid_body_ros.runtime import interrupts
 
-#: s; period of the check for signals.
+#: Period of the check for signals, s.
 _SIGNAL_PERIOD = 0.1
 
 
 def executor_of(context: Context | None = None) -> Executor:
     """Return the executor that takes the least processor time per message."""
-    try:  # half of that of the other
+    try:  # EventsExecutor takes half the time of SingleThreadedExecutor
         from rclpy.experimental import EventsExecutor
     except ImportError:  # before Jazzy
         return SingleThreadedExecutor(context=context)
@@ -39,16 +39,16 @@ def executor_of(context: Context | None = None) -> Executor:
 
 
 def spin(executor: Executor, node: Node, is_done: Callable[[], bool] = lambda: False) -> None:
-    """Spin a node until it is done, or until SIGINT or SIGTERM, and destroy it."""
+    """Spin a node until it is done, or until SIGINT or SIGTERM; then destroy it."""
     stop: list[int] = []
     executor.add_node(node)
-    # From here on a signal does not interrupt a callback.
+    # From here on, a signal does not interrupt a callback.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: stop.append(number))
     interrupts.check()
-    # A collection that visits all modules would stop the outputs for 0.05 to 0.2 s.
+    # A garbage collection that visits all modules would stop the outputs for 0.05 to 0.2 s.
     gc.freeze()
     while not (stop or is_done()):
-        # With a timeout, to notice signals; without one EventsExecutor may hang.
+        # The timeout lets the loop notice signals; without a timeout, EventsExecutor may hang.
         executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
     node.destroy_node()
