@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The half of the node that needs no ROS, so that it can be type-checked and tested without it.
+The part of the node that does not need ROS; it can be type-checked and tested without ROS.
 
-`inputs` turns received messages into torques and states, or rejects them; `events` has the causes,
-and the names of all counts. `torque_queue` holds torques until they are applied, in order or
-early. `run` owns the present epoch, and logs what it accepts and commits; `epoch` is one start
-state and the torques since. `checkpoint` keeps the last committed state in a file. `closed_loop`
-keeps a loop in lockstep from stopping and from splitting.
+`inputs` turns received messages into torques and states, or rejects them; `events` defines the
+causes of rejection, and the names of all counts. `torque_queue` holds torques that wait to be
+applied, or wait for the clock. `run` owns the current epoch, and logs what it accepts and commits;
+an `epoch` is one start state and the torques since then. `checkpoint` keeps the last committed
+state in a file. `closed_loop` keeps the loop of a node in lockstep and its controller from
+stopping, and from splitting into several chains of messages.
 """

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The last committed state in a file, from which a restarted node continues."""
+"""A file with the last committed state, from which a restarted node continues."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import Scene
 
 _FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
-#: Parameters of a scene, and groups of them, that do not change its motion under given torques.
+#: Parameters, and groups of parameters, that do not change the motion under given torques.
 _OTHERS = frozenset([
     'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'mode', 'monitor', 'odometry',
     'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf', 'stale_after', 'step',
     'time_source'])
-#: Characters of a longer text, such as that of a URDF, are replaced by their hash.
+#: A text with more characters than this, such as a URDF, is replaced by its hash.
 _LONGEST_TEXT = 200
 
 
@@ -44,16 +44,16 @@ class Checkpoint:
     """
     A file with the last committed state of a node.
 
-    It is written by a thread, because a disk may take longer than a period of the outputs. It is
-    replaced as a whole, so it has either the old state or the new one.
+    A thread writes the file, because writing may take longer than a period of the outputs. The
+    file is replaced as a whole, so it contains either the old state or the new one.
 
     Parameters
     ----------
     path : str
-        The file; it may not exist yet.
+        The file, which need not exist yet.
     scene : Scene
     node : str
-        The full name of the node, because nodes that share their parameters must not share a file.
+        The full name of the node. Nodes with the same parameters must not share a file.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Checkpoint:
         self._defining = {'node': node, **_defining(scene)}
         self.start = self._read()
         files.check((self._path, _SUFFIX))
-        #: The file as it was read or written last; None before the first.
+        #: Identifies the file as it was last read or written; None if there was no file.
         self._identity = _identity(self._path)
         self._saved = self.start
         self._pool = ThreadPoolExecutor(1, 'checkpoint')
@@ -88,12 +88,12 @@ class Checkpoint:
 
     def save(self, state: State | None) -> None:
         """
-        Begin to write a state, unless the last one is still being written or is the same.
+        Begin to write a state, unless it is already saved or another state is being written.
 
         Raises
         ------
         InputError
-            The last state could not be written.
+            The previous state could not be written.
 
         """
         if state is None or state is self._saved or (
@@ -104,19 +104,19 @@ class Checkpoint:
         self._writing = self._pool.submit(self._write, state)
 
     def save_last(self, state: State | None) -> None:
-        """Write a state, and wait until that is done; raise InputError as `save` does."""
+        """Write a state, and wait until it is written; raise InputError if writing fails."""
         self.finish()
         self.save(state)
         self.finish()
 
     def finish(self) -> None:
-        """Wait until the last state is written; raise InputError if it could not be."""
+        """Wait until the last state is written; raise InputError if writing failed."""
         writing, self._writing = self._writing, None
         if writing:
             try:
                 writing.result()
             except InputError:
-                self._saved = None  # so that it is tried again
+                self._saved = None  # so that the next `save` tries again
                 raise
 
     def _write(self, state: State) -> None:
@@ -145,7 +145,7 @@ class Checkpoint:
         return state
 
     def _parsed(self, text: str) -> tuple[State, dict[str, Any]]:
-        """Return state and defining values, if every byte is as `_text` has written it."""
+        """Return the state and the defining values; raise InputError unless `_text` wrote them."""
         try:
             data = json.loads(text)
             state = State(data['time_ns'], data['attitude'], data['angular_velocity'],
@@ -165,13 +165,13 @@ def _text(defining: dict[str, Any], state: State) -> str:
             'rotor_momentum': state.rotor_momentum.tolist(),
             **({'wheel_speeds': state.wheel_speeds.tolist()} if state.wheel_speeds.size else {}),
             'defining': defining}
-    # A hash of all that comes before it.
+    # Append a hash of all other entries, so that damage is detected.
     digest = hashlib.sha256(json.dumps(data).encode()).hexdigest()
     return f'{json.dumps({**data, "sha256": digest}, indent=1)}\n'
 
 
 def _defining(scene: Scene) -> dict[str, Any]:
-    """Return the parameters of a scene that define its motion; long texts as their hashes."""
+    """Return the parameters of a scene that define its motion; hashes replace long texts."""
     return {name: f'sha256 {hashlib.sha256(value.encode()).hexdigest()}'
             if isinstance(value, str) and len(value) > _LONGEST_TEXT else value
             for name, value in scene.values.items()

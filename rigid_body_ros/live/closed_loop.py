@@ -16,8 +16,8 @@
 Keep a lockstep loop from stopping, and from splitting into several chains.
 
 A controller responds to every state that it receives. If a state is published twice, the
-controller sends two torques; if the node responds to both, the loop has two chains from then on.
-If the node does not respond, or a message is lost, the loop stops.
+controller sends two torques; if the node responds to both, the loop has two chains of messages
+from then on. If the node does not respond, or a message is lost, the loop stops.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ import numpy as np
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
 
-#: s; a torque that is repeated within this time after its response was published is assumed to
+#: A torque that is repeated within this time, s, after the response was published is assumed to
 #: have been sent before the response arrived.
 _IN_FLIGHT = 0.1
-#: s; period at which a state is published while no controller is connected.
+#: Period at which a state is published while no controller is connected, s.
 _IDLE_PERIOD = 0.1
-#: s; connections that have not changed for this long are complete: a new controller can both
-#: receive and send.
+#: If the connections have not changed for this long, s, they are complete: a new controller can
+#: both receive and send.
 _CONNECTION_TIME = 0.5
-#: s; how long the loop may be silent before the state is published again. Fast DDS may deliver a
-#: message only after its next heartbeat, whose period is 3 s. A repetition in that time would
-#: reach the controller as a second copy. The timeout doubles with every repetition, so that few
-#: copies pile up in the queue of a slow controller.
+#: How long the loop may be silent before the state is published again: the first timeout, and the
+#: longest timeout, s. Fast DDS may deliver a message only after its next heartbeat, whose period
+#: is 3 s. A repetition within these 3 s would reach the controller as a second copy. The timeout
+#: doubles with every repetition, so that few copies pile up in the queue of a slow controller.
 _TIMEOUT, _MAX_TIMEOUT = 4.0, 30.0
 
 
@@ -53,14 +53,14 @@ class DuplicateFilter:
     Parameters
     ----------
     history_ns : int
-        How much older than the newest stamp a torque may be.
+        A torque that is older than the newest stamp by this time, ns, is too old.
 
     """
 
     def __init__(self, history_ns: int) -> None:
         self._history_ns = history_ns
         self._accepted: dict[int, _Accepted] = {}
-        #: Number of times that a state was published, by stamp.
+        #: How many times the state at each stamp was published.
         self._publications: dict[int, int] = {}
 
     def clear(self) -> None:
@@ -69,7 +69,7 @@ class DuplicateFilter:
         self._publications.clear()
 
     def published(self, stamp_ns: int) -> None:
-        """Record that a state was published to a controller, which then sends a torque."""
+        """Record that a state was published to a controller, which will send a torque."""
         self._publications[stamp_ns] = self._publications.get(stamp_ns, 0) + 1
         _drop_before(self._publications, stamp_ns - self._history_ns)
 
@@ -91,12 +91,13 @@ class DuplicateFilter:
 
     def is_duplicate(self, torque: Torque, sender: Sender) -> bool:
         """
-        Return whether a torque requires no response: an earlier one with the same stamp gets it.
+        Return whether a torque is a duplicate, which needs no response of its own.
 
-        Call this once per torque. A controller that received a state twice sends two torques, and
-        a second controller sends its own: both are duplicates. But if a sender repeats or corrects
-        a torque without having received a state twice, it requires another response, because it
-        may not have received the first.
+        Call this once per torque. A controller that has received a state twice sends two torques,
+        and a second controller sends its own torque; in both cases the second torque is a
+        duplicate. But if a sender repeats or corrects a torque without having received the state
+        twice, the torque needs another response, because the sender may not have received the
+        first response.
         """
         first = self._accepted.get(torque.stamp_ns)
         if first is None:
@@ -111,7 +112,7 @@ class DuplicateFilter:
         return in_flight and self.is_same(torque)
 
     def is_waiting(self, torque: Torque) -> bool:
-        """Return whether the torque accepted at this stamp still awaits a response."""
+        """Return whether the accepted torque with the same stamp still awaits its response."""
         return self._accepted[torque.stamp_ns].responded_at is None
 
     def is_same(self, torque: Torque) -> bool:
@@ -123,7 +124,7 @@ class DuplicateFilter:
 
 @dataclass
 class _Accepted:
-    """An accepted torque, and whether the node has responded to it."""
+    """An accepted torque, and when the node responded to it."""
 
     torque: Torque
     sender: Sender
@@ -134,7 +135,7 @@ class _Accepted:
 
 
 def _drop_before(entries: dict[int, Any], horizon_ns: int) -> None:
-    # Late stamps come after newer ones in the dict, and stay until those are dropped.
+    # A late stamp comes after newer stamps in the dict, and stays until these are dropped.
     while entries and (oldest_ns := next(iter(entries))) < horizon_ns:
         del entries[oldest_ns]
 
@@ -144,12 +145,11 @@ class RepublishPolicy:
     Decide when to publish the latest state again.
 
     While no publisher of torques is connected, the state is published ten times a second. A new
-    controller receives it once, when both sides have had time to discover each other. After that
-    it is published only after a long silence, because a controller that is still working on a
-    state, or to which the middleware delivers it late, would receive it twice. It is never
-    published immediately after a connection, because the subscription of a controller may be
-    connected before its publisher is.
-
+    controller receives the state once, after both sides have had time to discover each other.
+    After that, the state is published again only after a long silence. Otherwise a controller
+    would receive the state twice if it takes long to respond, or if the middleware delivers the
+    state late. The state is never published immediately after a connection, because the
+    subscription of a controller may be connected before the publisher of the controller.
     """
 
     def __init__(self) -> None:
@@ -157,12 +157,13 @@ class RepublishPolicy:
         self._connected = 0, 0
         self._changed_at = time.monotonic()
         self._published_at = -math.inf
-        #: s; the longest silence. The shortest one until a new controller has received a state.
+        #: After a silence of this length, s, the state is published again. The length is
+        #: _CONNECTION_TIME until a new controller has received a state.
         self._timeout = _CONNECTION_TIME
 
     @property
     def has_controller(self) -> bool:
-        """Whether a publisher of torques is connected."""
+        """Return whether a publisher of torques is connected."""
         return self._connected[0] > 0
 
     def published(self, is_repeated: bool) -> None:
@@ -192,5 +193,5 @@ class RepublishPolicy:
         self._connected = publishers, subscriptions
         if now - self._changed_at < _CONNECTION_TIME:
             return False
-        # A running loop requires no repetition, even if another controller joins.
+        # A running loop needs no repetition, even if another controller joins.
         return now - self._published_at >= (self._timeout if publishers else _IDLE_PERIOD)

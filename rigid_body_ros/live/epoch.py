@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One start state, and the torques applied since."""
+"""One start state, and the torques applied since then."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from rigid_body_ros.scene import Scene
 
 class Epoch:
     """
-    The motion from one start state on.
+    The motion that begins with one start state, under the torques applied since then.
 
     Parameters
     ----------
@@ -47,17 +47,17 @@ class Epoch:
         self.start, self._timeout_ns = start, scene.timeout_ns
         self._body, self._keep = scene.body, scene.inertia_change
         self._wheels = Wheels(scene.named_wheels)
-        #: How much older than the newest stamp a torque may be, ns.
+        #: A torque that is older than the newest stamp by this time, ns, is too old.
         self.history_ns = max(1, duration_ns(scene.history, 'history'))
-        # The IMU has earlier states.
+        # The history is longer by the delay of the IMU, which measures earlier states.
         self._propagator = Propagator(scene.body, start, wheels=scene.named_wheels,
                                       fields=scene.fields_from(start.time_ns),
                                       actuator=scene.actuators, **asdict(scene.options),
                                       history=scene.history + scene.imu.delay)
         self._committed_ns = start.time_ns
-        #: Up to which stamp commands that act as zero are counted.
+        #: Commands that act as zero have been counted up to this stamp, ns.
         self._counted_ns = start.time_ns - 1
-        #: Source and stamp of the torques of the earlier epoch.
+        #: Sources and stamps of the torques of the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}
         for torque in torques:
             self._put(torque)
@@ -72,17 +72,20 @@ class Epoch:
         return self._propagator.at(time_ns, within)
 
     def applied_torque(self, state: State) -> Floats:
-        """Return the torque that acts at a state of this epoch; see `Propagator.torque`."""
+        """Return the torque that acts in a state of this epoch; see `Propagator.torque`."""
         return self._propagator.torque(state)
 
     def apply(self, torque: Torque) -> bool:
         """
-        Apply a torque that is not too old; return whether it replaces one of its publisher.
+        Apply a torque that is not too old; return whether it replaces an earlier torque.
+
+        A torque replaces another torque of the same source with the same stamp. A torque of the
+        earlier epoch does not count as replaced.
 
         Raises
         ------
         ValueError
-            As `Propagator.apply` does.
+            As for `Propagator.apply`.
 
         """
         key = torque.source, torque.stamp_ns
@@ -105,7 +108,7 @@ class Epoch:
             self._propagator.apply(*torque)
 
     def has_torque_at(self, stamp_ns: int, source: int) -> bool:
-        """Return whether a source has a torque of this stamp that may still be replaced."""
+        """Return whether a source has a torque with this stamp, which may still be replaced."""
         if source == BODY:
             return self._propagator.body_at(stamp_ns).stamp_ns == stamp_ns
         if source == COMMANDS:
@@ -121,7 +124,7 @@ class Epoch:
                    for stamp_ns, effort in zip(stamps_ns, torque.values.tolist()))
 
     def newest_of(self, source: int) -> Torque | None:
-        """Return the torque of a source with the newest stamp, or None before its first."""
+        """Return the torque of a source with the newest stamp, or None before the first torque."""
         if self.newest_ns is None:
             return None
         if source == COMMANDS:
@@ -130,7 +133,7 @@ class Epoch:
         return None if held is None else _torque(source, held)
 
     def acting_at(self, time_ns: int) -> list[Torque]:
-        """Return the torques other than zero that act at a time."""
+        """Return the nonzero torques that act at a time."""
         found = [_torque(*pair) for pair in self._propagator.held(time_ns).items()]
         commands = self._commands_at(time_ns)
         return [torque for torque in (*found, *([commands] if commands else []))
@@ -139,18 +142,18 @@ class Epoch:
                 - self._propagator.delay_ns(torque.source)]
 
     def _held(self, stamp_ns: int, source: int) -> Sample | None:
-        """Return the sample of a source that is in force once a torque of this stamp acts."""
+        """Return the sample of a source in force when a torque with this stamp begins to act."""
         acts_ns = stamp_ns + self._propagator.delay_ns(source)
         return self._propagator.held(acts_ns).get(source)
 
     def _commands_at(self, time_ns: int) -> Torque | None:
-        """Return the commands of all wheels in force at a time, with the stamp of the last."""
+        """Return the commands in force for all wheels at a time, with their newest stamp."""
         commands = self._propagator.commands_at(time_ns)
         return None if commands.stamp_ns == -NEVER_NS else Torque(
             commands.stamp_ns, np.array(commands.efforts), 'body', COMMANDS)
 
     def torques_since(self, time_ns: int) -> list[Torque]:
-        """Return, sorted by stamp, the torques that are in force at a time, and all later ones."""
+        """Return the torques in force at a time and all later torques, sorted by stamp."""
         found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
         found += [Torque(stamp_ns, body.entries, 'body', BODY)
                   for stamp_ns, body, *_ in self._propagator.bodies_since(time_ns)]
@@ -159,7 +162,7 @@ class Epoch:
         return sorted(found, key=lambda torque: torque.stamp_ns)
 
     def uncommitted(self, until_ns: int) -> list[int]:
-        """Return the stamps up to a time, ascending, whose states are not committed yet."""
+        """Return the stamps up to a time, ascending, at which no state is committed yet."""
         return self._propagator.stamps(self._committed_ns, until_ns)
 
     def mark_committed(self, time_ns: int) -> None:
@@ -167,14 +170,18 @@ class Epoch:
         self._committed_ns = time_ns
 
     def refused(self, time_ns: int) -> int:
-        """Return the number of new commands up to a committed state that act as zero."""
+        """
+        Return how many commands act as zero, because their wheels are too fast.
+
+        Each call counts the commands after the time of the previous call, up to its own time.
+        """
         if not self._wheels.is_limited:
             return 0
         begin_ns, self._counted_ns = self._counted_ns, time_ns
         return self._propagator.refused_commands(begin_ns, time_ns)
 
     def clipped(self, torque: Torque) -> int:
-        """Return the number of efforts of a command that are clipped, 0 for another torque."""
+        """Return the number of clipped efforts of a command; 0 if a torque is not a command."""
         return self._wheels.count_clipped(torque.values) if torque.source == COMMANDS else 0
 
 

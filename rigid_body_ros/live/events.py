@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Events of torques and of the motion: the names under which they are counted."""
+"""The names under which events of torques and of the motion are counted."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ NO_STATE, ENDED, STALE = 'state not computable', 'epoch ended', 'before the rese
 DIFFERS, IMPOSSIBLE = 'duplicate, differs (same stamp)', 'no body has this inertia'
 CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
           ENDED, DIFFERS, STALE, IMPOSSIBLE)
-#: Causes that follow from a reset, and are nobody's mistake.
+#: Causes of rejection that follow from a reset, and so are not mistakes of a sender.
 OF_RESETS = (ENDED, STALE)
 #: Other counts of torques.
 REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
 LOST = 'lost'
-#: Counts of the commands of wheels.
+#: Counts of commands to wheels.
 CLIPPED, TOO_FAST = 'clipped to max_torque', 'zero at max_speed'
-#: Counts of the motion.
+#: Counts of events of the motion.
 MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
 UNSAVED, TIME_JUMP = 'checkpoint failures', 'clock jumps'
 STATES, STATES_REJECTED = 'initial states', 'initial states rejected'
@@ -57,10 +57,10 @@ class EarlyError(RejectedError):
 
 
 class Events(Protocol):
-    """Counts and reports what happens."""
+    """An object that counts and reports events."""
 
     def count(self, name: str, source: int, number: int = 1) -> None:
-        """Count events of torques of a source without logging them."""
+        """Count events of the torques of a source, without logging them."""
 
     def count_force(self, source: int) -> None:
         """Count an ignored force."""
@@ -69,7 +69,7 @@ class Events(Protocol):
         """Log, once, that the mass and the centre of mass of an inertia are ignored."""
 
     def reject(self, rejected: RejectedError, source: int) -> None:
-        """Count a rejected torque of a source and log the reason."""
+        """Count a rejected torque of a source, and log the reason."""
 
     def event(self, name: str, text: str, kind: str = '') -> None:
-        """Count a problem of the motion and log it; each kind is logged at a limited rate."""
+        """Count a problem of the motion, and log it; each kind is logged at a limited rate."""

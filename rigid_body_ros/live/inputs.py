@@ -39,7 +39,8 @@ from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
 from rigid_body_ros.scene import Scene
 
-#: rad/s^2; an acceleration that reaches FASTEST, a radian per nanosecond, within a second.
+#: Largest angular acceleration, rad/s^2. In one second, a body at rest would reach the angular
+#: velocity FASTEST, one radian per nanosecond.
 _LARGEST_ACCELERATION = 1e9
 
 
@@ -47,19 +48,20 @@ class Torque(NamedTuple):
     """
     A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'.
 
-    For the source BODY, it is a body instead: `RigidBody.entries`, kg m^2. For COMMANDS, it has
-    the efforts of the wheels with names, N m, NaN for wheels that keep their efforts.
+    For the source BODY, `values` is the inertia of a body instead: `RigidBody.entries`, kg m^2.
+    For COMMANDS, `values` contains the efforts of the named wheels, N m, with NaN for each wheel
+    that keeps its effort.
     """
 
     stamp_ns: int
     values: Floats
     frame: str
-    #: Of `Propagator.apply`; COMMANDS, WHEELS for a torque on the rotors, BODY for a body.
+    #: The number of a source, as for `Propagator.apply`; or WHEELS (the rotors), COMMANDS, BODY.
     source: int = 0
 
 
 class Inputs:
-    """Decode messages in the frames of a scene."""
+    """Decode messages, and express them in the frames of a scene."""
 
     def __init__(self, scene: Scene, events: Events) -> None:
         self._events = events
@@ -72,17 +74,18 @@ class Inputs:
 
     def torque(self, data: bytes, source: int) -> Torque:
         """
-        Return the torque of a WrenchStamped in CDR of a source, about the centre of mass.
+        Return the torque about the centre of mass from a WrenchStamped of a source.
 
         A force without a lever arm is ignored and reported. For the source BODY, the message is an
-        InertiaStamped; for COMMANDS, a JointState.
+        InertiaStamped; for COMMANDS, a JointState. `data` is the serialized message (CDR).
 
         Raises
         ------
         RejectedError
-            The message is malformed, in an unknown frame, not along the axis of its frame, not
-            finite or far too large; no body, or none with these wheels, has this inertia; or no
-            wheel has such a name.
+            The message is malformed or has an unknown frame. The torque is not finite or far too
+            large. A wrench in a turning frame is not along the axis of that frame. No body, or no
+            body with these wheels, can have this inertia. A name in a command is not that of a
+            wheel.
 
         """
         if source == BODY:
@@ -136,7 +139,7 @@ class Inputs:
         return Torque(inertia.stamp_ns, entries, axes, BODY)
 
     def _efforts(self, command: messages.Stamped) -> Torque:
-        if messages.is_epoch_marker(command.frame_id):  # another frame has no meaning
+        if messages.is_epoch_marker(command.frame_id):  # any other frame_id is ignored
             raise RejectedError(FRAME, 'frame_id: expected that of a command, found the marker of '
                                 f'an epoch, {quoted(command.frame_id)}')
         largest = float(np.nanmax(np.abs(command.values), initial=-1.0))
@@ -148,18 +151,18 @@ class Inputs:
         return Torque(command.stamp_ns, command.values, 'body', COMMANDS)
 
     def odometry(self, data: bytes) -> messages.Stamped:
-        """Decode an Odometry in CDR; raise RejectedError if it is malformed."""
+        """Decode a serialized Odometry (CDR); raise RejectedError if it is malformed."""
         return _decoded(messages.ODOMETRY, data)
 
     def state(self, odometry: messages.Stamped) -> State:
         """
-        Return the state of an Odometry.
+        Return the state that an Odometry contains.
 
         Raises
         ------
         RejectedError
-            The message is in frames other than the scene's, not finite, or too fast; or its
-            quaternion is zero.
+            The frames of the message are not those of the scene, a number is not finite, the
+            angular velocity is too large, or the quaternion is zero.
 
         """
         body, space = self._frames
@@ -178,7 +181,7 @@ class Inputs:
 
 
 def _source(wrench: messages.Stamped, frame: Frame | None) -> str:
-    """Return the end of a sentence that names the wrench from which a torque was computed."""
+    """Return the end of an error message: the wrench from which a torque was computed."""
     found = f', from the wrench {wrench.values.tolist()} in frame {quoted(wrench.frame_id)}'
     return found if frame else ''
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The run of a node: one epoch after the other, and the log of what it accepts and commits."""
+"""The run of a node: its epochs, and the log of accepted torques and committed states."""
 
 from __future__ import annotations
 
@@ -42,46 +42,46 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.segment import COMMANDS
 from rigid_body_ros.scene import Scene
 
-#: Largest number of messages in one burst.
+#: Depth of the queue of each log: the largest number of messages in one burst.
 LOG_DEPTH = 10_000
-#: s; how long computing the last states of an epoch may take.
+#: Time limit for computing the last states of an epoch, s.
 _END_BUDGET = 0.2
 _NO_TORQUE = np.zeros(3)
 _NO_TORQUE.flags.writeable = False
 
 
 class Snapshot(NamedTuple):
-    """States to publish for a time: the current one, and the earlier one that the IMU measures."""
+    """The data to publish for a time; `sensed` is the state one IMU delay earlier."""
 
     state: State
     sensed: State
-    #: The torque that acts, N m, body axes; only in an epoch of a scene with actuators.
+    #: The torque that acts, N m, body axes; zero without actuators, or before the first epoch.
     torque: Floats = _NO_TORQUE
 
 
 class RunLog(Protocol):
-    """Publishes the log of a run."""
+    """An object that publishes the log of a run."""
 
     def begin_log(self, start: State) -> None:
-        """Mark in the logs of torques that an epoch begins with a state."""
+        """Publish the marker of a new epoch, with its start state, in each log of torques."""
 
     def log_torque(self, torque: Torque) -> None:
         """Log an accepted torque."""
 
     def log_state(self, state: State) -> None:
-        """Log a final state."""
+        """Log a state that no later torque can change."""
 
     def deliver(self, until: float) -> bool:
-        """Wait until subscribers acknowledge the log, at most to `until`, s, monotonic clock."""
+        """Wait for subscribers to acknowledge the log, up to `until`, s, monotonic clock."""
 
 
 class Run:
     """
-    The present epoch of a node, and the log of all.
+    The current epoch of a node, and the log of all epochs.
 
-    `commit` and `state` may take longer than the caller can wait. They then raise TimeoutError,
-    and the next call with the same arguments continues. Neither order nor results depend on how
-    the work is divided.
+    `commit` and `state` raise TimeoutError if they take longer than the caller can wait. The next
+    call with the same arguments then continues the work. Neither the results nor the order of the
+    log depend on how many calls the work takes.
 
     Parameters
     ----------
@@ -109,10 +109,10 @@ class Run:
 
     def initial(self, time_ns: int) -> State:
         """
-        Return the initial state of the scene, stamped with a time, with the speeds of its wheels.
+        Return the initial state of the scene at a time, with the speeds of the wheels.
 
-        The marker of every epoch needs these speeds: dumped parameters have the speeds of the last
-        one.
+        The marker of every epoch needs these speeds, because the parameters that a node dumps
+        contain only the speeds at the start of the last epoch.
         """
         start, wheels = replace(self._scene.start, time_ns=time_ns), self._scene.named_wheels
         others, speeds = start.rotor_momentum, np.array([wheel.initial_speed for wheel in wheels])
@@ -120,11 +120,11 @@ class Run:
             return replace(start, wheel_speeds=speeds)
         total = sum((wheel.inertia * wheel.initial_speed * np.asarray(wheel.axis)
                      for wheel in wheels), others)
-        # If speeds are given, a momentum of zero means that there are no other rotors.
+        # In a state with wheel speeds, zero momentum means that there are no other rotors.
         return replace(start, wheel_speeds=speeds, rotor_momentum=total) if total.any() else start
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
-        """Begin an epoch and its log; `torques` are from an earlier one and still act."""
+        """Begin an epoch and its log; `torques` are from an earlier epoch and still act."""
         self.epoch = Epoch(self._scene, start, torques)
         self._arrived_ns = dict.fromkeys((torque.source for torque in torques), start.time_ns)
         self._sink.begin_log(start)
@@ -133,7 +133,7 @@ class Run:
         self._log_state(start)
 
     def end(self, until: float | None = None) -> None:
-        """End the epoch; its states are committed by `until`, s, monotonic clock, or in 0.2 s."""
+        """End the epoch; commit its states by `until`, s, monotonic clock (None: within 0.2 s)."""
         if self.epoch is not None:
             self._finish(self.epoch, time.monotonic() + _END_BUDGET if until is None else until)
         self.epoch = None
@@ -142,7 +142,7 @@ class Run:
         """
         Apply a torque that arrived at a time, ns; return False if it is rejected.
 
-        Before the next torque, call `commit` and then `log`, which logs the torque and the states.
+        Before the next torque, call `commit`, and then `log` to log the torque and the states.
         """
         epoch = self._present()
         try:
@@ -151,7 +151,7 @@ class Run:
         except RejectedError as rejected:
             self._events.reject(rejected, torque.source)
             return False
-        except ValueError as error:  # the motion before it is too fast to compute
+        except ValueError as error:  # the motion before the torque is too fast to compute
             self._events.reject(RejectedError(NO_STATE, str(error)), torque.source)
             return False
         self._arrived_ns[torque.source] = arrived_ns
@@ -169,7 +169,7 @@ class Run:
         Raises
         ------
         TimeoutError
-            It takes longer than `until`, s, monotonic clock.
+            The states cannot be computed by `until`, s, monotonic clock.
 
         """
         epoch = self._present()
@@ -188,7 +188,7 @@ class Run:
         Raises
         ------
         TimeoutError
-            The state is not computed by `until`, s, monotonic clock.
+            The state cannot be computed by `until`, s, monotonic clock.
 
         """
         try:
@@ -199,7 +199,7 @@ class Run:
             return None
 
     def snapshot(self, time_ns: int, until: float) -> Snapshot | None:
-        """Return the states to publish for a time, or None; arguments are those of `state`."""
+        """Return what to publish for a time, or None; arguments and errors are as for `state`."""
         state = sensed = self.state(time_ns, until)
         if state is not None and self._delay_ns:
             start_ns = self._present().start.time_ns
@@ -243,9 +243,10 @@ class Run:
 
     def with_rotor_momentum(self, start: State, time_ns: int, default: State) -> State:
         """
-        Return a start state with the momenta of rotors and wheels at a time of the present epoch.
+        Return a start state with the rotor momentum and wheel speeds at a time of this epoch.
 
-        If there is no epoch, or no motor on the rotors, they are those of a default state.
+        If there is no epoch, or if the rotors have no motors, the momentum and the speeds are
+        those of `default`.
         """
         has_motors = self._scene.wheels or self._scene.named_wheels
         if self.epoch is not None and has_motors and time_ns > self.epoch.start.time_ns:
@@ -254,12 +255,12 @@ class Run:
                        wheel_speeds=default.wheel_speeds)
 
     def age(self, source: int, now_ns: int) -> float | None:
-        """Return the time since the newest torque of a source, s, or None before its first."""
+        """Return how long ago the newest torque of a source arrived, s; None before the first."""
         arrived_ns = self._arrived_ns.get(source)
         return None if arrived_ns is None else max(0.0, (now_ns - arrived_ns) * 1e-9)
 
     def silent(self, now_ns: int) -> list[Torque]:
-        """Return the torques that still act, of sources that are silent for `stale_after`."""
+        """Return acting torques whose sources have been silent for longer than `stale_after`."""
         longest = self._scene.stale_after
         if self.epoch is None or not longest:
             return []
@@ -271,7 +272,7 @@ class Run:
         return self.epoch
 
     def _commit(self, epoch: Epoch, until_ns: int, until: float) -> None:
-        """Compute the states up to a time, which no torque can change from now on."""
+        """Compute the states up to a time; no torque can change these states from now on."""
         for stamp_ns in epoch.uncommitted(until_ns):
             state = self.state(stamp_ns, until)
             epoch.mark_committed(stamp_ns)
@@ -283,10 +284,10 @@ class Run:
                 raise TimeoutError(f'the committed states are computed up to {stamp_ns} ns')
 
     def _finish(self, epoch: Epoch, until: float) -> None:
-        """Commit the states that late torques could still change."""
+        """Commit the remaining states of an epoch, which late torques could have changed."""
         last_ns = epoch.start.time_ns if epoch.newest_ns is None else epoch.newest_ns
         try:
-            while stamps := epoch.uncommitted(last_ns)[:LOG_DEPTH]:  # what the queue holds
+            while stamps := epoch.uncommitted(last_ns)[:LOG_DEPTH]:  # as many as the queue holds
                 self._commit(epoch, stamps[-1], until)
                 self._log_final()
                 self._sink.deliver(until)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torques that wait: to be applied, or for the clock."""
+"""Torques that wait to be applied, or wait for the clock."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ from typing import NamedTuple
 
 from rigid_body_ros.live.events import ENDED, Events, FUTURE, LATE, OVERLOAD, RejectedError
 
-#: Torques that may wait in the queue.
+#: Largest number of torques that may wait in the queue.
 _MAX_QUEUE = 100_000
-#: In real time, new torques are rejected if more than this number wait and the first has waited
-#: for longer than this, s. So the motion catches up.
+#: In real time, new torques are rejected while more than _BACKLOG torques wait and the first of
+#: them has waited for longer than _MAX_WAIT, s. Meanwhile the motion catches up.
 _BACKLOG, _MAX_WAIT = 5000, 2.0
 
 #: Identity of a publisher; None if the middleware does not report it.
 Sender = bytes | None
-#: One of several publishers that the middleware does not distinguish.
+#: Stands for the sender of every message if the middleware cannot tell publishers apart.
 UNKNOWN_SENDER: Sender = b''
 
 
 class Queued(NamedTuple):
     """
-    A received message, not decoded yet: taking many of them must not take long.
+    A received message, which is decoded later, so that many messages can be received quickly.
 
-    Source, bytes, sender, and time of arrival, ns (0 in lockstep) and monotonic clock, s.
+    `arrived_ns` is the time of arrival, ns (0 in lockstep); `since` is the same time by the
+    monotonic clock, s.
     """
 
     source: int
@@ -54,24 +55,24 @@ class TorqueQueue:
     """
     Torques in the order of arrival.
 
-    Torques that wait for the clock are early: later torques overtake them.
+    Torques that wait for the clock are called early: later torques may overtake them.
 
     Parameters
     ----------
     events : Events
     is_patient : bool
-        Whether torques may wait for any time, as in lockstep.
+        Whether torques may wait without a time limit, as in lockstep.
 
     """
 
     def __init__(self, events: Events, is_patient: bool) -> None:
         self._events, self._is_patient = events, is_patient
         self._waiting: deque[Queued] = deque()
-        #: By the cause for which they would be rejected now.
+        #: Early torques, by the cause for which they would be rejected now.
         self._early: dict[str, deque[Queued]] = {FUTURE: deque(), LATE: deque()}
 
     def __bool__(self) -> bool:
-        """Return whether torques wait to be applied, not for the clock."""
+        """Return whether torques wait to be applied; early torques do not count."""
         return bool(self._waiting)
 
     def __len__(self) -> int:
@@ -84,12 +85,12 @@ class TorqueQueue:
         return time.monotonic() - self._waiting[0].since if self._waiting else 0.0
 
     def by_source(self) -> Counter[int]:
-        """Return the number of torques of each source that wait."""
+        """Return, for each source, the number of torques that wait."""
         return Counter(queued.source for queue in (self._waiting, *self._early.values())
                        for queued in queue)
 
     def check_room(self) -> None:
-        """Raise RejectedError if too many torques wait, or, in real time, for too long."""
+        """Raise RejectedError if too many torques wait or, in real time, many wait too long."""
         count, waited = len(self._waiting), self.waiting_time
         is_late = not self._is_patient and count > _BACKLOG and waited > _MAX_WAIT
         if is_late or count >= _MAX_QUEUE:
@@ -105,26 +106,26 @@ class TorqueQueue:
         return self._waiting.popleft()
 
     def pop_all(self) -> Iterator[Queued]:
-        """Remove and generate all torques that are in the queue now and not early."""
+        """Remove and generate all torques that are in the queue now, except early ones."""
         for _ in range(len(self._waiting)):
             yield self._waiting.popleft()
 
     def hold(self, queued: Queued, cause: str) -> None:
-        """Let a torque wait for the clock; `cause` is why it would be rejected now."""
+        """Make a torque wait for the clock; `cause` is why it would be rejected now."""
         self._early[cause].append(queued)
 
     def first_early(self, cause: str) -> Queued | None:
-        """Return the first torque that is early for a cause, or None."""
+        """Return the first early torque held for `cause`, or None if there is none."""
         return next(iter(self._early[cause]), None)
 
     def release(self, cause: str) -> None:
-        """Queue the first torque that is early for a cause in the order of arrival."""
+        """Move the first early torque held for `cause` to its place in the queue, by arrival."""
         queued = self._early[cause].popleft()
         place = bisect.bisect_left(self._waiting, queued.since, key=_since)
         self._waiting.insert(place, queued)
 
     def end(self, kept: str) -> None:
-        """Reject all torques at the end of an epoch, except those early for one cause."""
+        """At the end of an epoch, reject all torques but early ones held for the cause `kept`."""
         unmet = {FUTURE: 'the clock reached the stamp of this torque',
                  LATE: 'the clock was set back to the stamp of this torque'}
         ended = [(self._waiting, 'this torque was applied'), *(
