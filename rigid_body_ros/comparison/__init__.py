@@ -13,13 +13,18 @@
 # limitations under the License.
 
 """
-Compare measured motions with the propagated one.
+Compare measured motions with a propagated or recorded motion.
 
-`motion` has the motion to compare with. `align` starts from the guess of `coarse`, and brings both
-into one time and one pair of frames. `comparison` returns the errors, `horizons` the errors after
-restarts, and `predictable` the time over which errors are meaningful. Each of the `causes` is one
-of `sensor_faults` or `torque_faults`, judged by the errors of the `channels` that remain if it is
-undone. The command reads with `recorded`, and writes with `outputs`; the `result` prints itself.
+`motion` defines the motion to compare with. `align` starts from the guess of `coarse`, and fits
+clock offsets, mountings and the start of the motion. `comparison` computes the errors. `horizons`
+computes the errors after restarts. `predictable` computes the time over which errors are
+meaningful.
+
+`causes` looks for likely causes of the errors among the `sensor_faults` and the `torque_faults`.
+It undoes each possible cause, and judges the cause by the errors that remain in the `channels`.
+
+The command `attitude_compare` reads its files with `recorded`, and writes files with `outputs`.
+`result` generates the text that the command prints.
 """
 
 from rigid_body_ros.comparison.align import ALIGNMENTS

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Bring measurements and a motion into the same time, frames and start."""
+"""Fit clock offsets, mountings and the start, so that measurements and motion can be compared."""
 
 from __future__ import annotations
 
@@ -37,21 +37,24 @@ from rigid_body_ros.sensing.rates import measured_rates
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
 #: Parameters that can be fitted.
 ALIGNMENTS = (START, CLOCK, MOUNT)
-#: Steps of the differences for the Jacobian: rad and rad/s, and s of the clock.
+#: Finite-difference steps for the Jacobian: the step in rotations and rates (rad, rad/s), and the
+#: step in clock offsets (s).
 _STEP, _CLOCK_STEP = 1e-6, 1e-5
-#: Largest number of samples in the first stages of a fit of the start, and of steps of a fit
-#: there and later.
+#: A fit of the start begins with stages. Each stage uses at most `_STAGE` samples of a sensor, and
+#: at most `_EARLY` steps. Every other fit uses at most `_MOST` steps.
 _STAGE, _EARLY, _MOST = 400, 6, 20
-#: Largest number of samples of a sensor in all but the last fit.
+#: Maximum number of samples of each sensor in all fits except the last.
 _PART = 2000
-#: Relative change of the sum of squares at which a fit ends.
+#: A fit ends when a step changes the cost by less than this fraction.
 _TOLERANCE = 1e-6
-#: Residuals, in standard deviations, above which the loss grows linearly, or a sample is left out
-#: of the last stage.
+#: Limits of residuals, in standard deviations. Above `_HUBER`, the loss grows linearly. The last
+#: fit ignores residuals above `_OUTLIER`.
 _HUBER, _OUTLIER = 2.0, 5.0
-#: Number of motions that are kept: the latest, and the one at the point of a Jacobian.
+#: Number of cached motions: the latest motion, and the motion before it. The Jacobian is computed
+#: from the difference of two motions.
 _KEPT = 2
-#: Singular value, relative to the largest, below which the data does not determine a direction.
+#: The data does not determine a direction in parameter space if its singular value, relative to
+#: the largest, is below this number.
 _SINGULAR = 1e-7
 
 
@@ -63,23 +66,24 @@ def align(motion: Motion, sensors: Sequence[Measured],
     Parameters
     ----------
     motion : Problem or Recorded
-        The motion that they are aligned with.
+        The motion with which the sensors are aligned.
     sensors : sequence of Measured
-        Each has its own clock and mounting; the two space axes and the start are common.
+        Each sensor has a separate clock and mounting. All sensors share one start, and one
+        rotation between the space axes of the measurements and those of the motion.
     names : collection of str
-        Some of `ALIGNMENTS`; 'clock@TOPIC' and 'mount@TOPIC' are those of one sensor.
+        What to fit: names in `ALIGNMENTS`. 'clock@TOPIC' and 'mount@TOPIC' fit one sensor only.
     most : int, optional
-        Fit only this many samples of each sensor, evenly spread.
+        Fit at most this many samples of each sensor, evenly spread.
 
     Returns
     -------
     tuple of Alignment
-        Of each sensor.
+        One alignment for each sensor.
 
     Raises
     ------
     InputError
-        A name is unknown, or too few samples lie within the motion.
+        A name is unknown, or no sample lies within the motion.
 
     """
     check_names(names, [sensor.topic for sensor in sensors])
@@ -98,7 +102,7 @@ def align(motion: Motion, sensors: Sequence[Measured],
 
 
 def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> None:
-    """Raise InputError if a name is none of an alignment, or, given topics, of another sensor."""
+    """Raise InputError if a name is not an alignment, or if its topic is not among `topics`."""
     for name in names:
         kind, at, topic = name.partition('@')
         if kind not in ALIGNMENTS or (at and (kind == START or not topic)):
@@ -110,12 +114,12 @@ def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> 
 
 
 def is_asked(names: Collection[str], kind: str, topic: str) -> bool:
-    """Return whether the clock or the mounting of a sensor is to be fitted."""
+    """Return whether `names` request a fit of a `kind`, 'clock' or 'mount', for a topic."""
     return kind in names or f'{kind}@{topic}' in names
 
 
 class _Column(NamedTuple):
-    """A fitted quantity: its name, the number of its sensor (-1: of all), and its size."""
+    """A fitted quantity: its name, its sensor (-1 for all), and its number of components."""
 
     name: str
     sensor: int = -1
@@ -138,12 +142,13 @@ class _Fit:
         self._value = [replace(one, start=motion.start) for one in first] \
             if isinstance(motion, Problem) and START in names else [*first]
         self._columns = _columns(sensors, names)
-        #: The latest motions, by start and stamps; a mounting does not change them.
+        #: The latest motions. The keys contain the start and the stamps, but no mounting, because
+        #: motions do not depend on the mounting.
         self._kept: dict[bytes, States] = {}
         self._use([_thinned(self._inside(k), most) for k in range(len(sensors))])
         if not any(len(rows) for rows in self._rows):
             raise apart(motion, sensors)
-        #: Standard deviations of attitude and rate of each sensor.
+        #: Standard deviations of the attitude and rate errors of each sensor.
         self._scales = np.ones((len(sensors), 2))
 
     def _use(self, rows: list[NDArray[np.intp]]) -> None:
@@ -156,7 +161,7 @@ class _Fit:
         return np.flatnonzero(inside(self._motion, stamps_ns, margin))
 
     def grow(self) -> None:
-        """Fit the start to longer and longer beginnings of the measurement."""
+        """Fit the start to the first samples of the measurement, then to more and more samples."""
         every = self._rows
         since = [sensor.stamps_ns[rows] + round(1e9 * one.clock_offset_s)
                  - self._motion.start.time_ns
@@ -173,7 +178,7 @@ class _Fit:
         self._use(every)
 
     def _from_first_samples(self) -> None:
-        # Start as measured, unless the start of the scene is closer to the first samples.
+        # Use the measured start, unless the start of the scene fits the first samples better.
         start = self._value[0].start
         assert start is not None
         every = self._rows
@@ -200,7 +205,7 @@ class _Fit:
         return float(np.median(np.abs(self._residuals(value))))
 
     def solved(self) -> tuple[Alignment, ...]:
-        """Return the fit, with its standard deviations."""
+        """Return the fitted alignments with their standard deviations."""
         every = self._rows
         self._use([_thinned(rows, _PART) for rows in every])
         for _ in range(2):
@@ -215,16 +220,16 @@ class _Fit:
             for k, one in enumerate(self._value))
 
     def _named(self, values: Floats) -> dict[_Column, Floats]:
-        """Return the parts of a vector by column."""
+        """Split a vector of all fitted parameters into one part for each fitted quantity."""
         ends = np.cumsum([column.size for column in self._columns])[:-1]
         return dict(zip(self._columns, np.split(values, ends)))
 
     def _correlation(self) -> float:
         """
-        Return the factor by which errors that are not white enlarge the standard deviations.
+        Return the factor by which correlated errors enlarge the standard deviations.
 
-        Errors of the model last for many samples. With the correlation r of neighbours, n samples
-        count as n (1 - r) / (1 + r).
+        Errors of the model persist over many samples. If neighbouring samples have the correlation
+        r, n samples count as n (1 - r) / (1 + r) independent samples.
         """
         correlations = [0.0]
         for _, _, errors in self._blocks():
@@ -242,7 +247,7 @@ class _Fit:
         self._scales = np.maximum(self._scales, 1e-13)
 
     def _blocks(self) -> Iterator[tuple[int, int, Floats]]:
-        """Generate the residuals of attitudes (0) and rates (1) of each sensor, shape (n, 3)."""
+        """Generate sensor number, quantity (0: attitude, 1: rate), and residuals, shape (n, 3)."""
         residuals, first = self._residuals(self._value), 0
         for number, sensor in enumerate(self._samples):
             for quantity, values in enumerate((sensor.attitude, sensor.angular_velocity)):
@@ -253,8 +258,8 @@ class _Fit:
 
     def _fit(self, tolerance: float, kept: NDArray[np.bool_] | None = None,
              most: int = _MOST) -> Floats:
-        """Improve the value; without chosen rows, by a robust loss. Return the Jacobian."""
-        from scipy.optimize import least_squares  # takes as long to import as the engine
+        """Improve the alignments, with a robust loss if `kept` is None; return the Jacobian."""
+        from scipy.optimize import least_squares  # slow to import
         base = self._value
         rows = slice(None) if kept is None else kept
         steps = np.concatenate([np.full(column.size, _CLOCK_STEP if column.size == 1 else _STEP)
@@ -274,7 +279,7 @@ class _Fit:
         return np.asarray(result.jac)
 
     def _moved(self, base: Sequence[Alignment], step: Floats) -> list[Alignment]:
-        """Return alignments with small changes."""
+        """Return the alignments of `base`, changed by a small step."""
         changes, (first, *_) = self._named(step), base
         none, start, space = np.zeros(3), first.start, first.space
         if start is not None and _RATE in changes:
@@ -293,10 +298,10 @@ class _Fit:
 
     def _residuals(self, value: Sequence[Alignment]) -> Floats:
         """
-        Return the errors in standard deviations, of all samples of all sensors.
+        Return the errors of all samples of all sensors, in standard deviations.
 
-        They are in the axes of the sensors. There a mounting does not rotate the noise, so a
-        direction that the measurements do not determine is not mistaken for one that they do.
+        The errors are in the axes of the sensors, where a change of the mounting does not rotate
+        the noise. In other axes, the noise could make an undetermined direction look determined.
         """
         interrupts.check()
         stamps_ns = np.concatenate([sensor.stamps_ns + round(1e9 * one.clock_offset_s)
@@ -318,17 +323,18 @@ class _Fit:
         if key not in self._kept:
             if len(self._kept) == _KEPT:
                 del self._kept[next(iter(self._kept))]
-            # A step of the clock may lead out of the motion, unless the offset is nearly right.
+            # A step towards a wrong clock offset may move stamps beyond the ends of the motion.
             self._kept[key] = moved.propagate(at=np.clip(stamps_ns, *span_of(moved)))
         return self._kept[key]
 
 
 def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Column]:
-    """Return the fitted parameters, beginning with those that do not change the motion."""
+    """Return the fitted quantities; those that do not change the motion come first."""
     mounted = [k for k, sensor in enumerate(sensors) if is_asked(names, MOUNT, sensor.topic)]
     with_attitude = [k for k, sensor in enumerate(sensors) if sensor.attitude is not None]
     is_turned = bool({*mounted} & {*with_attitude})
-    # With a mounting of attitudes, the rotation of the space axes is that of the start as well.
+    # The mounting of an attitude sensor is fitted together with a rotation of the space axes. This
+    # rotation has the same effect as a rotation of the initial attitude.
     starts = [_RATE, *([_ATTITUDE] if with_attitude and not is_turned else [])]
     return [*(_Column('mount_rad', k) for k in mounted), *([_SPACE] if is_turned else []),
             *(_Column('clock_offset_s', k) for k, sensor in enumerate(sensors)
@@ -337,14 +343,14 @@ def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Colum
 
 def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
     """
-    Return the measurements of a sensor relative to a motion at the same times.
+    Return the errors of a sensor: its measurements relative to a motion at the same times.
 
     Returns
     -------
     rotation_vectors : array, shape (n, 3), optional
-        From the attitude of the motion to the measured one, rad, body axes.
+        Rotation from the computed to the measured attitude, rad, body axes.
     rate_errors : array, shape (n, 3), optional
-        Measured angular velocity minus that of the motion, rad/s, body axes.
+        Measured minus computed angular velocity, rad/s, body axes.
 
     """
     rotation = rate = None
@@ -356,7 +362,7 @@ def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats |
 
 
 def apart(motion: Motion, sensors: Sequence[Measured]) -> InputError:
-    """Return the error that measurements and motion do not overlap in time."""
+    """Return the error to raise if measurements and motion do not overlap in time."""
     stamps_ns = sensors[0].stamps_ns
     return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '
                       f'at {motion.start.time_ns} ns, found them from {stamps_ns[0]} ns to '
@@ -368,10 +374,10 @@ def _thinned(rows: NDArray[np.intp], most: int | None) -> NDArray[np.intp]:
 
 
 def _deviations(jacobian: Floats) -> Floats:
-    """Return standard deviations; infinite for what the rows do not determine."""
+    """Return standard deviations; undetermined values have infinite standard deviations."""
     norms = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian / np.where(norms > 0.0, norms, 1.0)
-    # The factor R has the singular values of the whole matrix, and is as small as the problem.
+    # The factor R of the QR decomposition has the singular values of the Jacobian, but fewer rows.
     _, singular, turn = np.linalg.svd(np.linalg.qr(scaled, mode='r'), full_matrices=False)
     small = singular < _SINGULAR * singular.max(initial=1e-300)
     variances = np.sum((turn / np.where(small, 1.0, singular)[:, None]) ** 2, axis=0)

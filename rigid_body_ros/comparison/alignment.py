@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The transformation of a sensor to the time, the frames and the start of a motion."""
+"""Convert measurements to the clock and axes of a motion, and states to the axes of a sensor."""
 
 from __future__ import annotations
 
@@ -34,24 +34,26 @@ def _identity() -> Floats:
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """
-    The transformation of a sensor to the time and the frames of a motion.
+    The clock offset and the rotations between the measurements of a sensor and a motion.
 
     Measured attitude = `space` * attitude of the motion * `mount`.
 
     Attributes
     ----------
     clock_offset_s : float, s
-        Added to the measured stamps.
+        The time to add to the measured stamps.
     mount, space : array, shape (4,)
-        x y z w; `mount` maps vectors from the axes of the sensor to the body axes, and `space` is
-        common to all sensors.
+        Quaternions x y z w. `mount` maps vectors from the axes of the sensor to the body axes.
+        `space` maps vectors from the space axes of the motion to the space axes of the
+        measurements, and is the same for all sensors.
     start : State, optional
-        The fitted start; None if it is the start of the scene.
-    sigma : dict
-        Standard deviations of the fitted values: 'clock_offset_s' in s, and arrays of shape (3,):
-        'mount_rad', 'space_rad' and 'initial_attitude_rad' about the axes of sensor, space and
-        body, 'initial_angular_velocity_rad_s'. Infinite if the measurement does not determine a
-        value.
+        The fitted start; None if the start was not fitted.
+    sigma : dict, optional
+        Standard deviations of the fitted values. A standard deviation is infinite if the
+        measurement does not determine the value. The entry 'clock_offset_s' is a number, s. All
+        other entries are arrays of shape (3,): 'mount_rad' about the axes of the sensor,
+        'space_rad' about the space axes of the measurements, 'initial_attitude_rad' about the body
+        axes, and 'initial_angular_velocity_rad_s'.
 
     """
 
@@ -62,11 +64,11 @@ class Alignment:
     sigma: dict[str, Any] | None = None
 
     def of_sensor(self) -> dict[str, Any]:
-        """Return the values of this sensor alone, as JSON types."""
+        """Return the clock offset and the mounting of the sensor as JSON types."""
         return {'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist()}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the alignment as JSON types; an infinite standard deviation is None."""
+        """Return the alignment as JSON types; an infinite standard deviation becomes None."""
         found: dict[str, Any] = {
             **self.of_sensor(), 'space_xyzw': _upper(self.space).tolist(),
             'start': 'fitted' if self.start else 'scene'}
@@ -78,12 +80,12 @@ class Alignment:
         return found
 
     def expected(self, states: Poses) -> Poses:
-        """Return what a sensor without errors measures of a motion, in its own axes."""
+        """Return what a sensor without errors would measure, in the axes of the sensor."""
         attitude = so3.multiply(so3.multiply(self.space, states.attitude), self.mount)
         return Poses(attitude, so3.rotate(so3.conjugate(self.mount), states.angular_velocity))
 
     def applied(self, sensor: Measured) -> Measured:
-        """Return the measurements of a sensor in the time and the frames of the motion."""
+        """Convert the measurements of a sensor to the clock and the axes of the motion."""
         attitude, rate = sensor.attitude, sensor.angular_velocity
         if attitude is not None:
             attitude = so3.multiply(so3.multiply(so3.conjugate(self.space), attitude),

@@ -15,8 +15,9 @@
 """
 Likely causes of the errors of a comparison.
 
-Each is undone, and judged by the remaining error relative to the noise of the measurement. A cause
-that leaves no more than noise explains the errors; another one can only reduce them.
+Each possible cause is undone, and the error that remains is compared with the noise of the
+measurement. If only noise remains, the cause explains the errors. Otherwise, the cause at most
+reduces the errors.
 """
 
 from __future__ import annotations
@@ -38,11 +39,12 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 
-#: Part of the error, in spreads, that may be left by a cause that only reduces it.
+#: A cause that reduces the error, but does not explain it, is reported if less than this fraction
+#: of the error remains.
 _LEFT = 0.5
-#: Errors within this factor count as equally good.
+#: Remaining errors that differ by less than this factor count as equal.
 _ABOUT = 1.5
-#: Number of samples of a sensor that an alignment uses.
+#: Maximum number of samples of each sensor in the alignment after a cause is undone.
 _SAMPLES = 2000
 
 
@@ -54,18 +56,19 @@ class Cause:
     Attributes
     ----------
     name : str
-        Of a sensor: 'quaternion_order', 'inverse_quaternion', 'degrees', 'clock_offset',
-        'constant_rotation', 'gyro_bias', 'gyro_scale', 'gyro_saturation', 'frozen_attitude' or
-        'flipped_attitude'. For the model: 'start', 'torque_axes', 'torque_scale', 'torque_gains',
-        'torque_bias', 'weight', 'rotor_momentum', 'damping', 'inertia' or 'inertia_change'.
+        The name of a fault. A fault of a sensor is 'quaternion_order', 'inverse_quaternion',
+        'degrees', 'clock_offset', 'constant_rotation', 'gyro_bias', 'gyro_scale',
+        'gyro_saturation', 'frozen_attitude' or 'flipped_attitude'. A fault of the model is
+        'start', 'torque_axes', 'torque_scale', 'torque_gains', 'torque_bias', 'weight',
+        'rotor_momentum', 'damping', 'inertia' or 'inertia_change'.
     text : str
         The cause in words.
     before, after : float
-        Median error as it is, and with the cause undone, in `unit`.
+        Median error with the cause, and with the cause undone, in `unit`.
     unit : str
-        'rad' of the attitude, 'rad/s' of the angular velocity or 'N m' of the residual torque.
+        'rad' for the attitude, 'rad/s' for the angular velocity, 'N m' for the residual torque.
     topic : str
-        The sensor; empty for a cause of the model.
+        The topic of the sensor; empty for a fault of the model.
     explains : bool
         Whether the remaining error is compatible with the noise.
 
@@ -81,7 +84,7 @@ class Cause:
 
     @property
     def evidence(self) -> str:
-        """Return by how much the error falls without the cause, in words."""
+        """Return text that says by how much the error falls if the cause is undone."""
         what = 'residual torque' if self.unit == 'N m' else 'error'
         rest = 'which is its noise' if self.explains else 'more than its noise'
         return f'without it the median {what} is {self.after:.2g} {self.unit}, {rest}, not ' \
@@ -95,7 +98,7 @@ class Cause:
 
 
 class _Tried(NamedTuple):
-    """A cause, the channels that judge it, and the share of the errors that remains without it."""
+    """A cause, the keys of the channels it affects, and the fraction of the error that remains."""
 
     cause: Cause
     keys: frozenset[tuple[str, str]]
@@ -105,16 +108,19 @@ class _Tried(NamedTuple):
 def find_causes(motion: Motion, comparison: Comparison, align: Collection[str],
                 track: Track = no_progress) -> tuple[Cause, ...]:
     """
-    Return the likely causes of errors: at most one for each quantity of each sensor.
+    Return the likely causes of the errors.
+
+    The result contains at most one cause for each quantity of each sensor, and at most one cause
+    in the model.
 
     Parameters
     ----------
     motion : Problem or Recorded
-        As it was for `comparison`.
+        The motion before alignment, which begins with the start of the scene.
     comparison : Comparison
-        With the residual torque. Errors after `predictable_s` do not count.
+        The errors and the residual torque. Errors after `predictable_s` are ignored.
     align : collection of str
-        As it was for `comparison`.
+        The names of the alignments that were fitted for `comparison`.
     track : callable, optional
         Wraps the iteration over possible causes, to show progress.
 
@@ -141,7 +147,7 @@ def find_causes(motion: Motion, comparison: Comparison, align: Collection[str],
 
 
 def _reducing(tried: Sequence[_Tried], open_keys: set[tuple[str, str]]) -> Iterator[Cause]:
-    """Generate the causes that leave the smallest error; among equals, the simplest."""
+    """Generate the causes that leave the smallest errors; of similar causes, the simplest."""
     while open_keys:
         good = [one for one in tried if one.left < _LEFT and one.keys <= open_keys]
         if not good:
@@ -163,13 +169,13 @@ def _of_sensors(motion: Motion, comparison: Comparison, align: Collection[str], 
     for sensor, fault in track(jobs, len(jobs)):
         names = [name for name in align if name.partition('@')[2] in ('', sensor.topic)]
         base = comparison.motion if fault.is_aligned else motion
-        with suppress(InputError, ValueError):  # nothing overlaps, or the body spins too fast
+        with suppress(InputError, ValueError):  # no overlap in time, or the spin is too fast
             undone = compared(base, [fault.measured], {*names, *fault.align}, _SAMPLES)
             yield from _judged(fault, undone, until_ns, wrong)
 
 
 def _narrowed(sensor: Measured, channels: Sequence[Channel]) -> Measured:
-    """Return a sensor with the quantities of some channels only."""
+    """Return a sensor that measures only the quantities of the given channels."""
     kinds = {channel.kind for channel in channels}
     return replace(sensor, attitude=sensor.attitude if ATTITUDE in kinds else None,
                    angular_velocity=sensor.angular_velocity if RATE in kinds else None)
@@ -177,7 +183,7 @@ def _narrowed(sensor: Measured, channels: Sequence[Channel]) -> Measured:
 
 def _judged(fault: Fault, undone: Comparison, until_ns: int,
             wrong: dict[tuple[str, str], Channel]) -> Iterator[_Tried]:
-    """Generate the cause, if the measurement without a fault says something."""
+    """Generate a fault as a cause if a quantity that the fault affects can still be compared."""
     after = [*channels_of(undone, until_ns)]
     text = f'{fault.measured.topic}: {fault.described(undone.alignments[0])}'
     changed = [one for one in after if _is_of(fault, one)]
@@ -188,13 +194,13 @@ def _judged(fault: Fault, undone: Comparison, until_ns: int,
     before = wrong[worst.key]
     cause = Cause(fault.name, text, before.median, worst.median, UNITS[worst.kind], worst.topic,
                   is_noise)
-    # Undoing a factor also changes the noise.
+    # Compare the ratio and the median, because undoing a scale factor changes the noise as well.
     left = max(worst.ratio / before.ratio, worst.median / before.median)
     yield _Tried(cause, frozenset(one.key for one in changed), left)
 
 
 def _is_of(fault: Fault, channel: Channel) -> bool:
-    """Return whether a fault is one of a quantity."""
+    """Return whether a fault affects the quantity of a channel."""
     if fault.name in ('quaternion_order', 'inverse_quaternion'):
         return channel.kind == ATTITUDE
     return fault.name != 'degrees' or channel.kind == RATE
@@ -202,7 +208,7 @@ def _is_of(fault: Fault, channel: Channel) -> bool:
 
 def _of_model(motion: Motion, comparison: Comparison, align: Collection[str], until_ns: int,
               wrong: dict[tuple[str, str], Channel]) -> Iterator[_Tried]:
-    """Generate causes that concern all channels: of the start, the torques and the body."""
+    """Generate causes that affect all channels: faults of the start, the torques and the body."""
     if not isinstance(motion, Problem):
         return
     keys, residual = frozenset(wrong), comparison.residual_torque

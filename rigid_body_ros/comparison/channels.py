@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-The errors of one quantity of one sensor, beside its noise.
+The errors of one quantity of one sensor, compared with the noise of the sensor.
 
-The spread of a measurement follows from how its errors change from one sample to the next, so a
-wrong model does not enlarge it. Errors are compatible with the noise if they come in no clusters
-and last no longer than the noise of a sensor.
+The spread is the standard deviation of the noise. It is estimated from how errors change from one
+sample to the next, so a wrong model does not enlarge the spread. Errors are compatible with the
+noise if outliers are rare and do not cluster, and if errors persist no longer than sensor noise.
 """
 
 from __future__ import annotations
@@ -41,15 +41,16 @@ from rigid_body_ros.sensing.noise import (
     noise_of,
 )
 
-#: Ratio of the standard deviation of normal noise to the median of its magnitude.
+#: Ratio of the standard deviation of normal noise to the median magnitude of this noise.
 _NORMAL = 1.4826
-#: Number of spreads above which an error is an outlier, and share of outliers that no sensor has.
+#: An error above `_OUTLIER` spreads is an outlier. If a sensor has no fault, at most the fraction
+#: `_SCATTERED` of its errors are outliers.
 _OUTLIER, _SCATTERED = 15.0, 0.3
-#: rad or rad/s; smaller errors are rounding errors.
+#: Errors below this number, rad or rad/s, count as rounding errors.
 _ROUNDING = 1e-7
-#: Smallest spread of an axis, relative to the largest.
+#: Lower limit of the spread of an axis, relative to the largest spread of the three axes.
 _LEAST = 1e-3
-#: s; errors are averaged over this time.
+#: Duration of the batches in which errors are compared with noise, s.
 _BATCH = 1.0
 ATTITUDE, RATE = 'rotation_vectors', 'rates'
 UNITS = {ATTITUDE: 'rad', RATE: 'rad/s'}
@@ -66,6 +67,7 @@ class Channel:
     kind : str
         'rotation_vectors' or 'rates'.
     seconds : array, shape (n,), s
+        Time since the start of the motion.
     errors : array, shape (n, 3), rad or rad/s
 
     """
@@ -77,12 +79,12 @@ class Channel:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Return what identifies the channel: topic and quantity."""
+        """Return the topic and the kind, which identify the channel."""
         return self.topic, self.kind
 
     @cached_property
     def spread(self) -> Floats:
-        """Return the standard deviation of the noise of each axis, from neighbouring samples."""
+        """Estimate the standard deviation of the noise of each axis from adjacent samples."""
         before, here, after = self.seconds[:-2], self.seconds[1:-1], self.seconds[2:]
         share = ((here - before) / (after - before))[:, None]
         left = np.abs(self._curved(share)) / np.sqrt(1.0 + share ** 2 + (1.0 - share) ** 2)
@@ -90,17 +92,17 @@ class Channel:
         return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))
 
     def _curved(self, share: Floats) -> Floats:
-        """Return the distances of errors from the line through the previous and the next error."""
+        """Return how far each error is from the line through the previous and the next error."""
         if self.kind != ATTITUDE:
             return self.errors[1:-1] - (1.0 - share) * self.errors[:-2] - share * self.errors[2:]
-        turns = so3.exp(self.errors)  # rotation vectors jump at half a turn
+        turns = so3.exp(self.errors)  # rotation vectors are discontinuous at half a turn
         back = so3.conjugate(turns[:-2])
         middle = so3.exp(share * so3.log(so3.multiply(back, turns[2:])))
         return so3.log(so3.multiply(so3.conjugate(middle), so3.multiply(back, turns[1:-1])))
 
     @cached_property
     def outliers(self) -> NDArray[np.bool_]:
-        """Return which errors are much larger than the spread."""
+        """Return which errors are outliers: much larger than the spread."""
         return np.asarray((np.abs(self.errors) > _OUTLIER * self.spread).any(axis=1))
 
     @property
@@ -110,7 +112,7 @@ class Channel:
 
     @property
     def ratio(self) -> float:
-        """Return the median error of an axis, relative to that of noise with this spread."""
+        """Return the median error, divided by the median error of noise with the same spread."""
         return float(np.median(np.abs(self.errors) / self.spread)) * _NORMAL
 
     @cached_property
@@ -128,7 +130,7 @@ class Channel:
 
 
 def channels_of(comparison: Comparison, until_ns: int = NEVER_NS) -> Iterator[Channel]:
-    """Generate the channels of a comparison, with the samples up to a time."""
+    """Generate the channels of a comparison; each contains the samples up to a given time."""
     for errors in comparison.errors:
         rows = errors.times_ns <= until_ns
         seconds = np.asarray(1e-9 * (errors.times_ns[rows] - comparison.motion.start.time_ns),

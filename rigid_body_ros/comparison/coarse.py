@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A first guess of clock offset and mounting, from any offset and any rotation."""
+"""Guess the clock offset and the mounting of a sensor without prior knowledge."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: Largest clock offset that is searched for, s.
+#: Largest clock offset that the search can find, s.
 LARGEST_OFFSET = 10.0
-#: Largest number of points of the time grid of the search.
+#: Maximum number of points in the time grid of the search.
 _POINTS = 2 ** 20
-#: Least part of the measurement that must lie within the motion.
+#: At least this fraction of the measurement must lie within the motion.
 _OVERLAP = 0.5
-#: The smallest offset is taken whose cost is this close to the least, relative to the median.
+#: A local minimum counts as equal to the smallest cost if it exceeds the smallest cost by at most
+#: this fraction of the difference between the median cost and the smallest cost. Of equal minima,
+#: the search chooses the minimum with the smallest absolute offset.
 _SAME = 0.01
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -40,16 +42,22 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
           mounts: Sequence[bool]) -> list[tuple[float, Floats, Floats]]:
     """
-    Return a clock offset, s, and the rotations of mounting and space, for each sensor.
+    Guess the clock offset, s, and the rotations of the mounting and of the space axes.
 
     Parameters
     ----------
     motion : Problem or Recorded
         The motion that the sensors are aligned with.
     sensors : sequence of Measured
-        The sensor with the most attitudes determines the rotation of space.
+        The sensor with the most attitudes determines the rotation of the space axes.
     clocks, mounts : sequence of bool
-        Which to find, for each sensor; the others are zero and the identity.
+        For each sensor, whether to guess the offset and the rotations. An offset that is not
+        requested is zero. A rotation that is not requested is the identity.
+
+    Returns
+    -------
+    list of tuple
+        For each sensor, the clock offset, the mounting and the rotation of the space axes.
 
     """
     space, most, found = _IDENTITY, 0, []
@@ -64,10 +72,10 @@ def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
 
 
 def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:
-    """Return the offset at which measured and computed angular velocities agree best, s."""
+    """Return the offset, s, at which measured and computed angular velocities agree best."""
     from scipy.ndimage import median_filter
     stamps_ns, rates = measured_rates(sensor)
-    rates = median_filter(rates, (5, 1), mode='nearest')  # without single outliers
+    rates = median_filter(rates, (5, 1), mode='nearest')  # removes single outliers
     first_ns, last_ns = int(stamps_ns[0]), int(stamps_ns[-1])
     step_ns = max(int(np.median(np.diff(stamps_ns))), (last_ns - first_ns) // _POINTS, 1000)
     most = round(1e9 * LARGEST_OFFSET) // step_ns
@@ -85,12 +93,13 @@ def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:
 def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
               mount: bool) -> float:
     """
-    Return the lag of the least mean squared difference, in steps of the grid.
+    Return the lag, in steps of the grid, at which the mean squared difference is smallest.
 
-    With a mounting, the difference is that after the best rotation: the trace of the correlation
-    becomes the sum of its singular values (Kabsch, 1976).
+    If the mounting is unknown, each difference is computed after the rotation that minimizes it:
+    the sum of the singular values of the correlation matrix then replaces the trace of this matrix
+    (Kabsch, 1976).
     """
-    from scipy import fft  # takes as long to import as the engine
+    from scipy import fft  # slow to import
     count = measured.shape[1]
     size = fft.next_fast_len(computed.shape[1], real=True)
 
@@ -128,7 +137,7 @@ def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
 
 def _mounting(motion: Motion, sensor: Measured, offset_ns: int
               ) -> tuple[Floats, Floats]:
-    """Return the rotations of mounting and space that explain a sensor best."""
+    """Return the rotations of the mounting and of the space axes that fit a sensor best."""
     times_ns = sensor.stamps_ns + offset_ns
     within = inside(motion, times_ns)
     if within.sum() < 2:
@@ -157,7 +166,9 @@ def _stride(attitude: Floats) -> int:
 
 def kabsch(vectors: Floats, targets: Floats) -> Floats:
     """
-    Return the rotation x y z w that turns vectors into targets, with less weight on outliers.
+    Return the quaternion x y z w that best turns vectors into targets.
+
+    Outliers have less weight than the other vectors.
 
     Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
     """
@@ -175,8 +186,8 @@ def davenport(attitudes: Floats) -> Floats:
     """
     Return the mean of attitudes, with less weight on outliers.
 
-    It is the eigenvector of the largest eigenvalue of the sum of q q^T (Davenport, 1968; Markley
-    et al., "Averaging quaternions", 2007).
+    The mean is the eigenvector of the largest eigenvalue of the sum of q q^T (Davenport, 1968;
+    Markley et al., "Averaging quaternions", 2007).
     """
     weights = np.ones(len(attitudes))
     for _ in range(5):

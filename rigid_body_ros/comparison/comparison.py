@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far a measured motion is from the propagated one."""
+"""Compare a measured motion with a propagated or recorded motion."""
 
 from __future__ import annotations
 
@@ -42,30 +42,35 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
             horizons: Sequence[float] | None = (), causes: bool = True,
             **others: Any) -> Comparison:
     """
-    Compare a measured motion with the one that torques cause.
+    Compare a measured motion with the motion computed from torques.
 
-    The motion is propagated at the measured stamps, not interpolated.
+    The motion is computed at the measured stamps, without interpolation.
 
     Parameters
     ----------
     body, start, log
-        As for `Problem`.
+        The body, the initial state and the torques, as for `Problem`.
     measured : Measured or sequence of Measured
-        The measurements of sensors.
+        The measurements of one or more sensors.
     align : collection of str
-        What to fit: 'start' (initial attitude and angular velocity), 'clock' (a constant time
-        offset of each sensor, up to 10 s) and 'mount' (the constant rotations between the axes of
-        each sensor and the body, and between the two space axes); 'clock@TOPIC' and 'mount@TOPIC'
-        are those of one sensor. With the mounting of an attitude, 'start' fits the angular
-        velocity only: the rotation of the space axes has the effect of another initial attitude.
+        What to fit. 'start' fits the initial attitude and angular velocity. 'clock' fits a
+        constant time offset of each sensor, up to 10 s. 'mount' fits two kinds of constant
+        rotations: between the axes of each sensor and the body axes, and between the space axes of
+        the measurements and the space axes of the motion. 'clock@TOPIC' and 'mount@TOPIC' fit one
+        sensor only. If 'mount' fits a sensor with attitudes, 'start' fits only the angular
+        velocity, because a rotation of the space axes has the same effect as a different initial
+        attitude.
     horizons : sequence of float or None, s
-        For each, restart from the measurement every so often, and return the error by then. None:
-        0.1, 1 and 10 s where the measurement is long enough.
+        For each horizon, restart the motion from the measurement at intervals of this length, and
+        return the error at the end of each interval. None selects the default horizons: 0.1, 1 and
+        10 s, except horizons shorter than the time between two samples or longer than the
+        measurement.
     causes : bool
-        Whether to look for likely causes of the errors, which takes about ten further motions.
+        Whether to look for likely causes of the errors. The search computes about ten more
+        motions.
     others
-        The keyword arguments of `Problem` other than `changes`: the wheels, the solver and its
-        options.
+        Keyword arguments of `Problem`, such as the wheels and the options of the solver. `changes`
+        is not allowed.
 
     Returns
     -------
@@ -76,7 +81,8 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     InputError
         No sample lies within the motion, or a name in `align` is unknown.
     ValueError
-        As for `propagate` or `Measured.check`, or a horizon is not positive, or the body changes.
+        `propagate` or `Measured.check` rejects an argument; a horizon is not positive; or
+        `changes` are given.
 
     """
     sensors = [measured] if isinstance(measured, Measured) else measured
@@ -86,14 +92,14 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     if problem.changes:
         raise ValueError(f'changes: expected a body that does not change, found '
                          f'{len(problem.changes)} changes, which only `propagate` computes')
-    # A restart begins with the momentum of the rotors, not with speeds of wheels.
+    # A restart begins with the momentum of the rotors, not with the speeds of the wheels.
     return compare_motion(problem.carried(), sensors, align, horizons, causes)
 
 
 def compare_motion(motion: Motion, measured: Sequence[Measured],
                    align: Collection[str] = (), horizons: Sequence[float] | None = (),
                    causes: bool = True, track: Track = no_progress) -> Comparison:
-    """Compare as `compare` does, with a problem or a recorded motion; `track` shows progress."""
+    """Do the same as `compare` for a problem or a recorded motion, and show progress."""
     for seconds in horizons or ():
         if not duration_ns(seconds, 'horizons'):
             raise ValueError(f'horizons: expected positive seconds, found {seconds}')

@@ -36,11 +36,12 @@ class Errors:
     ----------
     topic : str
     times_ns : array of int64, shape (n,)
-        In the time of the motion: the clock offset is added.
+        The measured stamps plus the clock offset: the times on the clock of the motion.
     rotation_vectors : array, shape (n, 3), rad, body axes, optional
-        From the computed attitude to the measured one; None without attitudes.
+        Rotations from the computed to the measured attitude; None if the sensor measures no
+        attitudes.
     rates : array, shape (n, 3), rad/s, body axes, optional
-        None without angular velocities.
+        Errors of the angular velocity; None if the sensor measures no angular velocities.
 
     """
 
@@ -57,9 +58,9 @@ def statistics(vectors: Floats | None, final: bool = False) -> dict[str, Any]:
     Parameters
     ----------
     vectors : array, shape (n, 3), optional
-        None or no rows: every value is None.
+        If there are no vectors (None or no rows), every statistic is None.
     final : bool
-        Whether to return the last length as well.
+        Whether to include 'final', the length of the last vector.
 
     """
     names = ['rms', 'median', 'p95', 'max', *(['final'] if final else []), 'axes_rms']

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors of the motion some time after a restart from the measurement."""
+"""The errors of a motion at a given time after restarts from the measurement."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ from rigid_body_ros.sensing.alarms import Judgement
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: Samples from which a restart is estimated, unless the horizon is too short for them.
+#: Maximum number of samples from which the state at a restart is estimated.
 _SAMPLES = 11
-#: s; horizons if none are given, and largest number of windows of one.
+#: Default horizons, s, and maximum number of windows per horizon.
 _USUAL, _WINDOWS = (0.1, 1.0, 10.0), 500
-#: Shortest horizon, in intervals between samples, which jitter.
+#: Shortest horizon, in intervals between samples. It is less than 1 because the intervals jitter.
 _SHORTEST = 0.99
-#: Largest number of corrections of an estimated restart. The last is below an angle, rad, or part
-#: of the noise.
+#: The state at a restart is corrected at most `_CORRECTIONS` times. The corrections end when a
+#: correction is below the angle `_CORRECTED`, rad, or the fraction `_NEGLIGIBLE` of the median
+#: error.
 _CORRECTIONS, _CORRECTED, _NEGLIGIBLE = 8, 1e-10, 0.02
 
 
@@ -50,11 +51,13 @@ class Horizon:
     Attributes
     ----------
     seconds : float, s
-        From a restart to its error, and to the next restart.
+        The length of a window. The motion is restarted at the beginning of each window.
     angles : array, shape (n,), rad
-        Attitude error of each window.
+        Attitude error at the end of each window.
     judgements : tuple of Judgement
-        What a live check with windows of this length says, if the scene states the noise.
+        The results of a live check (`Monitor`) with windows of this length. Empty for default
+        horizons, and if the scene does not set the noise of the sensors or a live check does not
+        accept the problem.
 
     """
 
@@ -64,7 +67,12 @@ class Horizon:
 
 
 def usual_horizons(sensors: Sequence[Measured]) -> list[float]:
-    """Return the usual horizons, as far as the first measured attitude is long and fine enough."""
+    """
+    Return the default horizons that suit the first sensor with attitudes.
+
+    They are not shorter than the usual time between two samples, and not longer than the
+    measurement.
+    """
     stamps_ns = next((one.stamps_ns for one in sensors if one.attitude is not None), np.empty(0))
     if len(stamps_ns) < 2:
         return []
@@ -75,19 +83,20 @@ def usual_horizons(sensors: Sequence[Measured]) -> list[float]:
 def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
             track: Track = no_progress) -> Horizon:
     """
-    Return errors after a time, each from a restart from the measurement.
+    Restart the motion from the measurement, and return the errors one horizon later.
 
-    A restart is estimated from eleven samples, or fewer if a fifth of the horizon has fewer: the
-    motion is propagated from the first, and its errors, linear in time, are subtracted. If there
-    are more than 500 restarts, only some are tried, evenly spaced.
+    The state at a restart is estimated from the samples in the first fifth of the horizon: at
+    least two and at most eleven samples. The motion is propagated from the first of these samples.
+    A straight line over time is fitted to the errors, and corrects the state. Of more than 500
+    restarts, at most 500 are computed, evenly spaced.
 
     Parameters
     ----------
     problem : Problem
-        Restarted at every horizon.
+        The model to restart.
     sensors : sequence of Measured
-        In the time and the axes of the motion. The first with an attitude is used, with its own
-        angular velocity if it has one.
+        Measurements, converted to the clock and the axes of the motion. The first sensor with
+        attitudes is used, including any angular velocities that it measures.
     seconds : float, s
         The horizon.
     track : callable, optional
@@ -137,7 +146,7 @@ def _error(problem: Problem, sensor: Measured, window: tuple[int, int], step_ns:
 
 
 def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
-    """Return the state at the first of a few samples that fits all of them best."""
+    """Fit the motion to a few samples, and return its state at the first sample."""
     assert samples.attitude is not None
     first_ns, (_, rates) = int(samples.stamps_ns[0]), measured_rates(samples)
     start = State(first_ns, samples.attitude[0], np.median(rates, axis=0), momentum)
@@ -150,7 +159,7 @@ def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
             at=samples.stamps_ns)
         vectors, rate_errors = errors_of(samples, motion)
         assert vectors is not None
-        # In space axes: a constant error of the attitude is constant there.
+        # Convert to space axes, in which a constant attitude error has constant components.
         vectors = so3.rotate(motion.attitude, vectors)
         offset, drift = _line(columns, vectors)
         turn = so3.conjugate(start.attitude)
@@ -166,7 +175,7 @@ def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
 
 
 def _line(columns: Floats, values: Floats) -> Floats:
-    """Return the coefficients of the columns, with less weight on outliers."""
+    """Return the least-squares coefficients of the columns, with less weight on outliers."""
     weights = np.ones((len(values), 1))
     for _ in range(3):
         found = np.linalg.lstsq(weights * columns, weights * values, rcond=None)[0]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Motions to compare with measurements: propagated, or recorded before."""
+"""Motions to compare with measurements: propagated motions and recorded motions."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from rigid_body_ros.sensing.measured import Measured
 
 class Recorded:
     """
-    A motion that was recorded, interpolated between its samples.
+    A recorded motion, interpolated between its samples.
 
     Parameters
     ----------
     samples : Measured
-        With attitudes and angular velocities.
+        The samples, which must contain attitudes and angular velocities.
 
     Attributes
     ----------
@@ -65,24 +65,24 @@ class Recorded:
                                       (attitude[rows + 1], rates[rows + 1]), span, part))
 
 
-#: A motion that measurements are compared with, and its states at times.
+#: The type of a motion that measurements are compared with, and the type of its states.
 Motion = Problem | Recorded
 States = Trajectory | Poses
 
 
 def span_of(motion: Motion) -> tuple[int, int]:
-    """Return the times of the earliest and of the latest state, ns."""
+    """Return the times of the earliest and the latest state, ns."""
     return motion.start.time_ns, motion.end_ns if isinstance(motion, Recorded) else NEVER_NS // 2
 
 
 def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> NDArray[np.bool_]:
-    """Return which times are within a motion, at least a margin from its ends."""
+    """Return which times lie within a motion, and at least `margin_ns` away from both ends."""
     first_ns, last_ns = span_of(motion)
     return (times_ns >= first_ns + margin_ns) & (times_ns <= last_ns - margin_ns)
 
 
 def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
-    """Split the states at the samples of all sensors into those of each sensor."""
+    """Divide the states at the samples of all sensors into one part for each sensor."""
     ends = np.cumsum([0, *map(len, sensors)]).tolist()
     every = Poses(states.attitude, states.angular_velocity)
     return [every.rows(slice(*part)) for part in pairwise(ends)]

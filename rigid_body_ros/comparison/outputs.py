@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write the errors of a comparison, sample by sample."""
+"""Write the errors of all samples of a comparison into a recording."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
     path : str or Path
         An MCAP file or, if the name does not end in .mcap, a new rosbag2 folder.
     comparison : Comparison
-        Stamps are in the time of the motion. Errors of several sensors share the topics.
+        The comparison. The stamps of the messages are times on the clock of the motion. The errors
+        of all sensors are written to the same topics.
     body_frame : str
         The frame_id of all messages.
 

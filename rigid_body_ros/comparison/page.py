@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Put the page of a comparison together."""
+"""Assemble the page of a comparison."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.torque_panels import residual_panels
 
-#: The median size of a normal variable, in standard deviations.
+#: The median magnitude of a normal variable, in standard deviations.
 _MEDIAN = 0.6745
 
 
@@ -54,7 +54,7 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
     Parameters
     ----------
     comparison : Comparison
-        The comparison; a computed motion is shown.
+        The comparison. The page animates the body if the motion was computed.
     name : str
         Name of the recording.
     scene : Scene
@@ -64,7 +64,8 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
     degrees : bool
         Whether to show angles in degrees.
     verdict : sequence of (str, str)
-        Whether the model explains the measurements, and why not, if that was asked.
+        Names and texts of rows. The rows say whether the model explains the measurements and, if
+        not, why. Empty if the user did not ask for a verdict.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
@@ -81,7 +82,7 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
 
 
 def _size(comparison: Comparison, degrees: bool) -> str:
-    """Return the errors of the attitude, or, if none is measured, of the angular velocity."""
+    """Return text with the rms attitude error or, without attitudes, the rms rate error."""
     label, unit, attribute = next(each for each in QUANTITIES if comparison.of(each[2]))
     factor, unit = scaled(unit, degrees)
     errors = comparison.pooled(attribute)
@@ -106,7 +107,7 @@ def _panels(comparison: Comparison, aligned: Sequence[Measured],
 
 def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
                start_ns: int) -> Iterator[Panel]:
-    """Generate the measured curves over the computed ones, and the errors."""
+    """Generate panels with measured and computed curves, and panels with the errors."""
     samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
     states = motion.propagate(at=errors.times_ns)
     for name, unit, measured, computed, (label, error_unit, attribute) in (
@@ -125,9 +126,10 @@ def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
 
 def _noise(errors: Floats) -> float:
     """
-    Return the noise of errors: the scatter of each sample about the mean of its neighbours.
+    Return the standard deviation of the noise in errors.
 
-    Errors that last longer than a sample, such as those of the model, do not count.
+    The estimate uses the distance of each sample from the mean of the samples before and after it.
+    Errors that change little between samples, such as errors of the model, do not contribute.
     """
     if len(errors) < 3:
         return 0.0
@@ -136,7 +138,7 @@ def _noise(errors: Floats) -> float:
 
 
 def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
-    """Generate the errors of the motion some time after a restart."""
+    """Generate a panel that shows the attitude error over the time since a restart."""
     horizons = sorted((horizon for horizon in comparison.horizons if len(horizon.angles)),
                       key=lambda horizon: horizon.seconds)
     if not horizons:
@@ -155,7 +157,7 @@ def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
 
 def _body(problem: Problem, aligned: Sequence[Measured],
           stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """Return the propagated motion at some of the measured stamps, and the measured one."""
+    """Return an animation of the computed motion and, if measured, of the measured attitude."""
     body = moving_body.of_motion(problem, stamps_ns)
     for sensor in aligned:
         if sensor.attitude is not None and len(sensor):

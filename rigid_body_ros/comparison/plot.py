@@ -32,9 +32,10 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
     Parameters
     ----------
     path : str or Path
-        The PNG file, with any suffix; an existing file is overwritten.
+        The PNG file. Its name may have any suffix, and an existing file is overwritten.
     comparison : Comparison
-        Errors of each kind are drawn for the first sensor that has them.
+        The comparison. The errors of each quantity are drawn for the first sensor that measures
+        the quantity.
     name : str
         Name of the recording, for the title.
 

@@ -25,31 +25,32 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 
-#: rad; a prediction that is less certain than this is none.
+#: Standard deviation of the attitude, rad, above which the motion is no longer predictable.
 _LOST = 0.1
-#: s; the start is estimated from the samples of this time, and from at least this many.
+#: The start is estimated from a measurement of this duration, s, with at least this many samples.
 _SPAN, _FEWEST = 1.0, 11
-#: rad and rad/s; small changes of the start. Approximate number of instants that are examined.
+#: Change of the start for finite differences, rad or rad/s, and number of instants at
+#: which the uncertainty is computed.
 _STEP, _INSTANTS = 1e-7, 1000
 
 
 def predictable_s(problem: Problem, channels: Sequence[Channel]) -> float | None:
     """
-    Return after which time the uncertainty of the start alone explains an error of 0.1 rad.
+    Return the time after which the uncertainty of the start alone explains an error of 0.1 rad.
 
-    The uncertainty of the start is that of an estimate from one second of the measurement.
+    The function assumes that the start was estimated from one second of the measurement.
 
     Parameters
     ----------
     problem : Problem
-        Its motion may magnify a change of the start.
+        The model.
     channels : sequence of Channel
-        What was measured.
+        The errors of the measured quantities, with their noise.
 
     Returns
     -------
     float, s, or None
-        Since the start; None if the motion can be predicted to the last sample.
+        Time since the start; None if the motion can be predicted up to the last sample.
 
     """
     end = max((float(channel.seconds[-1]) for channel in channels), default=0.0)
@@ -70,7 +71,7 @@ def predictable_s(problem: Problem, channels: Sequence[Channel]) -> float | None
 
 
 def _deviations(channels: Sequence[Channel]) -> Floats:
-    """Return standard deviations of a start, rad and rad/s; 0 for an attitude without sensor."""
+    """Return standard deviations of the start, rad and rad/s; 0 for an unmeasured attitude."""
     found: Floats = np.full(6, np.inf)
     for channel in channels:
         spacing = float(np.median(np.diff(channel.seconds)))
@@ -78,7 +79,7 @@ def _deviations(channels: Sequence[Channel]) -> Floats:
         mean = channel.spread / np.sqrt(count)
         if channel.kind == ATTITUDE:
             found[:3] = np.minimum(found[:3], mean)
-            # The slope of a line through the samples.
+            # Standard deviation of a rate that is the slope of a line through the samples.
             mean = mean * np.sqrt(12.0) / (count * spacing)
         found[3:] = np.minimum(found[3:], mean)
     if not any(channel.kind == ATTITUDE for channel in channels):

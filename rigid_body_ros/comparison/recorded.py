@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compare the measurements of a recording with the motion under its torques."""
+"""Compare the measurements of a recording with the motion computed from the recorded torques."""
 
 from __future__ import annotations
 
@@ -44,18 +44,20 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
                       horizons: Sequence[float] | None = None,
                       track: Track = no_progress) -> Comparison:
     """
-    Compare measured topics of a recording with the motion under its torques.
+    Compare measured topics of a recording with the motion computed from the recorded torques.
 
     Parameters
     ----------
     path, scene
-        As for `read_observed`.
+        The recording and the scene, as for `read_observed`.
     reading : Reading, optional
         What to read from the recording.
     motion : str or Path, optional
-        A recorded motion to compare with instead, such as the output of a replay.
+        A recording of the motion to compare with, such as the output of a replay. If None, the
+        motion is computed.
     align, horizons
-        As for `compare`, with the usual horizons by default.
+        What to fit, and the horizons, as for `compare`. If `horizons` is not given, the default
+        horizons are computed.
     track : callable
         Wraps the iteration over restarts and possible causes, to show progress.
 
@@ -66,8 +68,8 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     Raises
     ------
     InputError
-        The recording cannot be read, does not fit the scene, or measurements and motion do not
-        overlap in time.
+        The recording cannot be read or does not fit the scene, or the measurements and the motion
+        do not overlap in time.
 
     """
     reading = reading or Reading()
@@ -76,7 +78,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     if motion is None:
         searched = LARGEST_OFFSET if moves_clocks else 0.0
         stated, during = read_observed(path, scene, reading, searched, may_command=True)
-        # A part of the motion begins with the momentum of the rotors, not with speeds of wheels.
+        # A restart begins with the momentum of the rotors, not with the speeds of the wheels.
         try:
             moved = stated.carried()
         except ValueError as error:
@@ -85,7 +87,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
     try:
         sensors = during.until_end()
-        if moves_clocks and during.is_followed:  # some of them may be of the next epoch
+        if moves_clocks and during.is_followed:  # with offsets, samples may be in the next epoch
             sensors = during.until_end([one.clock_offset_s for one
                                         in aligned_by(moved, sensors, align)])
         found = compare_motion(moved, sensors, align, horizons, track=track)
@@ -96,7 +98,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
             moved, sensors, settings_of(scene.values)._replace(window=one.seconds))))
             for one in found.horizons))
     left_out = sum(map(len, during.sensors)) - sum(map(len, sensors))
-    # A file name may hold bytes that are not text.
+    # A file name may contain bytes that are not text.
     return replace(found, recording=Path(path).name.encode(errors='replace').decode(),
                    left_out=found.left_out + left_out)
 
@@ -108,8 +110,9 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
     Raises
     ------
     InputError
-        The file has neither the topics of a replay, /attitude and /angular_velocity, nor a single
-        topic with both.
+        The file contains neither the topics of a replay (/attitude and /angular_velocity) nor a
+        single topic with attitudes and angular velocities; or the stamps on the two topics of a
+        replay differ.
 
     """
     found = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))

@@ -40,30 +40,33 @@ from rigid_body_ros.sensing.residual_torque import ResidualTorque
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """
-    A measured motion compared with the propagated one.
+    The result of comparing measurements with a motion.
 
     Attributes
     ----------
     measured : tuple of Measured
-        As given.
+        The measurements before alignment.
     alignments : tuple of Alignment
-        Of each sensor.
+        One alignment for each sensor.
     errors : tuple of Errors
-        Of each sensor, after alignment.
+        The errors of each sensor, after alignment.
     left_out : int
-        Number of samples outside of the motion.
+        Number of samples before the start or after the end of the motion.
     horizons : tuple of Horizon
+        Errors after restarts from the measurement.
     residual_torque : ResidualTorque, optional
-        None for a recorded motion, or the measurement is too short.
+        The torque that the model lacks. None for a recorded motion, or if the measurement is too
+        short.
     motion : Problem or Recorded
-        With the fitted start.
+        The motion that the measurements are compared with. It begins with the fitted start if the
+        start was fitted.
     recording : str
-        Name of the recording, if there is one.
-    causes : tuple
-        Likely causes of the errors; see `find_causes`.
+        Name of the recording; empty if there is no recording.
+    causes : tuple of Cause
+        Likely causes of the errors.
     predictable_s : float, optional
-        After this time the measured uncertainty of the start alone explains errors of 0.1 rad;
-        None if it does not before the end, and for a recorded motion.
+        Time since the start, s, after which the uncertainty of a measured start alone explains
+        errors of 0.1 rad. None if the last sample is before this time, or for a recorded motion.
 
     """
 
@@ -80,13 +83,17 @@ class Comparison:
 
     @property
     def alignment(self) -> Alignment:
-        """Return the alignment of the first measured attitude, else of the first sensor."""
+        """
+        Return the alignment of the first sensor with attitudes.
+
+        If no sensor measures attitudes, return the alignment of the first sensor.
+        """
         return next((one for one, sensor in zip(self.alignments, self.measured)
                      if sensor.attitude is not None), self.alignments[0])
 
     @property
     def samples(self) -> int:
-        """Return the number of samples that are compared."""
+        """Return the number of samples that were compared."""
         return sum(len(errors.times_ns) for errors in self.errors)
 
     @property
@@ -97,20 +104,20 @@ class Comparison:
 
     @property
     def aligned(self) -> tuple[Measured, ...]:
-        """Return the measurements in the time and the axes of the motion."""
+        """Return the measurements, converted to the clock and the axes of the motion."""
         return tuple(_within(self.motion, one.applied(sensor))
                      for one, sensor in zip(self.alignments, self.measured))
 
     def of(self, name: str) -> list[Errors]:
-        """Return the errors of the sensors that measure 'rotation_vectors' or 'rates'."""
+        """Return the errors of the sensors that measure `name`: 'rotation_vectors' or 'rates'."""
         return [errors for errors in self.errors
                 if getattr(errors, name) is not None and len(errors.times_ns)]
 
     def pooled(self, name: str) -> Floats | None:
         """
-        Return the 'rotation_vectors' or 'rates' of all sensors in the order of time.
+        Return the 'rotation_vectors' or 'rates' of all sensors, sorted by time.
 
-        None if no sensor measures that within the motion.
+        Return None if no sensor measures this quantity within the motion.
         """
         chosen = self.of(name)
         if not chosen:
@@ -120,7 +127,7 @@ class Comparison:
         return np.asarray(values[np.argsort(times_ns, kind='stable')])
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as JSON types; units are in the names."""
+        """Return the result as JSON types; the names include the units."""
         torque = self.residual_torque
         found: dict[str, Any] = {
             'recording': self.recording, 'measured': [errors.topic for errors in self.errors],
@@ -148,7 +155,7 @@ class Comparison:
         return self.text()
 
     def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
-        """Generate the facts: names, which are empty if a fact continues, and texts."""
+        """Generate the facts as names and texts; an empty name continues the previous fact."""
         topics = ', '.join(errors.topic for errors in self.errors)
         yield 'measured', f'{self.samples} samples of {topics}, over {self.span_s:.9g} s'
         rejected = sum(sensor.rejected for sensor in self.measured)
@@ -187,7 +194,11 @@ class Comparison:
 
 def compared(motion: Motion, measured: Sequence[Measured],
              align: Collection[str], most: int | None = None) -> Comparison:
-    """Return only the errors after alignment, of at most this many samples."""
+    """
+    Align measurements with a motion; return a comparison that has only alignments and errors.
+
+    The alignment uses at most `most` samples of each sensor.
+    """
     alignments = aligned_by(motion, measured, align, most)
     if START in align and isinstance(motion, Problem):
         motion = motion.replaced(start=alignments[0].start)
@@ -232,7 +243,7 @@ def _turn(quaternion: Floats, sigma: Floats, degrees: bool) -> str:
 
 
 def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
-    """Generate the alignment that all sensors share."""
+    """Generate rows for the space axes and the start, which all sensors share."""
     sigma = alignment.sigma or {}
     if 'space_rad' in sigma:
         yield 'space axes', _turn(alignment.space, sigma['space_rad'], degrees)
@@ -248,7 +259,7 @@ def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
 
 
 def _vector(values: Floats, sigma: Any, factor: float, unit: str) -> str:
-    """Return a vector, each component rounded to its standard deviation, and the largest one."""
+    """Return text: a vector, rounded to suit its standard deviations, and the largest of these."""
     spreads = factor * np.broadcast_to(sigma, 3)
     texts = ', '.join(rounded(factor * value, spread) for value, spread in zip(values, spreads))
     return f'({texts}) {unit} ({_known(float(spreads.max()), unit)})'

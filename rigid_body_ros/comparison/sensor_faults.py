@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Possible faults of a sensor, and its measurements without them.
+Possible faults of a sensor, each with the measurements after the fault is undone.
 
-Each fault is undone: the remaining error shows whether it is the cause.
+The error that remains after a fault is undone shows whether this fault is the cause.
 """
 
 from __future__ import annotations
@@ -35,29 +35,30 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import FEWEST
 
-#: rad; a rotation this close to one that swaps axes is described as that.
+#: A rotation that differs from a swap of axes by less than this angle, rad, is called a swap.
 _NEAR = 0.09
-#: Spreads within which a value counts as the same, and above which the body counts as moving.
+#: Values count as equal if they differ by less than `_SAME` spreads. A frozen attitude is detected
+#: only if it lasts for the time in which the body usually turns by `_MOVES` spreads.
 _SAME, _MOVES = 6.0, 30.0
-#: Part of the wrong samples that have to be at the limit of a sensor.
+#: A gyro counts as saturated if more than this fraction of its wrong samples are at one limit.
 _AT_LIMIT = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
     """
-    A fault, undone.
+    A possible fault, and the measurements with the fault undone.
 
     Attributes
     ----------
     name, text : str
-        The text is empty if the alignment says what was wrong.
+        The name and a description. The description is empty if `described` generates it.
     measured : Measured
-        Without it.
+        The measurements without the fault.
     align : tuple of str
-        Alignments in addition to those that the user asked for.
+        The alignments to fit in addition to those that the user asked for.
     is_aligned : bool
-        Whether the measurement is in the time and the axes of the motion.
+        Whether `measured` is already converted to the clock and the axes of the motion.
 
     """
 
@@ -68,7 +69,7 @@ class Fault:
     is_aligned: bool = False
 
     def described(self, alignment: Alignment) -> str:
-        """Return the fault in words, given the alignment of the measurements without it."""
+        """Describe the fault, given the alignment of the measurements without the fault."""
         if self.align:
             return _clock_text(alignment) if self.name == 'clock_offset' else \
                 _rotation_text(alignment)
@@ -83,13 +84,14 @@ def faults(sensor: Measured, aligned: Measured, wrong: Sequence[Channel],
     Parameters
     ----------
     sensor : Measured
-        As measured, with the quantities that are wrong.
+        The measurements of the wrong quantities: those whose errors are not noise.
     aligned : Measured
-        In the time and the axes of the motion, where it overlaps with it.
+        The same measurements, converted to the clock and the axes of the motion. Samples outside
+        the motion are excluded.
     wrong : sequence of Channel
-        The errors of those quantities.
+        The errors of the wrong quantities.
     align : collection of str
-        What the user asked to align.
+        The names of the alignments that the user asked for.
 
     """
     by_kind = {channel.kind: channel for channel in wrong}
@@ -138,8 +140,8 @@ def _of_gyro(aligned: Measured, channel: Channel) -> Iterator[Fault]:
         return
     limit = float(np.median(values))
     if np.mean(np.abs(values - limit) < _SAME * spread) > _AT_LIMIT:
-        # Chosen by the expected values: a choice by the measured values would also depend on the
-        # noise.
+        # Select by the expected values, because a selection by the measured values would depend on
+        # their noise.
         kept = np.flatnonzero((np.abs(expected) < limit - _SAME * spread).all(axis=1))
         if len(kept) >= FEWEST:
             yield Fault('gyro_saturation', f'the gyro saturates at {limit:.4g} rad/s',
@@ -170,7 +172,7 @@ def _of_attitude(aligned: Measured, channel: Channel) -> Iterator[Fault]:
 
 
 def _still(attitude: Floats, expected: Floats, spread: float) -> NDArray[np.bool_]:
-    """Return the samples in which the attitude is constant although the body moves."""
+    """Return in which samples the attitude is constant although the body moves."""
     steps = so3.angle_between(expected[:-1], expected[1:])
     lag = max(1, math.ceil(_MOVES * spread / max(float(np.median(steps)), 1e-12)))
     still = np.zeros(len(attitude), bool)
@@ -185,7 +187,7 @@ def _still(attitude: Floats, expected: Floats, spread: float) -> NDArray[np.bool
 
 
 def slope(x: Floats, y: Floats) -> float:
-    """Return k of y = k x, with less weight on outliers."""
+    """Fit y = k x with less weight on outliers, and return k."""
     weights = np.ones(len(x))
     for _ in range(10):
         found = float(np.sum(weights * x * y) / max(np.sum(weights * x * x), 1e-300))
@@ -226,7 +228,7 @@ def _turn_text(quaternion: Floats) -> str:
 
 
 def axes_text(turn: Floats) -> str:
-    """Describe a signed permutation: 'x = -y, y = x, z = z'."""
+    """Describe a signed permutation by text such as 'x = -y, y = x, z = z'."""
     parts = []
     for row, name in zip(turn, 'xyz'):
         column = int(np.argmax(np.abs(row)))

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Possible faults of torques and body that explain the residual torque.
+Faults of the torques or the body that may explain the residual torque.
 
-The residual torque is linear in each of these. A wrong start does not change it, and it does not
-grow with time. So the part that a fault leaves is compared with its own noise, however long the
-motion is.
+The residual torque depends linearly on each fault. A wrong start does not change the residual
+torque, and the residual torque does not grow with time. Therefore, for motions of any length, the
+part that a fault does not explain can be compared with the noise of the residual torque.
 """
 
 from __future__ import annotations
@@ -40,16 +40,18 @@ from rigid_body_ros.sensing.noise import ALARM
 from rigid_body_ros.sensing.rates import measured_rates
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
-#: Windows in a batch, whose mean is judged, and fewest windows.
+#: Number of windows in a batch, and minimum number of windows. The medians of the batches are
+#: compared with the noise.
 _BATCH, _FEWEST = 4, 12
-#: Size of a numerical error, relative to the torque of the motion.
+#: Numerical error of a residual torque, relative to the torque of the motion.
 _ROUNDING = 3e-4
 #: Standard gravity in space axes, m/s^2.
 _GRAVITY = np.array([0.0, 0.0, -9.80665])
-#: Number of times at which the inertia may have changed.
+#: The motion is divided into this many intervals. A change of the inertia is tried at each
+#: boundary between two intervals, except the first and the last boundary.
 _PIECES = 16
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
-#: Changes of the six entries of an inertia that keep its trace.
+#: Changes of an inertia tensor that preserve its trace, as changes of its six entries.
 _SHAPES = np.array([[1, -1, 0, 0, 0, 0], [1, 1, -2, 0, 0, 0], [0, 0, 0, 1, 0, 0],
                     [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]], float).T
 
@@ -62,11 +64,12 @@ class Explanation(NamedTuple):
     ----------
     name, text : str
     before, after : float, N m
-        Median of the residual torque, as it is and without the explained part.
+        Median magnitude of the residual torque before and after subtraction of the part that the
+        fault explains.
     explains : bool
-        Whether the remaining torque is compatible with its noise.
+        Whether the remaining torque is compatible with the noise of the residual torque.
     unknowns : int
-        How many numbers were fitted.
+        Number of fitted parameters.
 
     """
 
@@ -79,7 +82,7 @@ class Explanation(NamedTuple):
 
 
 class _Windows:
-    """The residual torque in windows that do not overlap, and the motion there."""
+    """The residual torque and the measured motion in windows that do not overlap."""
 
     def __init__(self, problem: Problem, residual: ResidualTorque,
                  sensors: Sequence[Measured]) -> None:
@@ -107,7 +110,7 @@ class _Windows:
         self.floor = _ROUNDING * float(np.median(np.linalg.norm(moved, axis=1))) + 1e-300
 
     def is_noise(self, left: Floats) -> bool:
-        """Return whether the means of some windows are compatible with the noise."""
+        """Return whether the medians of batches of windows are compatible with the noise."""
         from scipy.special import chdtrc
         spread = Channel('', '', self.seconds, left).spread
         scale = np.maximum(np.minimum(spread, self.noise), self.floor)
@@ -118,7 +121,7 @@ class _Windows:
         return float(chdtrc(count, statistic).min()) >= ALARM
 
     def fitted(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Return coefficients of columns, shape (n, 3, k), and what they leave."""
+        """Fit columns, shape (n, 3, k), to the torques; return coefficients and the remainder."""
         weights = np.ones(len(columns))
         scale = 1.0 / np.maximum(self.noise, self.floor)
         for _ in range(8):
@@ -136,16 +139,20 @@ class _Windows:
 def explanations(problem: Problem, residual: ResidualTorque,
                  sensors: Sequence[Measured]) -> list[Explanation]:
     """
-    Return the explanations of the residual torque; none if it is compatible with its noise.
+    Return possible explanations of the residual torque.
+
+    The list is empty if the residual torque is compatible with its noise, or if there are fewer
+    than 12 windows.
 
     Parameters
     ----------
     problem : Problem
         The model.
     residual : ResidualTorque
-        Of the best of the sensors.
+        The residual torque, computed from the sensor with the most angular velocities or, if there
+        are none, with the most attitudes.
     sensors : sequence of Measured
-        In the time and the axes of the motion.
+        All measurements, converted to the clock and the axes of the motion.
 
     """
     windows = _Windows(problem, residual, sensors)
@@ -161,7 +168,7 @@ def _median(torques: Floats) -> float:
 
 
 def _tried(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
-    """Generate names, texts, remaining torques, and the number of unknowns."""
+    """Generate name, text, remaining torques, shape (n, 3), and number of fitted parameters."""
     logged = windows.logged
     if logged.any():
         needed = logged + windows.torques
@@ -180,7 +187,7 @@ def _tried(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
 
 
 def _linear(windows: _Windows) -> Iterator[tuple[str, str, Floats]]:
-    """Generate names, words and the torques of a unit of each component, shape (n, 3, k)."""
+    """Generate name, text, and the torques per unit of each of k parameters, shape (n, 3, k)."""
     rates, count = windows.rates, len(windows.rates)
     if windows.logged.any():
         yield 'torque_gains', 'the gains of the torque: 1 + {} about x, y and z', \
@@ -197,16 +204,16 @@ def _linear(windows: _Windows) -> Iterator[tuple[str, str, Floats]]:
 
 
 def _crossed(vectors: Floats) -> Floats:
-    """Return the matrices that take m to m x vector, shape (n, 3, 3)."""
+    """Return the matrices that map m to the cross product m x vector, shape (n, 3, 3)."""
     return np.stack([np.cross(unit, vectors) for unit in np.eye(3)], axis=2)
 
 
 def _of_inertia(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
     problem, columns = windows.problem, -windows.of_inertia
     known = windows.logged.any() or any(isinstance(one, UniformField) for one in problem.fields)
-    turn = np.eye(6) if known else _SHAPES  # without a known torque only ratios are determined
-    # The change of a tensor, not the tensor: with named wheels, their axial inertia is missing
-    # here.
+    turn = np.eye(6) if known else _SHAPES  # without a known torque, only ratios are determined
+    # Report the change, not the tensor, because the tensor here lacks the axial inertia of named
+    # wheels.
     words = 'ixx iyy izz ixy ixz iyz = {} kg m^2'
     found, left = windows.fitted(columns @ turn)
     if _is_possible(problem.body, turn @ found):
@@ -234,7 +241,7 @@ def _is_possible(body: RigidBody, change: Floats) -> bool:
 
 
 def _best_axes(logged: Floats, needed: Floats) -> Floats:
-    """Return the signed permutation of axes that turns the logged torques into those needed."""
+    """Return the signed permutation of axes that best maps logged torques to needed torques."""
     best, least = np.eye(3), math.inf
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
