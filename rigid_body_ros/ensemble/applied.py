@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The values applied in some runs of an ensemble, and the columns that report them."""
+"""The values of the parameters in some runs of an ensemble, and columns with these values."""
 
 from __future__ import annotations
 
@@ -36,21 +36,22 @@ from rigid_body_ros.scene.fields import values_of, with_values
 @dataclass(frozen=True, eq=False)
 class Applied:
     """
-    The values applied in n runs.
+    The values of the parameters in n runs.
 
     Attributes
     ----------
     runs : array of int, shape (n,)
-        Their numbers.
+        The numbers of the runs.
     bodies : RigidBodies
-        n of them.
+        The body of each run.
     starts : States
-        n of them.
+        The initial state of each run.
     torque_gain : array, shape (n,)
     torque_bias : array, shape (n, 3), N m, body axes
     clock_offset : array, shape (n,), s
-        A whole number of nanoseconds.
+        Rounded to whole nanoseconds.
     fields : Fields
+        The fields in each run.
 
     """
 
@@ -63,7 +64,7 @@ class Applied:
     fields: Fields
 
     def columns(self) -> dict[str, Floats]:
-        """Return the values by key, each shape (n,)."""
+        """Return the values by key, each of shape (n,)."""
         return {**_entries('inertia.i', self.bodies.inertia),
                 **_entries('damping.d', self.bodies.damping),
                 **components('initial_attitude', self.starts.attitude),
@@ -82,11 +83,11 @@ class Fields:
     Attributes
     ----------
     of_each : sequence of n tuples of Field
-        The nominal ones in a run whose own are not possible.
+        The fields of each run. The nominal fields replace impossible fields.
     messages : sequence of n str
-        Why they are not; empty otherwise.
+        For each run, why the fields are impossible; empty if the fields are possible.
     columns : dict
-        The values from which they are made, by key, each shape (n,).
+        The values that define the fields, by key, each of shape (n,).
 
     """
 
@@ -97,7 +98,7 @@ class Fields:
     @classmethod
     def with_values(cls, nominal: tuple[Field, ...], values: Mapping[str, Floats],
                     count: int) -> Fields:
-        """Return fields of which some values, shape (n,), by key, are not the nominal ones."""
+        """Return the fields of `count` runs; `values`, shape (count,), replace nominal values."""
         columns = {key: np.full(count, value) for one in nominal
                    for key, value in values_of(one).items()} | dict(values)
         if not values:
@@ -115,7 +116,7 @@ class Fields:
         return cls(found, messages, columns)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
-        """Return bounds as `UniformField.speed` does, for bodies with moments of shape (n,)."""
+        """For each run, return the sum of the bounds `speed` of its fields, rad/s, shape (n,)."""
         return np.array([sum(one.speed(*moments) for one in fields)
                          for fields, *moments in zip(self.of_each, least, largest)], float)
 
@@ -126,12 +127,12 @@ def components(prefix: str, vectors: Floats) -> dict[str, Floats]:
 
 
 def vectors(prefix: str, values: Mapping[str, Floats], axes: str = 'xyz') -> Floats:
-    """Return the vectors, shape (n, 3), with the components of these keys."""
+    """Return the vectors, shape (n, len(axes)), whose components have the keys PREFIX.AXIS."""
     return np.stack([values[f'{prefix}.{axis}'] for axis in axes], axis=-1)
 
 
 def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
-    """Return the symmetric tensors, shape (n, 3, 3), with the entries of these keys."""
+    """Return the symmetric tensors, shape (n, 3, 3), whose entries have keys with this prefix."""
     result = np.empty((len(values[f'{prefix}xx']), 3, 3))
     for entry, (row, column) in ENTRIES.items():
         result[:, row, column] = result[:, column, row] = values[prefix + entry]
@@ -140,36 +141,37 @@ def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
 
 def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     """
-    Return tensors with the same principal axes, and other moments that a body can have.
+    Return inertia tensors with the principal axes of a body, and with varied principal moments.
 
-    The second moments of the mass along the axes are multiplied by the exponentials of the numbers
-    drawn, shape (n, 3). They stay positive, so the moments satisfy the triangle inequality.
+    The second moments of the mass along the axes are multiplied by the exponentials of `drawn`,
+    shape (n, 3). The products are not negative, so the moments of inertia satisfy the triangle
+    inequality.
     """
     moments = body.principal_moments
     second = np.maximum(0.5 * moments.sum() - moments, 0.0) * exponentials(drawn)
     varied = second.sum(axis=-1, keepdims=True) - second
     axes = body.principal_axes
-    # Summed in a fixed order: in BLAS the order depends on the processor.
+    # Sum in a fixed order, without BLAS, because the order in BLAS depends on the processor.
     return (axes[:, None] * axes * varied[:, None, None]).sum(axis=-1)
 
 
 def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> TorqueLog:
     """
-    Return a log with later stamps and, if given, other torques.
+    Return a log with shifted stamps and, if given, other torques.
 
     Parameters
     ----------
     log : TorqueLog
         A log of n samples.
     offset : float, s
-        Added to the stamps; a whole number of nanoseconds.
+        Time to add to the stamps, rounded to whole nanoseconds.
     torques : array, shape (n, 3), N m, optional
-        In the same axes.
+        The new torques, in the axes of the log.
 
     Raises
     ------
     ValueError
-        A stamp does not fit 64 bits, or a torque is not finite.
+        A stamp does not fit into 64 bits, or a torque is not finite.
 
     """
     if torques is None:
@@ -180,7 +182,7 @@ def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> Torqu
 
 
 def later_commands(log: EffortLog, offset: float) -> EffortLog:
-    """Return commands with later stamps, with the arguments and errors of `later`."""
+    """Return commands with shifted stamps; the arguments and errors are those of `later`."""
     return EffortLog(_later_ns(log.times_ns, offset), log.efforts)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Percentiles over time of the angle from the nominal motion."""
+"""Percentiles of the angle from the nominal motion, over time."""
 
 from __future__ import annotations
 
@@ -27,20 +27,21 @@ from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.mechanics import so3
 
 _PERCENTILES = (5, 25, 50, 75, 95)
-#: Largest number of times, enough for a picture.
+#: Maximum number of points in time in the result: enough for a picture.
 _TIMES = 500
-#: Largest number of angles in memory, 8 bytes each, unless there are more runs.
+#: Maximum number of angles in memory, 8 bytes each. If there are more runs than this, one angle
+#: per run is in memory at a time.
 _KEPT = 2 ** 24
 
 
 def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
     """
-    Return percentiles of the angle between the attitudes of the runs and the nominal one, as JSON.
+    Return percentiles of the angle between the attitudes of the runs and the nominal attitude.
 
     Parameters
     ----------
     folder : Folder
-        A complete folder with times.
+        A complete folder that keeps the motions of the runs.
     nominal : array, shape (m, 7)
         The nominal motion at the times of the folder.
     runs : int
@@ -49,8 +50,9 @@ def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        'times_s', some of the times of the folder, among them the first and the last; and for
-        each percentile k 'pk_rad', of the same length.
+        JSON types. 'times_s' contains some of the times of the folder, including the first and the
+        last time. For each percentile k, 'pk_rad' contains this percentile of the angle at each of
+        these times.
 
     """
     assert folder.times is not None
@@ -63,7 +65,7 @@ def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
 
 
 def _angles(folder: Folder, nominal: Floats, rows: NDArray[np.int64], runs: int) -> Floats:
-    """Return the angles of the runs that did not fail at some times, shape (times, runs)."""
+    """Return the angles at some times, for all runs that did not fail, shape (times, runs)."""
     angles, end = np.empty((len(rows), runs)), 0
     for motions in folder.motions():
         attitudes = motions[np.isfinite(motions[:, 0, 0])][:, rows, :4]

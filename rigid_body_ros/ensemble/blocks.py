@@ -13,10 +13,12 @@
 # limitations under the License.
 
 """
-The blocks of an ensemble: a file each, whose name has its runs and a digest.
+The blocks of an ensemble: files with the rows of consecutive runs.
 
-One digest covers the ensemble, the runs and every byte of the file, another one the motions of the
-runs. A file that is damaged, or comes from elsewhere, does not fit its name.
+The name of a block contains the numbers of the runs and one or two digests. The first digest
+covers the identity of the ensemble, the numbers of the runs, and every byte of the file. If
+motions are kept, a second digest covers the motions of the runs. If a file is damaged or belongs
+to another ensemble, the digests in its name do not match.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ from rigid_body_ros.ensemble.motions import Motions
 from rigid_body_ros.ensemble.runs import Span
 from rigid_body_ros.runtime import files
 
-#: Names of blocks, also of earlier versions. No other file is removed.
+#: Names that this and earlier versions of the package give to block files. Files with other names
+#: are never removed.
 _BLOCK = re.compile(r'(\d{9})-(\d{9,10})(-[0-9a-f]{16}){0,2}\.parquet')
 
 
@@ -45,7 +48,7 @@ class Blocks:
     path : Path
         The folder.
     identity : str
-        What the runs depend on.
+        Text with all inputs that the runs depend on.
     motions : Motions or None
         The motions of the runs, if they are kept.
 
@@ -57,11 +60,11 @@ class Blocks:
 
     @property
     def spans(self) -> list[Span]:
-        """Return the blocks that fit and do not overlap, in order."""
+        """Return the spans of the valid blocks in order, without overlap."""
         return sorted(self._files)
 
     def find(self, runs: int) -> list[str]:
-        """Look for the blocks of the first runs, and return the runs of those that do not fit."""
+        """Look for blocks of the first `runs` runs; return the spans of invalid blocks as text."""
         self._files, misfits, end = {}, [], 0
         for (first, stop), path in sorted(self._candidates()):
             if not (first < stop <= runs and self._fits((first, stop), path)):
@@ -71,7 +74,7 @@ class Blocks:
         return misfits
 
     def write(self, span: Span, data: bytes, motions: Floats | None) -> None:
-        """Write a block; raise InputError if that fails."""
+        """Write a block; raise InputError if the file cannot be written."""
         path = self._path / self._name(span, data, motions)
         with files.atomic_output(path, '.parquet') as temporary:
             temporary.write_bytes(data)
@@ -84,7 +87,7 @@ class Blocks:
         Raises
         ------
         InputError
-            The file cannot be read, or has changed since it was found or written.
+            The file cannot be read, or has changed since `find` or `write` was called.
 
         """
         path = self._files[span]
@@ -96,7 +99,7 @@ class Blocks:
         return data
 
     def remove_others(self) -> None:
-        """Remove the blocks that do not fit or overlap others."""
+        """Remove each block that is invalid or overlaps a valid block."""
         kept = {*self._files.values()}
         for _, path in self._candidates():
             if path not in kept:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A controller in Python: which one it is, and what it returns for a state."""
+"""Import a controller that is written in Python, and call the controller for each state."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime import interrupts
 
-#: Returns a torque, shape (3,), N m, body axes, for a state and the time since the start, s.
+#: A function that takes a state and the time since the start, s. It returns a torque, shape (3,),
+#: N m, body axes.
 Law = Callable[[State, float], Any]
 
 
@@ -47,20 +48,20 @@ class ControllerError(ValueError):
 @dataclass(frozen=True)
 class Controller:
     """
-    A function, or a class whose instances are called like one; a run has an instance of its own.
+    A controller: a function, or a class with callable instances. Each run creates a new instance.
 
     Attributes
     ----------
     name : str
         MODULE:FUNCTION or MODULE:CLASS.
     folder : str
-        Where Python looks for the module first.
+        The folder in which Python looks for the module first.
     digest : str
-        Of the source file of the module.
+        Hash of the source file of the module.
     step_ns : int, ns
         Time from one call to the next.
     actuator : Actuator, optional
-        What becomes of its torques.
+        The actuator that receives the torques as commands.
 
     """
 
@@ -73,12 +74,12 @@ class Controller:
     @classmethod
     def load(cls, name: str, step_ns: int, actuator: Actuator | None = None) -> Controller:
         """
-        Import a controller, with the modules in the working directory before all others.
+        Import a controller. A module in the working directory takes precedence over all others.
 
         Raises
         ------
         InputError
-            The module cannot be imported or has no source file, or it has no such function.
+            The module cannot be imported, has no source file, or does not define the function.
 
         """
         folder = str(Path.cwd())
@@ -87,7 +88,7 @@ class Controller:
         return found
 
     def check(self) -> None:
-        """Raise InputError if the controller cannot be imported here, or is a different one."""
+        """Raise InputError if this process cannot import the controller, or the source differs."""
         digest = _digest(self.name, self.folder)
         if digest != self.digest:
             raise InputError(f'controller {self.name}: expected the source file that the command '
@@ -97,7 +98,7 @@ class Controller:
                              f'{quoted(_target(self.name, self.folder))}')
 
     def begin(self) -> Law:
-        """Return the controller of one run; raise ControllerError if it cannot be made."""
+        """Return the controller for one run; raise ControllerError if it cannot be created."""
         target = _target(self.name, self.folder)
         if not inspect.isclass(target):
             return target
@@ -130,7 +131,7 @@ class Controller:
         return torque
 
     def check_same(self, first: Problem, again: Problem) -> None:
-        """Raise ControllerError unless two computations of a run have the same torques."""
+        """Raise ControllerError if two computations of one run yield different torques."""
         for one, other in zip(first.logs[-1:], again.logs[-1:]):
             differ = (one.torques.view(np.int64) != other.torques.view(np.int64)).any(axis=1)
             if differ.any():
@@ -145,7 +146,7 @@ class Controller:
     def _called(self, function: Callable[..., Any], seconds: float, *arguments: Any) -> Any:
         try:
             return function(*arguments)
-        except BaseException as error:  # also SystemExit: the exit of a controller ends its run
+        except BaseException as error:  # if a controller calls exit, only the current run fails
             interrupts.check()
             raise ControllerError(f'{seconds:.9g} s: controller {self.name}: '
                                   f'{_described(error)}') from error
@@ -169,9 +170,9 @@ def _imported(name: str, folder: str) -> Any:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
-        with redirect_stdout(sys.stderr):  # standard output has the results only
+        with redirect_stdout(sys.stderr):  # standard output is for results only
             return import_module(module)
-    except BaseException as error:  # whatever the module does
+    except BaseException as error:  # a module may raise anything
         interrupts.check()
         raise InputError(f'controller {name}: cannot import {module}: '
                          f'{_described(error)}') from error

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Dispersions: read which parameters vary from a file, and draw their values."""
+"""Read from a file which parameters vary, and draw their values."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from rigid_body_ros.scene import PARAMETERS
 from rigid_body_ros.scene.fields import of_names, ORBIT
 import yaml
 
-#: Groups of scene parameters of which each member can vary.
+#: Groups of scene parameters whose members can all vary.
 _GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
            ORBIT)
-#: Units of all keys that vary by a normal or a uniform distribution, except keys of fields.
+#: Units of all keys that can have a normal or a uniform distribution, except keys of fields.
 UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
             if name.split('.')[0] in _GROUPS},
          'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},
          'clock_offset': 's'}
-#: Keys that stand for three numbers, or for three per sample.
+#: Keys for which each run draws three numbers; for `NOISE`, three numbers per torque sample.
 INERTIA, ATTITUDE, NOISE = 'inertia', 'initial_attitude', 'torque_noise'
 _EXAMPLE = 'torque_gain: {normal: 0.03}'
-#: Their only distribution.
+#: Keys that accept only one kind of distribution, and this kind.
 _SPECIAL = {INERTIA: 'relative', ATTITUDE: 'tilt', NOISE: 'normal'}
 
 
@@ -59,9 +59,10 @@ class Dispersion:
     kind : str
         'normal', 'uniform', 'relative' (principal moments) or 'tilt' (rotation vector).
     bounds : tuple of float
-        Lowest and highest value of 'uniform'; otherwise one standard deviation.
+        The lowest and the highest number if the kind is 'uniform'; otherwise, a standard
+        deviation.
     relative : bool
-        Whether the nominal value is multiplied by one plus the number drawn.
+        Whether the nominal value is multiplied by one plus the drawn number.
 
     """
 
@@ -72,12 +73,13 @@ class Dispersion:
 
     def draw(self, seed: int, runs: NDArray[np.int64]) -> Floats:
         """
-        Return values of some runs.
+        Return the numbers that the given runs draw.
 
         Returns
         -------
         array, shape (n, 3) for 'relative' and 'tilt', otherwise (n, 1)
-            Values of 'uniform', otherwise deviations from the nominal ones.
+            Values if the kind is 'uniform' and `relative` is False; otherwise, deviations from the
+            nominal values.
 
         """
         if self.kind == 'uniform':
@@ -90,17 +92,18 @@ class Dispersion:
 def draws(dispersions: Sequence[Dispersion], seed: int,
           runs: NDArray[np.int64]) -> dict[str, Floats]:
     """
-    Return what some runs draw, by key; it depends on the seed and on their numbers only.
+    Return the numbers that the given runs draw, by key.
 
-    A key draws the same numbers whatever other keys there are. The noise of the torque is drawn
-    per sample, elsewhere.
+    The numbers of a key depend only on the seed, the key and the number of the run. They do not
+    depend on other keys. The result does not include the noise of the torque, because `Torques`
+    draws this noise for each sample.
     """
     return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 
 
 def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
               drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
-    """Return the nominal values in a number of runs by key, each shape (n,), changed as drawn."""
+    """Return the values in `count` runs by key: nominal or dispersed values, shape (count,)."""
     values = {name: np.full(count, value) for name, value in nominal.items()}
     for one in dispersions:
         if one.key in values:
@@ -113,7 +116,7 @@ def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
 
 
 def units_with(fields: Iterable[str]) -> dict[str, str]:
-    """Return `UNITS`, with the units of uniform fields with these names."""
+    """Return `UNITS`, and the units of the keys of uniform fields with the given names."""
     return {**UNITS, **{name: parameter.unit
                         for name, parameter in of_names(fields).items()}}
 
@@ -127,13 +130,12 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]
     path : str or Path
         The file.
     fields : iterable of str
-        The names of the uniform fields of the scene, whose values can vary.
+        The names of the uniform fields of the scene. The values of these fields can vary.
 
     Raises
     ------
     InputError
-        The file cannot be read, a key is unknown or given twice, or a distribution is not
-        possible.
+        The file cannot be read, a key is unknown or given twice, or a distribution is impossible.
 
     """
     root, units = read_yaml(path, 'dispersions'), units_with(fields)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute the runs that a folder lacks: in threads, or on the workers of a Dask scheduler."""
+"""Compute the missing runs of a folder in threads, processes, or workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ if TYPE_CHECKING:  # a worker needs neither Parquet nor MCAP
     from rigid_body_ros.ensemble.folder import Folder
     from rigid_body_ros.runtime.terminal import Track
 
-#: A span and its rows.
+#: The first run of a block, the run after the last run, and the rows of the block.
 Block = tuple[int, int, Columns]
-#: Generates the blocks of an ensemble in the order in which they are complete.
+#: A function that generates the blocks of an ensemble in the order in which they are completed.
 Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
-#: The span of a block, and of a part of it.
+#: The span of a block, and the span of a part of this block.
 Part = tuple[Span, Span]
 
-#: Largest number of parts of a block, which different workers compute: a block may take minutes.
-#: A part costs Dask some 20 ms.
+#: Maximum number of parts into which a block is divided. Different workers compute the parts,
+#: because a block may take minutes. The overhead of Dask is about 20 ms per part.
 _PARTS = 8
-#: Largest number of runs of a block with a controller: one takes about a second.
+#: Maximum number of runs in a block with a controller. Each of these runs takes about a second.
 _IN_LOOP = 16
 
 
 def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> None:
     """
-    Compute and write all runs that a folder lacks.
+    Compute and write all runs that are missing in a folder.
 
     Raises
     ------
     InputError
         The folder cannot be written, or the pool fails.
     KeyboardInterrupt
-        A signal was received. The folder keeps all blocks that are complete.
+        A signal was received. The folder keeps all complete blocks.
 
     """
     spans = folder.missing(_IN_LOOP if ensemble.controller else None)
@@ -68,12 +68,12 @@ def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> Non
 
 
 def runs_of(block: Block) -> int:
-    """Return the number of runs of a block."""
+    """Return the number of runs in a block."""
     return block[1] - block[0]
 
 
 def threads(workers: int) -> Pool:
-    """Return a pool of threads; the kernels release Python's lock."""
+    """Return a pool of threads, for runs whose kernels release the global interpreter lock."""
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         with Workers(workers) as found:
             yield from found.results(partial(_block, ensemble), spans)
@@ -81,7 +81,7 @@ def threads(workers: int) -> Pool:
 
 
 def processes(workers: int) -> Pool:
-    """Return a pool of processes, for runs that hold Python's lock."""
+    """Return a pool of processes, for runs that hold the global interpreter lock."""
     def died(span: Span, error: WorkerError) -> NoReturn:
         raise InputError(f'cannot compute runs {span[0]} to {span[1] - 1}: {error}; run the same '
                          'command again to compute what is missing') from error
@@ -94,7 +94,7 @@ def processes(workers: int) -> Pool:
 
 
 def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
-    """Return the workers of a Dask scheduler, with the arguments and errors of `connected`."""
+    """Return a pool with the workers of a Dask scheduler; see `connected` for the arguments."""
     def died(part: Part, error: WorkerError) -> NoReturn:
         first, stop = part[1]
         raise InputError(f'{scheduler}: cannot compute runs {first} to {stop - 1}: {error}; their '
@@ -117,7 +117,12 @@ def _part(ensemble: Ensemble, part: Part) -> tuple[Span, Block]:
 
 
 def _parts(spans: list[Span], workers: Workers) -> Iterator[Part]:
-    """Generate blocks, divided into parts once fewer blocks are left than workers are free."""
+    """
+    Generate the parts of blocks.
+
+    A block is divided into several parts only if the workers accept more items than there are
+    remaining blocks.
+    """
     for left, span in zip(range(len(spans), 0, -1), spans):
         parts = min(math.ceil(workers.ahead() / left), _PARTS)
         size = math.ceil((span[1] - span[0]) / parts)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The dispersed parameters that explain the ends of the runs."""
+"""How much of the variation of the final states each dispersed parameter explains."""
 
 from __future__ import annotations
 
@@ -26,14 +26,21 @@ from rigid_body_ros.ensemble.requirements import final
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 from rigid_body_ros.mechanics import so3
 
-#: Number of the first runs that effects are computed from.
+#: Maximum number of runs from which effects are computed. If there are more runs, the first runs
+#: are used.
 _SAMPLE = 100_000
-#: Squares below this, relative to the square of the largest number, are rounding errors.
+#: A term of the fit is a rounding error if its mean square, relative to the square of the largest
+#: deviation, is below this number.
 _ROUNDING = 1e-20
 
 
 def correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:
-    """Return the rank correlations of the final angle with the distances from nominal values."""
+    """
+    Return the rank correlation of each parameter with the final angle.
+
+    The final angle is the angle between the final attitude and the nominal final attitude. The
+    final angle is correlated with the distance of the parameter from its nominal value.
+    """
     from scipy.stats import spearmanr  # takes long to import
     angles = folder.numbers(ANGLE, _SAMPLE)
     return {name: float(spearmanr(np.abs(deviation[known]), angles[known])[0])
@@ -43,11 +50,13 @@ def correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:
 
 def effects(ensemble: Ensemble, folder: Folder, quantity: str) -> dict[str, float]:
     """
-    Return the share of the variance of a quantity that each parameter explains.
+    Return the fraction of the variance of a quantity that each parameter explains.
 
-    It is the adjusted R^2 of a quadratic in the parameter, fitted to the ranks of the quantity. So
-    it finds effects that are odd in the deviation, such as that of a gain on a final rate. It also
-    finds even ones, such as that of an initial rate about zero, whose rank correlation vanishes.
+    The fraction is the adjusted R^2 of a quadratic in the parameter, fitted to the ranks of the
+    quantity. The fraction detects effects that change sign with a deviation, such as the effect of
+    a gain on a final rate. It also detects effects that depend only on the size of a deviation,
+    such as the effect of an initial rate that varies about zero. A rank correlation with the
+    deviation would not detect effects of the second kind.
     """
     numbers = final(folder, quantity, _SAMPLE)
     return {name: _explained(deviation[known], numbers[known])
@@ -76,11 +85,11 @@ def _explained(deviation: Floats, numbers: Floats) -> float:
 
 
 def _deviations(ensemble: Ensemble, folder: Folder) -> Iterator[tuple[str, Floats]]:
-    """Generate the deviations of parameters from their nominal values, in the first runs."""
+    """Generate the name of each parameter and its deviations from the nominal value."""
     nominal = ensemble.nominal
     attitude = [f'initial_attitude.{axis}' for axis in 'xyzw']
     tilted = np.stack([folder.numbers(name, _SAMPLE) for name in attitude], axis=-1)
-    with np.errstate(invalid='ignore'):  # failed runs
+    with np.errstate(invalid='ignore'):  # failed runs are NaN
         yield 'initial_attitude', np.asarray(
             so3.angle_between(tilted, [nominal[name] for name in attitude]))
     for name in ensemble.columns:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Draw the parameters that `attitude_identify` estimated from their joint distribution."""
+"""Draw parameters from the joint distribution that `attitude_identify` estimated."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene.fields import MOMENT
 
-#: The rotation vector of the initial attitude.
+#: The keys of the rotation vector of the initial attitude.
 _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')
-#: Estimates without effect on the motion: those of sensors, and starts of later recordings.
+#: Estimates that do not affect the motion: errors of sensors, and starts of later recordings.
 _NOT_IN_MOTION = re.compile(r'((mount|gyro_bias|gyro_scale)\.[xyz]|clock_offset|clock_drift)(@.*)?'
                             r'|.*\[\d+\]')
-#: An estimated weight, which is a field of the fitted scene.
+#: The keys of an estimated weight. The fitted scene describes the weight as a field.
 _WEIGHT = re.compile(r'^weight(\.[xyz])$')
-#: Eigenvalues and pivots of a correlation matrix that are rounding errors.
+#: Eigenvalues and pivots of a correlation matrix below this number are rounding errors.
 _ROUNDING = 1e-12
 _KINDS = {bool: 'true or false', dict: 'names and values', float: 'a number', list: 'a list'}
 
@@ -57,14 +57,14 @@ class Fitted:
     Attributes
     ----------
     estimates : dict of str to float
-        By key of `units_with`, in its unit; `initial_attitude.x`, `.y` and `.z` are a rotation
-        vector in body axes, rad.
+        The estimates by key, in the units of `units_with`. `initial_attitude.x`, `.y` and `.z` are
+        a rotation vector in body axes, rad.
     guess_attitude : array, shape (4,)
-        Quaternion x y z w that this vector turns.
+        The attitude to which the rotation vector in `estimates` is applied: a quaternion x y z w.
     covariance : array, shape (n, n)
-        Of the estimates, in their order; positive semidefinite.
+        Covariance of the estimates, in the order of `estimates`; positive semidefinite.
     ignored : tuple of str
-        Names of other estimates, which have no effect on the motion.
+        Names of the estimates that have no effect on the motion.
 
     """
 
@@ -75,14 +75,14 @@ class Fitted:
 
     @cached_property
     def nominal(self) -> dict[str, float]:
-        """Return the estimates by key of a scene, with the attitude as a quaternion."""
+        """Return the estimates by the keys of a scene, with the attitude as a quaternion."""
         return {key: float(column[0]) for key, column in self._values(self._mean[None]).items()}
 
     def draw(self, seed: int, runs: NDArray[np.int64]) -> dict[str, Floats]:
-        """Return values of some runs, shape (n,), by the keys of `nominal`."""
+        """Return the values that some runs draw, shape (n,), by the keys of `nominal`."""
         numbers = normals(seed, runs, 'fitted', len(self._mean))
         changes = np.zeros_like(numbers)
-        # One term after the other: BLAS sums in an order that depends on the processor.
+        # Add the terms one by one, because BLAS sums in an order that depends on the processor.
         for number, column in zip(numbers.T, self._factor.T):
             changes += np.multiply.outer(number, column)
         return self._values(self._mean + changes)
@@ -122,13 +122,14 @@ def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> F
     fields : iterable of str
         The names of the uniform fields of the scene.
     force : bool
-        Also take a fit that is rejected.
+        Whether to accept a fit whose verdict is 'rejected'.
 
     Raises
     ------
     InputError
-        The file cannot be read or is something else, the fit did not converge or is rejected, an
-        estimate is not determined or cannot vary, or the covariance is not one.
+        The file cannot be read or was not written by `attitude_identify`; the fit did not
+        converge; the verdict is 'rejected' and `force` is False; an estimate is not determined or
+        cannot vary; or the covariance is invalid.
 
     """
     data = read_json(path, 'estimates')
@@ -169,7 +170,7 @@ def _fitted(data: Any, known: Mapping[str, str], force: bool) -> Fitted:
 
 
 def _typed(value: Any, kind: type, where: str) -> Any:
-    """Return a value if it has a type; an integer counts as a float."""
+    """Return a value; raise InputError if its type is not `kind` (an int counts as a float)."""
     value = float(value) if type(value) is int and kind is float else value
     if not isinstance(value, kind):
         found = 'none' if value is None else quoted(value)
@@ -185,13 +186,13 @@ def _list(value: Any, length: int, where: str) -> list[Any]:
 
 
 def _numbers(value: Any, length: int, where: str) -> list[float]:
-    """Return the numbers in a list; null is NaN."""
+    """Return the numbers in a list, with NaN for null."""
     return [math.nan if one is None else _typed(one, float, where)
             for one in _list(value, length, where)]
 
 
 def _value(name: str, estimate: Any, unit: Any, known: Mapping[str, str]) -> float:
-    """Return the value of an estimate, if its two units are those of a scene."""
+    """Return the value of an estimate; raise InputError if a unit in the file is wrong."""
     given = _typed(estimate, dict, f'estimates: {name}')
     expected = 'rad' if name in _ROTATION else known.get(name)
     for found, where in ((given.get('unit'), 'estimates'), (unit, 'covariance.units')):
@@ -252,7 +253,7 @@ def _check_covariance(names: Sequence[str], covariance: Floats) -> None:
 
 
 def _scaled(covariance: Floats) -> tuple[Floats, Floats]:
-    """Return standard deviations, 1 instead of 0, and the correlations."""
+    """Return the standard deviations (1 in place of 0) and the correlation matrix."""
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     return scale, covariance / np.multiply.outer(scale, scale)

@@ -13,14 +13,16 @@
 # limitations under the License.
 
 """
-The folder of an ensemble: which runs it has, their rows as Parquet, and their motions.
+The folder of an ensemble: the rows of the runs as Parquet, and the motions of the runs.
 
-Runs are computed and written in blocks, each to a file of its own, so that an interrupted ensemble
-continues where it stopped. A row depends on the number of its run only, and the rows are put
-together in that order: `runs.parquet` has the same bytes whatever the blocks were.
+Runs are computed and written in blocks, one file per block, so that an interrupted ensemble can
+continue where it stopped. A row depends only on the number of its run, and the rows are joined in
+the order of these numbers. Therefore, `runs.parquet` contains the same bytes, regardless of how
+the runs were divided into blocks.
 
-A folder with `summary.json` is complete. Results of fewer runs are removed before anything else
-changes. `summary.json` is the first file to be removed and the last to be written.
+A folder with `summary.json` is complete. If the user requests more runs, the earlier results are
+removed before anything else changes. `summary.json` is the first file that is removed and the last
+file that is written.
 """
 
 from __future__ import annotations
@@ -46,16 +48,18 @@ from rigid_body_ros.ensemble.motions import Motions, remove_parts
 from rigid_body_ros.ensemble.runs import MOTION, Span
 from rigid_body_ros.runtime import files, protection
 
-#: Number of blocks that the missing runs are divided into, so that all workers have some; but a
-#: block has a largest number of runs, so that an interrupt does not lose many.
+#: If possible, the missing runs are divided into at least `BLOCKS` blocks, so that every worker
+#: gets one. A block contains at most `LONGEST` runs, so that an interrupt loses only a few runs.
 BLOCKS, LONGEST = 32, 2048
-#: Rows in a row group of `runs.parquet`.
+#: Number of rows in a row group of `runs.parquet`.
 GROUP = 2 ** 16
-#: Columns with many equal rows; a dictionary for the others would take time and space.
+#: Columns with many equal values, which Parquet encodes with a dictionary. For other columns, a
+#: dictionary would cost time and space.
 _REPEATED = ['status', 'message']
 _IDENTITY, _SUMMARY, _PICTURE, _TABLE = ('identity.json', 'summary.json', 'bands.png',
                                          'runs.parquet')
-#: Names of parts of these and of blocks; no other file is removed.
+#: Names of unfinished files that may be removed: temporary versions of the files above, and of
+#: blocks.
 _PART = re.compile(r'\.(identity\.json|summary\.json|bands\.png|runs\.parquet|\d{9}-[-0-9a-f]+'
                    r'\.parquet)\.[0-9a-f]{16}\.\d+\.part')
 
@@ -63,27 +67,27 @@ _PART = re.compile(r'\.(identity\.json|summary\.json|bands\.png|runs\.parquet|\d
 @contextmanager
 def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Iterator[Folder]:
     """
-    Open the folder of an ensemble that no other process writes to in the context.
+    Open the folder of an ensemble, and lock it for this process within the context.
 
     Parameters
     ----------
     path : str or Path
-        Created if it does not exist.
+        The folder; it is created if it does not exist.
     ensemble
         The other arguments of `Folder`.
     note : function
-        Takes a line for the user.
+        Shows a line of text to the user.
 
     Raises
     ------
     InputError
-        As for `Folder`, or another process writes to the folder.
+        `Folder` raises this error, or another process writes to the folder.
     KeyboardInterrupt
-        A signal was received in the context; the message says how to go on.
+        A signal was received within the context. The message says how to continue.
 
     """
     protection.check_apart(path)
-    if not (Path(path) / lock.NAME).exists():  # create none in the folder of something else
+    if not (Path(path) / lock.NAME).exists():  # check before a lock file is created
         _check_kind(Path(path))
     try:
         with lock.locked(Path(path), note) as is_locked:
@@ -106,28 +110,28 @@ class Folder:
     Parameters
     ----------
     path : str or Path
-        Created if it does not exist.
+        The folder; it is created if it does not exist.
     identity : mapping
-        What the runs depend on, as JSON, by a name for error messages.
+        The inputs that the runs depend on, as JSON types. Error messages contain the keys.
     units : mapping
         The unit of each column of numbers.
     runs : int
-        Number of runs, at least that of the folder.
+        Number of runs; at least the number in earlier uses of the folder.
     times : array, shape (m,), s, optional
-        Times since the start of the states that are kept; none by default.
+        Times since the start at which states are kept. By default, no states are kept.
 
     Attributes
     ----------
     table, picture : Path
-        The files of all rows and of the picture.
+        The paths of `runs.parquet`, which contains all rows, and of `bands.png`.
     misfits : list of str
-        The runs of blocks that were found, but are not as they were written.
+        The runs, as text, of each block that is damaged or belongs to another ensemble.
 
     Raises
     ------
     InputError
-        The folder is something else, belongs to another ensemble or to one with more runs, or
-        cannot be written.
+        The folder contains other files, the runs of another ensemble, or more than `runs` runs; or
+        the folder cannot be written.
 
     """
 
@@ -157,12 +161,12 @@ class Folder:
 
     def missing(self, longest: int | None = None) -> list[Span]:
         """
-        Return the first run of each block that has to be computed, and the one after it.
+        Return the spans of the blocks that have to be computed.
 
         Parameters
         ----------
         longest : int, optional
-            Largest number of runs of a block.
+            Maximum number of runs in a block.
 
         """
         present = self._blocks.spans
@@ -177,15 +181,15 @@ class Folder:
 
     def add(self, first: int, stop: int, rows: Mapping[str, NDArray[Any]]) -> None:
         """
-        Write the motions of a block, then its rows.
+        Write the motions of a block, then the rows of this block.
 
         Parameters
         ----------
         first, stop : int
-            The first run, and the one after the last.
+            The first run, and the run after the last.
         rows : mapping
-            Arrays of equal length by column; NaN stands for a number that is missing. If the
-            folder has times, 'motion', shape (n, m, 7), as well.
+            An array for each column, shape (n,). NaN marks a missing number. If the folder keeps
+            states, the mapping also contains 'motion', shape (n, m, 7).
 
         Raises
         ------
@@ -204,12 +208,12 @@ class Folder:
 
     def complete(self) -> None:
         """
-        Put the blocks together to `runs.parquet`.
+        Join the blocks into `runs.parquet`.
 
         Raises
         ------
         InputError
-            The file cannot be written, a block has changed, or a run is missing or there twice.
+            The file cannot be written, a block has changed, or a run is missing or occurs twice.
 
         """
         with files.atomic_output(self.table, '.parquet') as path:
@@ -221,43 +225,43 @@ class Folder:
             self._blocks.remove_others()
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write `summary.json`, after all other results; raise InputError if that fails."""
+        """Write `summary.json` as the last file; raise InputError if it cannot be written."""
         self._write(_SUMMARY, summary)
 
     def motions(self) -> Iterator[Floats]:
         """
-        Generate the motions of all runs in their order, in chunks that fit into memory.
+        Generate the motions of all runs in order, in chunks that fit into memory.
 
         Yields
         ------
         array, shape (n, m, 7)
-            Attitude, x y z w, body to space, and angular velocity, rad/s, body axes, at `times`;
-            NaN for failed runs.
+            Attitude, x y z w, from body to space axes, and angular velocity, rad/s, body axes, at
+            `times`. The motion of a failed run is NaN.
 
         Raises
         ------
         InputError
-            They cannot be read.
+            The motions cannot be read.
 
         """
         if self._motions:
             yield from self._motions.chunks()
 
     def numbers(self, name: str, stop: int) -> Floats:
-        """Return a column of the first runs of `runs.parquet`, NaN for failed ones."""
+        """Return a column of `runs.parquet` for runs before `stop`, with NaN for failed runs."""
         wanted = min(stop, self.runs)
         groups = range(-(-wanted // GROUP))
         column = parquet.ParquetFile(self.table).read_row_groups([*groups], columns=[name])
         return np.asarray(column.column(name).to_numpy(), float)[:wanted]
 
     def failures(self) -> dict[str, int]:
-        """Return the number of failed runs for each cause."""
+        """Return the number of failed runs by cause."""
         batches = parquet.ParquetFile(self.table).iter_batches(columns=['message'])
         return causes(message for batch in batches
                       for message in filter(None, batch.column(0).to_pylist()))
 
     def _check(self, identity: Mapping[str, Any]) -> int:
-        """Return the number of runs of the folder; raise InputError if it is another ensemble."""
+        """Return the number of runs in the folder; raise InputError if their inputs differ."""
         _check_kind(self.path)
         record = self.path / _IDENTITY
         if not record.exists():
@@ -278,7 +282,7 @@ class Folder:
         return runs
 
     def _remove_results(self) -> None:
-        """Remove the results of fewer runs, first the file that marks the folder as complete."""
+        """Remove results that do not cover all runs, `summary.json` first."""
         with files.reported(self.path):
             for name in (_SUMMARY, _PICTURE, _TABLE):
                 (self.path / name).unlink(missing_ok=True)
@@ -289,7 +293,7 @@ class Folder:
             path.write_text(f'{json.dumps(data, indent=1)}\n', encoding='utf-8')
 
     def _check_runs(self, path: Path) -> None:
-        """Raise InputError unless a file has exactly one row for each run."""
+        """Raise InputError unless a file contains exactly one row for each run."""
         end = 0
         for batch in parquet.ParquetFile(path).iter_batches(columns=['run']):
             numbers = batch.column(0).to_numpy()
@@ -303,7 +307,7 @@ class Folder:
                          'missing or twice; the same command computes what is missing')
 
     def _groups(self) -> Iterator[arrow.Table]:
-        """Generate all rows, in tables of as many rows as a row group has."""
+        """Generate all rows, in tables with the size of a row group."""
         waiting = self._schema.empty_table()
         for span in self._blocks.spans:
             waiting = arrow.concat_tables([waiting, self._read(span)])
@@ -328,7 +332,7 @@ def _check_kind(path: Path) -> None:
 
 
 def _remove_parts(path: Path) -> None:
-    """Remove what dead processes left."""
+    """Remove unfinished files that a killed process left behind."""
     with files.reported(path):
         for folder in (path, path / 'blocks'):
             for part in folder.glob('.*.part'):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Histogram of angles, or of other numbers that are not negative."""
+"""Histogram of angles or other nonnegative numbers."""
 
 from __future__ import annotations
 
@@ -23,30 +23,33 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 
-#: Largest number of bars.
+#: Maximum number of bars.
 _BARS = 60
-#: Ratio of percentiles from which the bars are equally wide on a logarithmic axis.
+#: If the 99th percentile exceeds the 5th by more than this factor, bars have equal widths on a
+#: logarithmic axis.
 _DECADES = 100.0
 
 
 def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any]:
     """
-    Return the number of runs with an angle in each of some intervals, as JSON.
+    Return a histogram of angles, as JSON.
 
     Parameters
     ----------
     angles : array, shape (n,), rad
-        At least one.
+        One angle for each run; at least one.
     percentiles : mapping
-        Their percentiles 'p1', 'p5', 'p99' and 'p100', rad.
+        The percentiles 'p1', 'p5', 'p99' and 'p100' of the angles, rad.
 
     Returns
     -------
     dict
-        'edges_rad', shape (m + 1,), and 'runs', shape (m,). The intervals are equally wide from 0
-        to the largest angle. If the angles span decades, they are equally wide on a logarithmic
-        axis, from a tenth of the first percentile or the smallest angle, whichever is larger. The
-        first interval also has all smaller angles.
+        'edges_rad', shape (m + 1,), contains the edges of the intervals. 'runs', shape (m,),
+        contains the number of runs in each interval. By default, the intervals have equal widths
+        and extend from 0 to the largest angle. If the angles span decades, the intervals have
+        equal widths on a logarithmic axis, and begin at a tenth of the first percentile or at the
+        smallest angle, whichever is larger. In this case, the first interval includes all smaller
+        angles.
 
     """
     bars = min(math.isqrt(angles.size), _BARS)

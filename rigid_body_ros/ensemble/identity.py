@@ -29,9 +29,9 @@ from rigid_body_ros.scene import Scene
 
 
 def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
-    """Return the inputs of the runs, as JSON: folders with equal inputs have equal runs."""
+    """Return the inputs of the runs as JSON; equal inputs yield equal results."""
     values, controller = json.dumps(dict(scene.values), sort_keys=True), ensemble.controller
-    # Converted to JSON and back, so that it compares equal to the contents of a file.
+    # Convert to JSON and back, so that the result compares equal to the content of a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
@@ -42,7 +42,7 @@ def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[st
 
 
 def recording_hash(problem: Problem) -> str:
-    """Return a hash of the torques of a recording, those on rotors and wheels last."""
+    """Return a hash of the recorded torques on the body, the rotors and the wheels."""
     torques = hashlib.sha256()
     for log in problem.sources:
         for array in (log.times_ns, log.torques, log.in_space):

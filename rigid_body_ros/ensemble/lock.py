@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The lock of a folder that one process at a time writes to."""
+"""The lock that allows only one process at a time to write to a folder."""
 
 from __future__ import annotations
 
@@ -28,35 +28,35 @@ import sys
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files
 
-#: The locked file. It stays in the folder: if it were removed, two processes could lock files of
-#: this name.
+#: The locked file. It stays in the folder: if it were removed, two processes could each lock a
+#: different file with this name.
 NAME = 'ensemble.lock'
 
 
 @contextmanager
 def locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
     """
-    Lock a folder in the context; if the process dies, the system releases the lock.
+    Lock a folder within the context; if the process dies, the system releases the lock.
 
-    A file system without locks is no reason to refuse the folder: changes by another command are
-    still found when the runs are put together.
+    On a file system without locks, the folder is used without a lock. Changes by another command
+    are still detected when the blocks are joined.
 
     Parameters
     ----------
     folder : Path
-        Created if it does not exist.
+        The folder; it is created if it does not exist.
     note : function
-        Takes a line for the user.
+        Shows a line of text to the user.
 
     Yields
     ------
     bool
-        Whether the folder is locked; if not, the file system has no locks.
+        Whether the folder is locked; False if the file system has no locks.
 
     Raises
     ------
     InputError
-        Another process has locked the folder, or the file cannot be written.
+        Another process has locked the folder, or the lock file cannot be written.
 
     """
     with files.reported(folder):
@@ -82,7 +82,7 @@ def _lock(handle: int, folder: Path, note: Callable[[str], None]) -> bool:
         flock(handle, LOCK_EX | LOCK_NB)
     except BlockingIOError:
         who, _, since = os.read(handle, 200).decode(errors='replace').strip().partition('\n')
-        known = f', {who},' if who else ''  # it may have just locked the file
+        known = f', {who},' if who else ''  # that process may not have written it yet
         raise InputError(f'{folder}: another attitude_ensemble{known} writes to it '
                          f'{since}'.rstrip()) from None
     except OSError as error:

@@ -13,9 +13,10 @@
 # limitations under the License.
 
 """
-A run with a controller: each state gets a torque, which holds to the next state, as in lockstep.
+A run with a controller, which is called at each step and returns the torque until the next step.
 
-The motion is that of `propagate` under the torques that the controller returned, bit for bit.
+A node in lockstep also waits for a torque at each step. The motion equals, bit for bit, the motion
+that `propagate` computes from the same torques.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from rigid_body_ros.mechanics.torque import FRAMES, TorqueLog
 from rigid_body_ros.propagation import Problem, Propagator
 from rigid_body_ros.runtime import interrupts
 
-#: Returns the torque that acts, N m, for the one that a controller returned.
+#: A function that takes the torque of a controller, N m, and returns the torque that acts.
 Actuated = Callable[[Floats], Floats]
 #: A stamp, ns, and the call that applies the input with this stamp.
 _Input = tuple[int, Callable[[], object]]
@@ -50,32 +51,33 @@ _Input = tuple[int, Callable[[], object]]
 def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.int64],
                 actuated: Actuated) -> tuple[Floats, TorqueLog]:
     """
-    Return the motion with a controller, and the torques of the controller that acted.
+    Return the motion under a controller, and the torques that the controller applied.
 
     Parameters
     ----------
     problem : Problem
-        The motion without the controller; its torques are held.
+        The motion without the controller. The torques of its logs are held between samples.
     controller : Controller
-        Called from the start on.
+        The controller, which is first called at the start of the motion.
     times_ns : array of int64, shape (m,), ns
-        Ascending, none before the start; the last one is the end.
+        Times of the returned states, ascending and not before the start. The motion ends at the
+        last time.
     actuated : function
-        Returns the torque that acts, N m, for the one that the controller returned.
+        Takes the torque that the controller returned, N m, and returns the torque that acts.
 
     Returns
     -------
     array, shape (m, 7)
         Attitude, x y z w, and angular velocity, rad/s.
     TorqueLog
-        As the last log of the problem, with the actuator of the controller, it gives the motion
-        again.
+        The torques that `actuated` returned. To reproduce the motion with `propagate`, add this
+        log to the problem as the last log, with the actuator of the controller.
 
     Raises
     ------
     ValueError
-        The controller fails (`ControllerError`), the body turns too far to be computed, or as
-        `Propagator` does.
+        The controller fails (`ControllerError`), the body turns too far for the motion to be
+        computed, or `Propagator` raises an error.
     KeyboardInterrupt
         A signal was received.
 
@@ -84,7 +86,7 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
     motion, turned = _Motion(problem, controller), _Turned(problem, step_ns)
     stamps = range(start_ns, int(times_ns[-1]), step_ns)
     torques, states = list[Floats](), list[State]()
-    with redirect_stdout(sys.stderr):  # standard output has the results only
+    with redirect_stdout(sys.stderr):  # standard output is for results only
         law = controller.begin()
         for stamp_ns in stamps:
             interrupts.check()
@@ -108,7 +110,7 @@ class _Motion:
         self._source = len(problem.logs)
         wheels = problem.named_wheels.wheels if problem.named_wheels else None
         actuators = [*(problem.actuators or [None] * self._source), controller.actuator]
-        # A requested time is never older than the newest torque by more than a step.
+        # A state is requested at most one step before the latest torque.
         self._propagator = Propagator(problem.body, problem.start, wheels=wheels,
                                       fields=problem.fields, actuator=actuators,
                                       history=controller.step_ns / 1e9, **asdict(problem.options))
@@ -123,11 +125,11 @@ class _Motion:
         return self._propagator.at(time_ns)
 
     def apply(self, time_ns: int, torque: Floats) -> None:
-        """Apply a torque of the controller, from a time on."""
+        """Apply a torque of the controller from the given time on."""
         self._propagator.apply(time_ns, torque, source=self._source)
 
     def _inputs(self, problem: Problem) -> Iterator[Iterator[_Input]]:
-        """Generate the inputs of each source, and those that change the body."""
+        """Generate one iterator over inputs for each source, and one for changes of the body."""
         into, wheels, changes = self._propagator, problem.wheels, problem.changes
         for source, log in enumerate(problem.logs):
             frames = np.choose(log.in_space, FRAMES).tolist()
@@ -144,19 +146,19 @@ class _Motion:
 
 
 class _Turned:
-    """A bound on the angle that a body has turned: too large an angle takes days to compute."""
+    """A bound on the angle by which a body has turned; a huge angle takes days to propagate."""
 
     def __init__(self, problem: Problem, step_ns: int) -> None:
         moments = problem.body.principal_moments
         self._least, self._seconds = float(moments.min()), step_ns / 1e9
-        #: The energy of a body that turns about one axis lets it turn faster about another.
+        #: With constant energy, the angular velocity can increase at most by this factor.
         self._ratio = math.sqrt(float(moments.max()) / self._least)
         self._limit = math.inf if problem.options.record.fixed_step else FARTHEST
-        #: The largest torque so far: an actuator may apply it later.
+        #: The bound so far, and the largest torque so far (an actuator may delay a torque).
         self._angle = self._largest = 0.0
 
     def check(self, state: State, torque: Floats, seconds: float) -> None:
-        """Raise ValueError if a body turns too far within the step that begins with a state."""
+        """Raise ValueError if the body may have turned too far one step after `state`."""
         self._largest = max(self._largest, math.hypot(*torque.tolist()))
         gained = self._largest / self._least * self._seconds
         rate = math.hypot(*state.angular_velocity.tolist()) * self._ratio + gained
@@ -169,11 +171,11 @@ class _Turned:
 
 def _calls(apply: Callable[..., object], times_ns: NDArray[np.int64],
            *columns: Iterable[Any]) -> Iterator[_Input]:
-    """Generate the inputs of a source, whose arguments are rows of these columns."""
+    """Generate the inputs of a source: for each row, the stamp and a call with the values."""
     return ((stamp_ns, partial(apply, stamp_ns, *row))
             for stamp_ns, *row in zip(times_ns.tolist(), *columns))
 
 
 def _copied(state: State) -> State:
-    """Return a copy of a state: whatever is written to it does not change the motion."""
+    """Return a copy of a state; if a controller changes the copy, the motion does not change."""
     return State._as_computed(state.time_ns, state._packed.copy(), None, state._rotors.copy())

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The motions of an ensemble as Zarr.
+The motions of an ensemble as a Zarr group.
 
-The format is version 2, which Zarr 2 and 3 read, and the metadata are those of xarray. A chunk has
-a fixed number of runs, so its bytes depend on their numbers only. Writing a block that has some of
-its runs replaces the whole chunk.
+The version of the format is 2, which the packages zarr 2 and zarr 3 can read. The group contains
+the metadata that xarray expects. A chunk contains a fixed number of runs, so its bytes depend only
+on the numbers of these runs. If a block contains only some of the runs of a chunk, writing the
+block rewrites the whole chunk.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ from rigid_body_ros.runtime import files
 #: The components of a state, and their units.
 COMPONENTS = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
               **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
-#: Largest number of runs in a chunk, of states in a chunk and in a block, and of states in a run.
-#: A state takes 56 bytes.
+#: Maximum numbers of runs in a chunk, and of states in a chunk, in a block and in a run. A state
+#: takes 56 bytes.
 _RUNS, _CHUNK, _BLOCK, _MOST = 1024, 2 ** 16, 2 ** 19, 2 ** 21
-#: Names of chunks that Zarr did not complete.
+#: Names of chunks that Zarr did not finish writing.
 _PART = re.compile(r'[0-9.]+\.[0-9a-f]{32}\.partial')
 
 
 def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
     """
-    Return the times of `attitude_replay --rate`, and the end.
+    Return the times at which `attitude_replay --rate` computes states, including the end.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
 
 
 def remove_parts(path: Path) -> None:
-    """Remove what dead processes left in a Zarr group."""
+    """Remove unfinished files that a killed process left in a Zarr group."""
     for part in path.rglob('*.partial'):
         if _PART.fullmatch(part.name):
             part.unlink()
@@ -90,9 +91,9 @@ class Motions:
     path : Path
         The Zarr group.
     times : array, shape (m,), s
-        Since the start.
+        Times since the start.
     runs : int
-        Number of runs, at least that of the group.
+        Number of runs, at least as many as in the group.
 
     Raises
     ------
@@ -104,29 +105,29 @@ class Motions:
     def __init__(self, path: Path, times: Floats, runs: int) -> None:
         self._path, self._times, self._runs = path, times, runs
         self._shape = (min(max(_CHUNK // times.size, 1), _RUNS), min(times.size, _CHUNK))
-        import zarr  # takes long, and only --times needs it
+        import zarr  # slow to import, and only --times needs it
         with self._reported('open'):
-            # The consolidated metadata are written last.
+            # Without consolidated metadata, which are written last, the group is incomplete.
             if not (path / '.zmetadata').exists():
                 self._create()
-            with zarr.config.set({'array.write_empty_chunks': True}):  # chunks of failed runs
+            with zarr.config.set({'array.write_empty_chunks': True}):  # also for failed runs
                 self._array = zarr.open_array(path / 'motion', mode='r+')
             self._array.resize((runs, times.size, len(COMPONENTS)))
             zarr.consolidate_metadata(path, zarr_format=2)
 
     def block(self, runs: int) -> int:
-        """Return the largest number of runs, up to the given one, to compute as a block."""
+        """Return the number of runs to compute as a block, at most `runs`."""
         runs = min(runs, max(_BLOCK // self._times.size, 1))
         return runs - runs % self._shape[0] or runs
 
     def write(self, first: int, motions: Floats) -> None:
         """
-        Write the motions of consecutive runs, shape (n, m, 7), to the disk.
+        Write the motions of consecutive runs, shape (n, m, 7), to disk.
 
         Raises
         ------
         InputError
-            They cannot be written.
+            The motions cannot be written.
 
         """
         with self._reported('write'):
@@ -137,14 +138,15 @@ class Motions:
 
     def read(self, first: int, stop: int) -> Floats | None:
         """
-        Return the motions of consecutive runs, or None if a chunk of them is missing or damaged.
+        Return the motions of consecutive runs, or None if one of their chunks cannot be read.
 
-        A damaged chunk is removed, so that its runs can be written again.
+        A chunk may be missing or damaged. A damaged chunk is removed, so that it can be written
+        again.
 
         Raises
         ------
         InputError
-            They cannot be read.
+            The motions cannot be read.
 
         """
         if not all(self._file(*chunk).exists() for chunk in self._chunks(first, stop)):
@@ -158,7 +160,7 @@ class Motions:
         return None
 
     def chunks(self) -> Iterator[Floats]:
-        """Generate the motions of all runs in their order, shape (n, m, 7)."""
+        """Generate the motions of all runs in order, in arrays of shape (n, m, 7)."""
         for first in range(0, self._runs, self._shape[0]):
             with self._reported('read'):
                 motions = self._array[first:min(first + self._shape[0], self._runs)]
@@ -172,19 +174,19 @@ class Motions:
                                                           'time since the start'}),
                                    ('component', np.array([*COMPONENTS]),
                                     {'unit': [*COMPONENTS.values()]})):
-            # xarray takes a number that equals the fill value for a missing one.
+            # Set no fill value, because xarray treats numbers equal to the fill value as missing.
             group.create_array(name, data=values, compressors=None, overwrite=True,
                                fill_value=None, attributes={'_ARRAY_DIMENSIONS': [name], **more})
         group.create_array(
             'motion', shape=(0, self._times.size, len(COMPONENTS)), overwrite=True,
             chunks=(*self._shape, len(COMPONENTS)), dtype='<f8', fill_value=np.nan,
-            # Without Blosc, whose threads write their results in any order.
+            # Do not use Blosc, because the order of its output depends on its threads.
             filters=[numcodecs.Shuffle(8)], compressors=numcodecs.Zstd(1),
             attributes={'_ARRAY_DIMENSIONS': ['run', 'time', 'component'], 'long_name':
                         'attitude, body to space, and angular velocity, body axes'})
 
     def _remove_damaged(self, row: int, column: int) -> None:
-        """Remove a chunk that cannot be read."""
+        """Remove a chunk if it cannot be read."""
         runs, times = self._shape
         try:
             self._array[row * runs:(row + 1) * runs, column * times:(column + 1) * times]
@@ -192,7 +194,7 @@ class Motions:
             self._file(row, column).unlink()
 
     def _chunks(self, first: int, stop: int) -> Iterator[tuple[int, int]]:
-        """Generate the rows and columns of the chunks of some runs."""
+        """Generate the row and the column of each chunk that contains some of the runs."""
         runs, times = self._shape
         return product(range(first // runs, -(-stop // runs)),
                        range(-(-self._times.size // times)))

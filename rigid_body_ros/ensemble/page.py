@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Put the page of an ensemble together."""
+"""Assemble the page of an ensemble."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from rigid_body_ros.report.page import Markup, Page, table
 from rigid_body_ros.report.style import MARKED
 from rigid_body_ros.scene import Scene
 
-#: Length of the bar of a rank correlation or R^2 of 1, and height of its picture, in its own
-#: units.
+#: Length of the bar for a rank correlation or R^2 of 1, and height of a bar, both in the units of
+#: the picture.
 _WIDTH, _HEIGHT = 100.0, 10.0
 
-#: Lower and upper percentiles over time, their names and styles.
+#: Lower and upper percentile of each band over time, with its name and style.
 _BANDS = ((5, 95, '5 % to 95 %', 'band'), (25, 75, '25 % to 75 %', 'band'),
           (50, 50, 'median', 'line'))
 
@@ -53,7 +53,7 @@ def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
     command : str
         The command line.
     replay : function
-        Returns the command that computes a run again.
+        Takes the number of a run, and returns the command that computes this run again.
 
     """
     requirements = found.get('requirements', ())
@@ -66,7 +66,7 @@ def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
 
 
 def _headline(found: Mapping[str, Any]) -> str:
-    """Return how many runs meet the requirements, or how far from the nominal one they end."""
+    """Return text on the requirements or, if there are none, on the final angles."""
     runs, angles = found['runs'], found['angle_from_nominal_rad']
     said = [f'{100.0 * one["share"]:.3g} % of {runs} runs meet {one["require"]} {one["unit"]}'
             for one in found.get('requirements', ())]
@@ -79,7 +79,7 @@ def _headline(found: Mapping[str, Any]) -> str:
 
 
 def _tables(one: Mapping[str, Any], replay: Callable[[int], str]) -> Iterator[str]:
-    """Generate the effects of the parameters on a requirement, and its worst runs."""
+    """Generate two tables for a requirement: effects of the parameters, and the worst runs."""
     yield from _bars(f'parameter: {one["require"]}', 'explains (R²)', strongest(one['effects']))
     worst = [(str(each['run']), f'{each["value"]:.3g} {one["unit"]}', replay(each['run']))
              for each in one['worst']]
@@ -122,7 +122,7 @@ def _bins(edges: Sequence[float], runs: Sequence[int], percentiles: Mapping[str,
 
 
 def _bar(correlation: float) -> Markup:
-    """Return a rank correlation, or an R^2, as a bar; a negative one has another colour."""
+    """Return a bar for a rank correlation or an R^2; negative values have another colour."""
     colour = 'c1' if correlation < 0.0 else 'c0'
     return Markup(f'<svg class="share" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" aria-hidden="true">'
                   f'<rect class="bar {colour}" width="{_WIDTH * abs(correlation):.1f}" '

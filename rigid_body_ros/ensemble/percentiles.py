@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Percentiles that are among the numbers."""
+"""Percentiles without interpolation: each percentile is one of the numbers."""
 
 from __future__ import annotations
 
@@ -23,21 +23,23 @@ from rigid_body_ros.common.arrays import Floats
 
 def percentiles(numbers: Floats, wanted: Sequence[int]) -> Floats:
     """
-    Return percentiles of numbers, as `numpy.percentile` with the method 'inverted_cdf'.
+    Return percentiles of numbers, like `numpy.percentile` with the method 'inverted_cdf'.
 
-    NumPy has that method from 1.22 on; it takes several times as long as a sort.
+    NumPy provides this method from version 1.22 on, but takes several times as long as this
+    function.
 
     Parameters
     ----------
     numbers : array, shape (..., n)
-        At least one along the last axis, along which they are sorted on return.
+        At least one number along the last axis. The array is sorted in place along this axis.
     wanted : sequence of int
-        From 1 to 100.
+        The percentiles, from 1 to 100.
 
     Returns
     -------
     array, shape (..., len(wanted))
-        For each k the smallest number that at least k percent of the numbers do not exceed.
+        For each percentile k, the smallest number x such that at least k percent of the numbers
+        are at most x.
 
     """
     ranks = [-(-k * numbers.shape[-1] // 100) - 1 for k in wanted]

@@ -13,12 +13,14 @@
 # limitations under the License.
 
 """
-Bounds on the angle by which runs turn: a run that turns too far would take days.
+Bounds on the angle by which bodies turn.
 
-The energy of a body bounds its speed. Torques change the square root of twice its energy by at
-most their impulse over the square root of the smallest moment. Damping only lowers it, and the
-momentum of rotors does not change it. Fields change it by their potential. The bounds depend on
-the values of a run only, not on the machine.
+A run whose body turns too far would take days to compute.
+
+The energy of a body bounds its speed. Torques change the square root of twice the energy by at
+most their impulse divided by the square root of the smallest moment of inertia. Damping lowers the
+energy. The momentum of rotors does not change the energy. The potential of a field bounds the
+energy that the field adds. The bounds depend only on the parameters of a run, not on the machine.
 """
 
 from __future__ import annotations
@@ -36,11 +38,12 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
 
-#: rad; largest angle for a run in steps, which take about a microsecond for each radian.
+#: Largest angle by which the body may turn in a run that is computed in steps, rad. A motion
+#: takes about a microsecond per radian.
 FARTHEST = 1e7
-#: How many times as far as the nominal run, if that is more.
+#: Any run may turn by up to this many times the angle of the nominal run.
 _TIMES_NOMINAL = 10.0
-#: Noise in standard deviations.
+#: Bound on the noise, in standard deviations.
 _NOISE = 5.0
 
 
@@ -54,8 +57,9 @@ class Reach:
     problem : Problem
         The nominal motion.
     end_ns : int, ns
+        The end of every run.
     noise : float, N m
-        Standard deviation of a component of the torque.
+        Standard deviation of the noise in each component of the torque.
 
     """
 
@@ -65,14 +69,14 @@ class Reach:
 
     def turned(self, applied: Applied) -> Floats:
         """
-        Return bounds on the angles by which bodies turn in steps.
+        Return bounds on the angles by which bodies turn in motions that are computed in steps.
 
         Returns
         -------
         array, shape (n,), rad
-            The computation takes about one step per radian. Zero for motions in closed form and
-            for fixed steps. Not finite for impossible bodies, states or torques, which are
-            reported elsewhere.
+            A bound for each run. A motion takes about one step per radian. The bound is zero for
+            motions in closed form and for fixed steps. It is not finite for impossible bodies,
+            states or torques. Other functions report impossible values.
 
         """
         impossible = [bool(body or start) for body, start in zip(applied.bodies.messages,
@@ -83,12 +87,12 @@ class Reach:
         return np.where(impossible | too_fast, np.nan, turned)
 
     def limit(self, nominal: Applied) -> float:
-        """Return the largest angle allowed for a run, rad, given the nominal run."""
+        """Return the largest angle allowed for a run, rad; larger if the nominal run turns far."""
         turned, = replace(self, noise=0.0).turned(nominal).tolist()
         return max(FARTHEST, _TIMES_NOMINAL * turned)
 
     def _rates(self, applied: Applied) -> Floats:
-        """Return bounds on how fast the motions change, rad/s, shape (n,)."""
+        """Return bounds on the rates that determine the number of steps, rad/s, shape (n,)."""
         moments = applied.bodies._constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3]
         least = moments.min(-1)
         rates = applied.starts.angular_velocity
@@ -104,7 +108,7 @@ class Reach:
             + applied.fields.speed(least, moments.max(-1))
 
     def _seconds(self, applied: Applied) -> Floats:
-        """Return how much of each motion is computed in steps, s, shape (n,)."""
+        """Return the duration of each motion that is computed in steps, s, shape (n,)."""
         solver = self.problem.options.record
         if solver.fixed_step:
             return np.zeros(len(applied.runs))
@@ -123,10 +127,17 @@ class Reach:
     @cached_property
     def _of_logs(self) -> tuple[float, float, float, float]:
         """
-        Return what all blocks of runs need of the logs.
+        Return bounds that follow from the logs, and are the same for all blocks of runs.
 
-        Bounds on the impulses of the torques on the body and on the rotors, N m s, the largest
-        torque on the body, N m, and how long torques act on it, s.
+        Returns
+        -------
+        body, motors : float, N m s
+            The impulse of the torques on the body, and that of the torques on the rotors.
+        largest : float, N m
+            The largest torque on the body.
+        acting : float, s
+            Total time during which torques act on the body.
+
         """
         sources = list(self.problem.sources)
         if self.problem.named_wheels and self.problem.efforts:
@@ -142,7 +153,7 @@ class Reach:
                     for strengths, spans in on_body))
 
     def _pieces(self, log: TorqueLog) -> tuple[Floats, Floats]:
-        """Return bounds on a torque between samples, N m, and the times between them, s."""
+        """Return bounds on a torque between samples, N m, and the intervals between samples, s."""
         strengths = _norm(log.torques)
         if log.interpolation != 'hold':
             strengths = np.maximum(strengths, np.append(strengths[1:], 0.0))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Requirements on the end of the runs: the share that meets one, the worst runs, and effects."""
+"""Requirements on the final states: how many runs meet them, and which runs are the worst."""
 
 from __future__ import annotations
 
@@ -33,29 +33,30 @@ from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE
 from rigid_body_ros.mechanics import so3
 
-#: Quantities that can be required, and their units.
+#: Quantities that a requirement can limit, and their units.
 UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
 #: Percentiles of the required quantity.
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
-#: Number of the worst runs that are named.
+#: Number of worst runs that are reported.
 _WORST = 5
 _RELATIONS: dict[str, Callable[[Floats, float], NDArray[np.bool_]]] = {
     '<': operator.lt, '<=': operator.le, '>': operator.gt, '>=': operator.ge}
 _EXPRESSION = re.compile(r'\s*(\w+)\s*(<=|>=|<|>)\s*(\S+)\s*')
-#: Half of the probability that an interval misses.
+#: Half of the probability that the true value is outside the interval.
 _TAIL = 0.025
 
 
 @dataclass(frozen=True)
 class Requirement:
     """
-    A limit on a number at the end of a run.
+    A limit on a quantity at the end of a run.
 
     Attributes
     ----------
     quantity : str
-        'rate', that of the body, rad/s; 'angle' between its axes and those of space, rad; or
-        'angle_from_nominal', between its axes and those of the nominal run, rad.
+        'rate', the angular speed of the body, rad/s; 'angle', the angle between the space axes and
+        the body axes, rad; or 'angle_from_nominal', the angle between the body axes of the run and
+        those of the nominal run, rad.
     relation : str
         '<', '<=', '>' or '>='.
     limit : float
@@ -68,7 +69,7 @@ class Requirement:
 
     @classmethod
     def read(cls, text: str) -> Requirement:
-        """Return a requirement from text such as 'rate < 0.05'; raise InputError if it is none."""
+        """Parse a requirement such as 'rate < 0.05'; raise InputError if the text is invalid."""
         found = _EXPRESSION.fullmatch(text)
         try:
             limit = float(found[3]) if found else math.nan
@@ -89,13 +90,14 @@ class Requirement:
         Returns
         -------
         dict
-            'met', the number of runs that meet it, to which failed runs do not belong; 'share' of
-            all runs, and its 'interval_95'. Unless all runs failed, percentiles and histogram of
-            the quantity; and the 'worst' runs.
+            'met' is the number of runs that meet the requirement. A failed run does not meet it.
+            'share' is 'met' divided by the number of all runs, and 'interval_95' is the 95 %
+            confidence interval of 'share'. 'percentiles' and 'histogram' describe the quantity,
+            and are empty if all runs failed. 'worst' lists the worst runs.
 
         """
         numbers = final(folder, self.quantity)
-        with np.errstate(invalid='ignore'):  # failed runs
+        with np.errstate(invalid='ignore'):  # failed runs are NaN
             met = int(_RELATIONS[self.relation](numbers, self.limit).sum())
         found: dict[str, Any] = {
             'require': str(self), 'unit': UNITS[self.quantity], 'met': met,
@@ -110,14 +112,14 @@ class Requirement:
         return found
 
     def _worst(self, numbers: Floats) -> list[dict[str, Any]]:
-        """Return the runs that are farthest on the wrong side; of equal ones the first."""
+        """Return the worst runs, the worst first; runs with equal values are sorted by number."""
         order = np.argsort(-numbers if self.relation in ('<', '<=') else numbers, kind='stable')
         return [{'run': run, 'value': float(numbers[run])} for run in order[:_WORST].tolist()
                 if math.isfinite(numbers[run])]
 
 
 def final(folder: Folder, quantity: str, stop: int | None = None) -> Floats:
-    """Return what can be required at the end of the first runs, shape (n,), NaN if they failed."""
+    """Return the final value of a quantity for each run before `stop`; NaN for failed runs."""
     def columns(name: str, axes: str) -> Floats:
         return np.stack([folder.numbers(f'{name}.{axis}', stop or folder.runs)
                          for axis in axes], axis=-1)
@@ -130,7 +132,7 @@ def final(folder: Folder, quantity: str, stop: int | None = None) -> Floats:
 
 
 def interval(met: int, runs: int) -> list[float]:
-    """Return the 95 % interval of Clopper and Pearson for the probability of a counted event."""
+    """Return the 95 % confidence interval of Clopper and Pearson for a probability."""
     from scipy.special import betaincinv  # takes long to import
     return [float(betaincinv(met, runs - met + 1, _TAIL)) if met else 0.0,
             float(betaincinv(met + 1, runs - met, 1.0 - _TAIL)) if met < runs else 1.0]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Runs of an ensemble: values are drawn, applied and propagated, and read back as columns."""
+"""Runs of an ensemble: draw their values, propagate the motions, and return columns of results."""
 
 from __future__ import annotations
 
@@ -66,14 +66,17 @@ _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
 ANGLE, MOTION = 'angle_from_nominal', 'motion'
 _END = {**COMPONENTS, ANGLE: 'rad'}
 
-#: Largest number of runs computed at once, and of their torque samples and fixed steps: enough for
-#: the time in Python not to matter, and few enough for an interrupt not to wait. Samples in logs
-#: of their own take 33 bytes each, and states that are kept 56 bytes, so they are fewer.
+#: Limits for the runs that are computed at once: the number of runs; the number of torque samples
+#: and fixed steps; the same number if each run has a separate log; and the number of states that
+#: are kept. The limits are high enough that the time in Python is negligible, and low enough that
+#: an interrupt does not wait long. A sample of a separate log takes 33 bytes and a state takes 56
+#: bytes, so the last two limits are lower.
 _AT_ONCE, _STEPS, _SAMPLES, _STATES = 4096, 2 ** 22, 2 ** 20, 2 ** 18
 
-#: Numbers of runs, 'ok' or 'failed', messages, and numbers (NaN in failed runs), by column.
+#: Columns by name: the numbers of the runs, the status 'ok' or 'failed', messages, and values
+#: (NaN in failed runs).
 Columns = dict[str, NDArray[Any]]
-#: The first run of a block, and the one after its last.
+#: The first run of a block, and the run after the last run.
 Span = tuple[int, int]
 #: Attitudes and angular velocities, shape (n, m, 7), and messages of failed runs.
 _Found = tuple[Floats, list[str]]
@@ -82,28 +85,33 @@ _Found = tuple[Floats, list[str]]
 @dataclass(frozen=True, eq=False)
 class Ensemble:
     """
-    Runs with dispersed parameters; run i is a function of these attributes and of i.
+    Runs with dispersed parameters.
+
+    The result of run number i depends only on the attributes below and on i.
 
     Attributes
     ----------
     problem : Problem
-        The motion that runs vary.
+        The nominal motion.
     end_ns : int, ns
         End of every run.
     dispersions : tuple of Dispersion
     seed : int
     fitted : Fitted, optional
-        Estimates that take the place of values of the problem, and vary jointly.
+        Estimates that replace values of the problem. Each run draws them from a joint
+        distribution.
     times_ns : array of int64, shape (m,), ns, optional
-        Times of the states that are kept, the last one the end; by default the end only.
+        Times of the states that are kept. The last time is the end. By default, only the final
+        state is kept.
     controller : Controller, optional
-        Returns a torque for each state, which acts with the gain and the noise of the others.
+        Returns a torque for each state. Dispersed gain and noise apply to this torque and to the
+        recorded torques.
 
     Raises
     ------
     InputError
-        A dispersion is relative to zero, varies torques or an orbit that the scene does not have,
-        or varies a body that changes.
+        A dispersion is relative to a nominal value of zero; the problem lacks the torques or the
+        orbit that a dispersion varies; or a dispersion varies a body that changes.
 
     """
 
@@ -132,13 +140,13 @@ class Ensemble:
 
     @property
     def keys(self) -> list[str]:
-        """Return what varies."""
+        """Return the keys that vary."""
         estimates = self.fitted.estimates if self.fitted else ()
         return [*(one.key for one in self.dispersions), *estimates]
 
     @cached_property
     def nominal(self) -> dict[str, float]:
-        """Return the values that act without any dispersion, by key."""
+        """Return the values without any dispersion, by key."""
         body, start = self.problem.body, self.problem.start
         applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
                           States(start.time_ns, start.attitude, start.angular_velocity,
@@ -150,24 +158,25 @@ class Ensemble:
     @cached_property
     def nominal_motion(self) -> Floats:
         """
-        Return the motion without any dispersion, with the errors of `propagate`.
+        Return the motion without any dispersion; raise an error as `propagate` does.
 
         Returns
         -------
         array, shape (m, 7)
-            Attitude, x y z w, and angular velocity, rad/s, at `times_ns`, or at the end only.
+            Attitude, x y z w, and angular velocity, rad/s, at `times_ns` or, if None, at the end.
 
         """
         return self._nominal[0]
 
     def check(self) -> None:
         """
-        Check that the nominal motion can be computed, and that a controller repeats it.
+        Check that the nominal motion can be computed, and that its controller is reproducible.
 
         Raises
         ------
         ValueError
-            As for `propagate`; `ControllerError` if the controller fails or does not repeat it.
+            `propagate` rejects the nominal motion. The error is a `ControllerError` if the
+            controller fails, or if its torques differ when the motion is computed again.
 
         """
         _, first = self._nominal
@@ -176,19 +185,19 @@ class Ensemble:
             self.controller.check_same(first, again)
 
     def replayed(self, run: int) -> tuple[Problem, dict[str, float]]:
-        """Return the problem of a run, with the torques of a controller, and its values by key."""
+        """Compute a run; return its problem, with the controller's torques, and its parameters."""
         applied = self.applied(np.array([run]))
         _, problem = replace(self, times_ns=None).solved(applied, 0)
         return problem, {key: float(column[0]) for key, column in applied.columns().items()}
 
     @property
     def times(self) -> Floats | None:
-        """Return the times of the states that are kept, s since the start."""
+        """Return the times of the states that are kept, in seconds since the start."""
         return None if self.times_ns is None else (self.times_ns - self._start_ns) / 1e9
 
     @cached_property
     def columns(self) -> dict[str, str]:
-        """Return the unit of each column of numbers: values applied, then the final state."""
+        """Return the unit of each column of numbers: parameters first, then the final state."""
         names = [one.name for one in self.problem.fields
                  if isinstance(one, UniformField) and one.name]
         more = {key: unit for key, unit in units_with(names).items()
@@ -202,16 +211,17 @@ class Ensemble:
         Returns
         -------
         dict
-            The columns 'run', 'status' ('ok' or 'failed'), 'message', and those of `columns`, each
-            shape (stop - first,). If states are kept, 'motion' as well, shape
-            (stop - first, m, 7), as `nominal_motion`. The numbers of a failed run are NaN.
+            The columns 'run', 'status' ('ok' or 'failed'), 'message', and the columns of
+            `columns`, each of shape (stop - first,). If states are kept, the result also contains
+            'motion', shape (stop - first, m, 7), with the components of `nominal_motion`. The
+            numbers of a failed run are NaN.
 
         Raises
         ------
         KeyboardInterrupt
             A signal was received.
         InputError
-            The controller cannot be imported here.
+            This process cannot import the controller, or the source of the controller differs.
 
         """
         if self.controller:
@@ -223,7 +233,7 @@ class Ensemble:
         return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
     def applied(self, runs: NDArray[np.int64]) -> Applied:
-        """Return the values applied in some runs; impossible bodies and starts have the reason."""
+        """Return the parameters of some runs, with messages on impossible bodies and starts."""
         drawn = draws(self.dispersions, self.seed, runs)
         values = dispersed(self.dispersions, self.nominal, drawn, len(runs))
         if self.fitted:
@@ -236,18 +246,18 @@ class Ensemble:
 
     @cached_property
     def _nominal(self) -> tuple[Floats, Problem]:
-        """Return the nominal motion, and its problem with the torques of a controller."""
+        """Return the nominal motion, and its problem with the torques of the controller."""
         return self._undispersed.solved(self._applied_without, 0)
 
     @cached_property
     def _applied_without(self) -> Applied:
-        """Return what acts in a run without any dispersion."""
+        """Return the values in a run without any dispersion."""
         values = {name: np.array([value]) for name, value in self.nominal.items()}
         return self._acting(np.zeros(1, np.int64), values, {})
 
     def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
                 drawn: Mapping[str, Floats]) -> Applied:
-        """Return what acts in some runs: `values` by key, and the vectors among those `drawn`."""
+        """Return the parameters of some runs: `values`, and the drawn inertia and attitude."""
         inertia = relative_inertia(self.problem.body, drawn[INERTIA]) if INERTIA in drawn \
             else tensors('inertia.i', values)
         attitude = vectors(ATTITUDE, values, 'xyzw')
@@ -273,13 +283,13 @@ class Ensemble:
 
     @property
     def _have_own_logs(self) -> bool:
-        """Return whether the runs have logs that differ by more than a gain."""
+        """Return whether the logs of the runs differ by more than a gain."""
         varied = {name.split('.')[0] for name in self.columns}
         return self.torques.noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
 
     @cached_property
     def _of_fields(self) -> list[str]:
-        """Return the keys of fields that vary, or are estimates."""
+        """Return the varied or estimated keys that belong to fields."""
         known = {key for one in self.problem.fields for key in values_of(one)}
         return [key for key in self.keys if key in known]
 
@@ -297,10 +307,10 @@ class Ensemble:
         steps += sum(map(len, self.problem.sources))
         limit = _SAMPLES if self._have_own_logs else _STEPS
         runs = int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
-        return runs - runs % LANES or runs  # for runs that step together
+        return runs - runs % LANES or runs  # whole groups of runs, which step together
 
     def _rows(self, runs: NDArray[np.int64]) -> Columns:
-        with np.errstate(over='ignore', invalid='ignore'):  # messages say what is not finite
+        with np.errstate(over='ignore', invalid='ignore'):  # messages report infinity and NaN
             applied = self.applied(runs)
             motions, messages = self._motions(applied)
         failed = np.array([bool(message) for message in messages])
@@ -314,7 +324,7 @@ class Ensemble:
                 **({} if self.times_ns is None else {MOTION: motions})}
 
     def _motions(self, applied: Applied) -> _Found:
-        """Return the motions of some runs; those that turn too far, or cannot, fail at once."""
+        """Return the motions of some runs; skip runs that are impossible or turn too far."""
         messages = [one or other for one, other in zip(applied.fields.messages,
                                                        self._too_far(applied))]
         rows = np.flatnonzero([not message for message in messages])
@@ -333,7 +343,7 @@ class Ensemble:
         return self._reach.limit(self._applied_without)
 
     def _too_far(self, applied: Applied) -> list[str]:
-        """Return the reason for each run that would turn too far to be computed, otherwise ''."""
+        """Return text for each run: a message if the body would turn too far, otherwise ''."""
         farthest = self._farthest
         text = 'the body may turn by {:.3g} rad, too far to be computed (limit {:.3g} rad): ' \
             'check the dispersions'
@@ -350,7 +360,7 @@ class Ensemble:
             return self._one_by_one(applied)
         try:
             return self._together(applied)
-        except ValueError:  # rejected for all runs; one by one, each has its message
+        except ValueError:  # compute one run at a time to find which runs fail, and why
             return self._one_by_one(applied)
 
     def _together(self, applied: Applied) -> _Found:
@@ -383,9 +393,13 @@ class Ensemble:
         return motions, messages
 
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
-        """Return the motion of a run, shape (m, 7), and its problem, with the loop's log last."""
+        """
+        Return the motion of a run, shape (m, 7), and the problem of the run.
+
+        If there is a controller, its log is the last log of the problem.
+        """
         logs, wheels = self.torques.recorded(applied, row)
-        # A bias has no actuator, whatever the topics of the scene have.
+        # A torque bias acts directly on the body, even if the torques of the scene have actuators.
         actuators = [*(self.problem.actuators or [None] * len(self.problem.logs)), None]
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
         problem = self.problem.replaced(

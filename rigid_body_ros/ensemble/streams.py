@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Random numbers of many runs at once: each run has a stream of its own for each key."""
+"""Random numbers for many runs at once, with a separate stream for each run and key."""
 
 from __future__ import annotations
 
@@ -22,32 +22,33 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Numbers that Philox makes from each value of its counter.
+#: Number of random numbers that Philox makes from each value of its counter.
 _AT_ONCE = 4
 
 
 def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
     """
-    Return numbers between 0 and 1, both excluded, of each run.
+    Return uniform random numbers for each run, strictly between 0 and 1.
 
-    Philox makes its numbers from a key and a counter, so the numbers of a run are computed without
-    the earlier ones: the runs divide the counter among themselves.
+    Philox computes random numbers from a key and a counter. Each run has a separate range of the
+    counter, so the numbers of a run are computed without the numbers of earlier runs.
 
     Parameters
     ----------
     seed : int
         From 0 to 2**64 - 1.
     runs : array of int, shape (n,)
-        Numbers of runs close to each other: all from the lowest to the highest are computed.
+        The numbers of the runs. They should be close to each other, because random numbers are
+        computed for all runs from the lowest to the highest.
     key : str
-        The key that is drawn.
+        The name of the stream, such as the key of a parameter.
     count : int
-        Number of numbers for each run.
+        Number of random numbers for each run.
 
     Returns
     -------
     array, shape (n, count)
-        Row i depends on the seed, `runs[i]`, the key and the count.
+        Row i depends only on the seed, `runs[i]`, the key and the count.
 
     """
     first, counters = int(runs.min()), -(-count // _AT_ONCE)
@@ -59,6 +60,6 @@ def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats
 
 
 def normals(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
-    """Return standard normal numbers of each run, with the arguments of `uniforms`."""
+    """Return standard normal random numbers for each run; see `uniforms` for the arguments."""
     from scipy.special import ndtri  # takes long to import
     return np.asarray(ndtri(uniforms(seed, runs, key, count)))

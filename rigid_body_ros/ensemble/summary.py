@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far the runs of an ensemble end from the nominal one, and which parameters matter."""
+"""Summarize how far from the nominal attitude the runs end, and which parameters matter."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from rigid_body_ros.ensemble.requirements import PERCENTILES, Requirement
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 from rigid_body_ros.report.text import lines
 
-#: Number of parameters in the text.
+#: Maximum number of parameters in the text.
 _PRINTED = 5
-#: An R^2 below this, divided by the number of runs, may be chance.
+#: An R^2 below this number divided by the number of runs may be due to chance.
 _CHANCE = 10.0
 
 
@@ -43,11 +43,14 @@ def summarized(ensemble: Ensemble, folder: Folder,
     Returns
     -------
     dict
-        Counts of runs and the reasons of failures; percentiles and histogram of the angle from
-        the nominal final attitude, rad, empty if all runs failed; and rank correlations of that
-        angle with the distance of each dispersed parameter from its nominal value. If the folder
-        has times and a run did not fail, 'bands' as well; and for each requirement how well it is
-        met, with the effects of the parameters, in 'requirements'.
+        'runs' and 'failed' are numbers of runs, and 'failures' contains the number of failed runs
+        by cause. 'angle_from_nominal_rad' contains percentiles of the angle from the nominal final
+        attitude, and 'histogram' contains a histogram of this angle. Percentiles and histogram are
+        empty if all runs failed. 'rank_correlation' contains the correlations of this angle with
+        the distance of each dispersed parameter from its nominal value. 'bands' is present if the
+        folder keeps states and at least one run did not fail. 'requirements' is present if
+        requirements are given. It describes how well the runs meet each requirement, and contains
+        the effects of the parameters.
 
     """
     angles = folder.numbers(ANGLE, folder.runs)
@@ -74,13 +77,13 @@ def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
     Parameters
     ----------
     found : mapping
-        The results, as from `summarized`.
+        The results that `summarized` returns.
     replay : function
-        Returns the command that computes a run again.
+        Takes the number of a run, and returns the command that computes this run again.
 
     """
     depends = [f'{name} (rank correlation {value:.2f})' for name, value in ranked(found)]
-    if found.get('requirements'):  # which asks for something else
+    if found.get('requirements'):  # the effects on the requirements are shown below
         depends = []
     shown = [*rows(found), *_named('depends on', depends)]
     for one in found.get('requirements', ()):
@@ -94,7 +97,7 @@ def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
 
 
 def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return how well a requirement is met, and the quantity, as names and texts."""
+    """Return names and texts of rows on how well a requirement is met, and on its quantity."""
     low, high = (f'{100.0 * limit:.3g}' for limit in found['interval_95'])
     quantity, unit = found['require'].split()[0], found['unit']
     facts = [('required', f'{found["require"]} {unit}: met by {100.0 * found["share"]:.3g} % of '
@@ -107,12 +110,12 @@ def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _named(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the first few texts as rows, the first row with a name."""
+    """Return the first few texts as rows; only the first row has a name."""
     return [*zip([name, *[''] * _PRINTED], texts[:_PRINTED])]
 
 
 def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the number of runs, the failures and the angles as names and texts."""
+    """Return names and texts of rows: the number of runs, the failures and the angles."""
     facts = [('runs', str(found['runs'])),
              *(('failed', f'{count}: {cause}') for cause, count in found['failures'].items())]
     angles = found['angle_from_nominal_rad']
@@ -128,5 +131,5 @@ def ranked(found: Mapping[str, Any]) -> list[tuple[str, float]]:
 
 
 def strongest(found: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Return names and numbers, the largest ones first."""
+    """Return names and numbers, in descending order of magnitude."""
     return sorted(found.items(), key=lambda item: -abs(item[1]))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The torques in the runs of an ensemble, recorded or of a controller, with their dispersions."""
+"""The dispersed torques in the runs of an ensemble, recorded or from a controller."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Torques:
     end_ns : int, ns
     seed : int
     noise : float, N m
-        Standard deviation of a component of the torque.
+        Standard deviation of the noise in each component of the torque.
 
     """
 
@@ -49,12 +49,12 @@ class Torques:
 
     def recorded(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
         """
-        Return the recorded torques on body and rotors in a run.
+        Return the recorded torques that act in a run: on the body, and on the rotors.
 
         Raises
         ------
         ValueError
-            A torque is not finite, or a stamp does not fit 64 bits.
+            A torque is not finite, or a stamp does not fit into 64 bits.
 
         """
         gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
@@ -71,12 +71,12 @@ class Torques:
         return logs, wheels and later(wheels, offset)
 
     def commands(self, applied: Applied, row: int) -> EffortLog | None:
-        """Return the commands of wheels with names in a run; raise ValueError as `recorded`."""
+        """Return the commands of named wheels in a run; raise ValueError as `recorded` does."""
         efforts = self.problem.efforts
         return efforts and later_commands(efforts, float(applied.clock_offset[row]))
 
     def actuated(self, applied: Applied, row: int) -> Actuated:
-        """Return how the torque of a controller acts in a run: with the gain, and noise."""
+        """Return the function that applies gain and noise to the torque of a controller."""
         gain, noise = applied.torque_gain[row], self.noise
         if not noise:
             return lambda torque: np.asarray(gain * torque)
