@@ -15,14 +15,23 @@
 """
 Identify the parameters of a body from measurements.
 
-`estimation` has the public function and `result` what it returns. `experiment` has the recordings,
-`names` and `parameters` the parameters, `clock` a first guess of the clock offset, `windows` the
-predictions, `actuator` and `sensors` the models of torques and measurements, `setup` the inputs of
-a fit, `problem` the least-squares problem, `solve` the fit, `residuals` its errors, and
-`identifiability` the parameters that the data does not determine. `findings` tests the remaining
-errors, with their `noise` and the `evidence` close to the solution; `suspects` are parameters that
-were not estimated, and `verdict` says whether the model explains the measurements. The command
-reads and writes with `recorded`, and prints with `summary`.
+`estimation` defines the public function `identify`. `result` defines the class that `identify`
+returns.
+
+These modules prepare the inputs: `experiment` defines recordings. `names` and `parameters` define
+the parameters to fit. `clock` guesses the clock offset. `setup` combines the inputs of a fit.
+
+These modules compute the fit: `windows` predicts the measurements, and uses the models of torques
+and sensors in `actuator` and `sensors`. `problem` defines the least-squares problem, and `solve`
+solves it. `residuals` defines the remaining errors. `identifiability` finds the parameters that
+the data does not determine.
+
+These modules judge the model: `findings` tests the remaining errors, and uses the linearized fit
+of `evidence`. `suspects` tries parameters that were not estimated. `verdict` decides whether the
+model explains the measurements.
+
+The command `attitude_identify` reads and writes files with `recorded`, and reports the result with
+`result`, `page` and `plot`.
 """
 
 from rigid_body_ros.identification.estimation import identify

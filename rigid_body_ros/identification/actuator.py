@@ -25,27 +25,28 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: s; up to this long after its stamp a torque changes the motion.
+#: s; a torque may affect the motion up to this long after its stamp.
 MEMORY = 2.0
-#: s; shorter lags have no effect.
+#: s; shorter lags are ignored.
 _SHORTEST = 1e-6
-#: Times after a sample, in lags, at which the torque of a lag gets a new value.
+#: Times, counted from a sample, at which the piecewise constant torque of `lagged` changes. The
+#: unit is the lag, rounded down to a power of two.
 _NODES = np.concatenate([np.arange(1, 16) / 16.0, np.arange(8, 16) / 8.0, np.arange(8, 17) / 4.0,
                          [5.0, 6.0, 8.0]])
 
 
 def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> list[TorqueLog]:
     """
-    Return the torques that act, without the bias.
+    Return the torques that act on the body, without the bias.
 
     Parameters
     ----------
     logs : sequence of TorqueLog
-        What was logged.
+        The logged torques.
     physics : Physics
-        With gain, delay and lag.
+        The parameters, including gain, delay and lag.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        The maximum time for which a torque sample acts, ns, as for `TorqueLog.segments`.
 
     """
     gains = physics.number('torque_gain') * physics.value('torque_gains')
@@ -61,7 +62,7 @@ def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> lis
 
 
 def check_delay(physics: Physics) -> None:
-    """Raise InputError if torques are shifted by more than the windows allow for."""
+    """Raise InputError if the torque delay exceeds `MEMORY`."""
     delay = physics.number('torque_delay')
     if abs(delay) > MEMORY:
         raise InputError(f'torque_delay: expected at most {MEMORY:g} s, found {delay:.4g} s; '
@@ -70,24 +71,25 @@ def check_delay(physics: Physics) -> None:
 
 def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
     """
-    Return a torque that follows another one with a first-order lag.
+    Return the torque that follows a command with a first-order lag.
 
-    Between two nodes it is held at its mean over that time, so each impulse is exact. After a step
-    of the logged torque there are several nodes within a lag.
+    The returned torque is piecewise constant. Between two of its stamps, the returned torque is
+    the mean of the lagged torque, so its impulse is exact. After a step of the command, the
+    returned torque changes several times within one time constant.
 
     Parameters
     ----------
     log : TorqueLog
-        Torque of the command.
+        The commanded torque.
     lag : float, s
         Time constant, positive.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        The maximum time for which a torque sample acts, ns, as for `TorqueLog.segments`.
 
     Raises
     ------
     InputError
-        The log has torques in body axes and in space axes.
+        The log contains torques both in body axes and in space axes.
 
     """
     if log.in_space.any() and not log.in_space.all():
@@ -101,21 +103,21 @@ def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
         slope[:-1] = (log.at(nodes_ns[1:] - 1, timeout_ns)[0] - begin[:-1]) / seconds[:-1, None]
     ratio = seconds / lag
     decay = np.exp(-ratio)
-    ends = begin + slope * (seconds - lag)[:, None]  # what it tends to
+    ends = begin + slope * (seconds - lag)[:, None]  # the limit of the lagged torque
     first = begin - slope * lag
     share = -np.expm1(-ratio) / ratio
     middle = 0.5 * slope * seconds[:, None]
     away = np.stack([_away(first[:, axis].tolist(), ends[:, axis].tolist(), decay.tolist())
                      for axis in range(3)], axis=1)
     means = first + middle + share[:, None] * away
-    # The last node represents all later times; there the lag is over.
+    # The last value applies to all later times. By then, the torque has reached the command.
     means[-1] = begin[-1]
     return TorqueLog(nodes_ns, means, 'space' if log.in_space.all() else 'body')
 
 
 def _away(first: list[float], ends: list[float], decay: list[float]) -> list[float]:
-    """Return how far a component that begins at zero is from its command at each node."""
-    away, state = [], 0.0  # plain numbers, because arrays of three take ten times as long
+    """Return torque minus command at each stamp, for one axis; the torque starts at zero."""
+    away, state = [], 0.0  # plain numbers: arrays of three numbers take ten times as long
     for command, end, left in zip(first, ends, decay):
         away.append(state - command)
         state = end + left * away[-1]
@@ -123,7 +125,11 @@ def _away(first: list[float], ends: list[float], decay: list[float]) -> list[flo
 
 
 def _nodes(log: TorqueLog, lag: float, timeout_ns: int) -> NDArray[np.int64]:
-    """Return times between which the torque is held; small changes of the lag do not move them."""
+    """
+    Return the stamps of the lagged torque, which is constant between two stamps.
+
+    A small change of the lag usually does not change the stamps.
+    """
     times_ns = log.segments(timeout_ns)[0]
     unit_ns = 1e9 * 2.0 ** math.floor(math.log2(lag))
     after = np.round(unit_ns * _NODES).astype(np.int64)

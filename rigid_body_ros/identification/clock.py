@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A first guess of the clock offset, for any inertia."""
+"""Guess the clock offset without a guess of the inertia."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import residual_torque
 
-#: s; largest offset that is searched for, and spacing of the offsets that are tried.
+#: s; largest offset that is tried, and difference between adjacent offsets.
 _LARGEST, _SPACING = 10.0, 0.02
-#: Approximate number of samples with which each offset is tried.
+#: Approximate number of samples that are used to try an offset.
 _ROWS = 500
-#: Part of the samples that must lie within the torques.
+#: Largest offset that is tried, as a fraction of the duration of the measurements.
 _OVERLAP = 0.5
-#: An offset is only used if it leaves at most this part of what no offset leaves.
+#: An offset is used only if it reduces the unexplained fraction of the torques to less than this
+#: multiple of the fraction without an offset.
 _BETTER = 0.8
 
 
@@ -38,20 +39,22 @@ def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
     """
     Return the clock offset at which the logged torques explain the measured motion best.
 
-    The torque that a motion needs is linear in the entries of the inertia. So each offset has an
-    inertia that explains most, and a guess of the inertia is not needed.
+    The torque that a motion requires is linear in the entries of the inertia. Therefore, linear
+    least squares yields the best inertia for each offset without a guess of the inertia.
 
     Parameters
     ----------
     problem : Problem
-        Its torques count, not its inertia.
+        The model. Its inertia is ignored.
     sensors : sequence of Measured
-        The best of them is used.
+        The measurements. Only one sensor is used: the gyro with the most samples or, without a
+        gyro, the sensor with the most samples.
 
     Returns
     -------
     float, s
-        To add to the stamps of the measurements; 0 if no offset is much better.
+        The offset to add to the stamps of the measurements. The offset is 0 unless another offset
+        leaves a much smaller fraction of the torques unexplained.
 
     """
     sensor = max(sensors, key=lambda one: (one.angular_velocity is not None, len(one)))
@@ -69,7 +72,7 @@ def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
 
 
 def _unexplained(times: Floats, of_inertia: Floats, seconds: Floats, logged: Floats) -> float:
-    """Return the part of the torques at some times that no inertia explains."""
+    """Return the fraction of the torques at the given times, s, that no inertia explains."""
     inside = (times >= 0.0) & (times <= seconds[-1])
     torques = np.stack([np.interp(times[inside], seconds, column) for column in logged.T], axis=1)
     matrix, wanted = of_inertia[inside].reshape(-1, 6), torques.ravel()

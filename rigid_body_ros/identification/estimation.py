@@ -75,37 +75,41 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     """
     Estimate parameters of a body from measurements.
 
-    The estimates maximize the likelihood for independent normal errors. Samples with much
-    larger errors than the others are outliers, which do not count.
+    The estimates maximize the likelihood for independent normal errors. Samples with errors much
+    larger than usual are outliers, and are ignored.
 
     Parameters
     ----------
     body : RigidBody
-        The guess of inertia and damping, which may be three times off.
+        The guess of the inertia and the damping. The guess of the inertia may be wrong by a factor
+        of three.
     experiments : Experiment or sequence of Experiment
         Recordings of the same body.
     estimate : sequence of str
-        What to fit: 'inertia' (six entries) or 'inertia_diagonal' (three), 'start' (the initial
-        angular velocity, and the initial attitude if attitudes are measured), 'torque_gain' or
-        'torque_gains' (one for each axis), 'torque_bias', 'torque_delay', 'torque_lag', 'weight'
-        (moment of the weight about a pivot), 'damping', 'rotor_momentum', 'NAME.moment' of a
-        uniform field, and of the sensors 'clock_offset', 'clock_drift', 'mount', 'gyro_bias' and
-        'gyro_scale', or of one sensor, with '@TOPIC'.
+        The parameters to fit. The parameters of the body and the torques are 'inertia' (six
+        entries) or 'inertia_diagonal' (three entries), 'torque_gain' or 'torque_gains' (one for
+        each axis), 'torque_bias', 'torque_delay', 'torque_lag', 'weight' (moment of the weight
+        about a pivot), 'damping', 'rotor_momentum', and 'NAME.moment' of a uniform field. 'start'
+        fits the initial angular velocity, and the initial attitude if attitudes are measured. The
+        parameters of the sensors are 'clock_offset', 'clock_drift', 'mount', 'gyro_bias' and
+        'gyro_scale'. With '@TOPIC' appended, a sensor parameter applies to one sensor only.
     attitude_noise, rate_noise : float, optional, rad and rad/s
-        Standard deviation of each component of a measurement; estimated for each topic if None.
+        Standard deviation of each component of a measurement. None means that the fit estimates
+        the standard deviation for each topic.
     validate : float
-        Fraction of each recording, at its end, that is not fitted but predicted.
+        Fraction of each recording, at its end, that is used for validation. The samples in this
+        part are predicted instead of fitted.
     priors : dict of str to float or str, optional
-        Prior knowledge: by name of a parameter or of a component, the standard deviation of its
-        guess, in its unit, or relative to the guess ('5%').
+        Standard deviations of the guesses, by the name of a parameter or of a component. A number
+        is in the unit of the component; text such as '5%' is relative to the guess.
     gravity : sequence of 3 float, m/s^2, space axes
-        The field of the weight.
+        The acceleration of gravity, for the parameter 'weight'.
     accept : float
-        If the model does not explain the measurements, the fit is rejected if the missing effect
-        may move an estimate by more than this, relative to the mean moment of inertia or to the
-        scale of the parameter.
+        The largest accepted systematic error of an estimate. For an entry of the inertia, the
+        error is divided by the mean moment of inertia; for any other parameter, by the scale of
+        the parameter. The model is rejected if effects outside it may cause a larger error.
     torque_timeout : float, s
-        As for `propagate`.
+        The maximum time for which a torque acts, as for `propagate`.
 
     Returns
     -------
@@ -114,9 +118,9 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     Raises
     ------
     InputError
-        A name is unknown, no field or topic has it, a noise or a prior is not positive, a topic
-        has too few finite samples, the torque acts more than two seconds late, or recordings have
-        different wheels.
+        A name is unknown, or refers to a field or a topic that does not exist; a noise or a prior
+        is not positive; a topic has too few finite samples; the fitted torque delay exceeds two
+        seconds; or the recordings have different wheels.
 
     """
     names = checked_names(estimate)
@@ -148,9 +152,10 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
 
 def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, AxialInertia | None]:
     """
-    Return the problem of the body that carries wheels with names, and their axial inertia.
+    Return the problem with rotors instead of named wheels, and the axial inertia of the wheels.
 
-    The momentum of its rotors is relative to the body of the start.
+    In the returned problem, the momentum of the rotors at the start is relative to the rotating
+    body.
     """
     if not problem.named_wheels:
         return problem, None
@@ -204,7 +209,7 @@ def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple
 
 
 def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
-    """Raise InputError if a name has a topic that lacks the quantity it needs."""
+    """Raise InputError if the topic of a name is unknown or lacks the required quantity."""
     for name in names:
         kind, topic = split_topic(name)
         known = topics_of(kind, channels)
@@ -214,7 +219,7 @@ def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
 
 
 def _clock_offset(problems: list[Problem], channels: list[list[Measured]], topic: str) -> float:
-    """Return a guess of the clock offset from the recording with the most samples, s."""
+    """Return a guess of the clock offset, s; use only the recording with the most samples."""
     of_topic = [[one for one in every if topic in ('', one.topic)] for every in channels]
     return likely_offset(*max(zip(problems, of_topic),
                               key=lambda pair: sum(len(channel) for channel in pair[1])))
@@ -222,7 +227,7 @@ def _clock_offset(problems: list[Problem], channels: list[list[Measured]], topic
 
 def _result(findings: Findings, every: Sequence[Sequence[Measured]],
             accept: float) -> Identification:
-    """Return the result; `every` has the samples of the validation, and is empty without one."""
+    """Return the result; `every` contains all samples or, without a validation, none."""
     solution = findings.solution
     setup, physics = solution.problem.setup, solution.physics
     numbers = _numbers(solution)
@@ -259,7 +264,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
 
 
 def _first_motion(solution: Solution, end_ns: int) -> Problem:
-    """Return the problem of the first recording with all estimates; a bias ends at a time."""
+    """Return the first motion according to the estimates; a torque bias acts until `end_ns`."""
     given, physics = solution.problem.setup.problems[0], solution.physics
     start = _start(solution, 0)[0]
     momentum = given.start.rotor_momentum + physics.value('rotor_momentum') \
@@ -273,7 +278,7 @@ def _first_motion(solution: Solution, end_ns: int) -> Problem:
 
 
 def _numbers(solution: Solution) -> _Numbers:
-    """Return all components: those of the shared parameters, and of the starts."""
+    """Return the components of the shared parameters and of the fitted starts."""
     setup, parameters = solution.problem.setup, solution.problem.setup.parameters
     shared = _Numbers([*parameters.names], parameters.values(solution.physics),
                       parameters.values(setup.given), parameters.scales,
@@ -300,14 +305,14 @@ def _numbers(solution: Solution) -> _Numbers:
 @dataclass(frozen=True, eq=False)
 class _Numbers:
     """
-    Components: names, values, guesses and scales.
+    Names, values, guesses and scales of components.
 
     Attributes
     ----------
     names : list of str
     values, guesses, scales : array, shape (n,)
     turn : array, shape (n, n)
-        Their derivatives by the fitted values.
+        Derivatives of the scaled values with respect to the unknowns of the fit.
 
     """
 
@@ -318,13 +323,13 @@ class _Numbers:
     turn: Floats
 
     def of(self, names: Sequence[str]) -> list[float]:
-        """Return the values of some components, NaN for those that do not exist."""
+        """Return the values of the given components, with NaN for components that do not exist."""
         known = dict(zip(self.names, self.values.tolist()))
         return [known.get(name, math.nan) for name in names]
 
 
 def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
-    """Return the initial state of a recording, and its components if it was fitted."""
+    """Return the initial state of a recording and, if the state was fitted, its components."""
     setup = solution.problem.setup
     given = setup.start(number)
     momentum = given.rotor_momentum + solution.physics.value('rotor_momentum')
@@ -348,7 +353,7 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
 
 
 def _change_of_vector(vector: Floats) -> Floats:
-    """Return how a rotation vector changes with a small rotation in body axes."""
+    """Return the derivative of a rotation vector with respect to a small rotation, body axes."""
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = float(np.linalg.norm(vector))
@@ -368,7 +373,7 @@ def _block_diagonal(blocks: Sequence[Floats]) -> Floats:
 
 
 def _covariance(known: Certainty, scale: Floats) -> Floats:
-    """Return the covariance of the estimates in their units, symmetric in all bits."""
+    """Return the exactly symmetric covariance of the estimates in their units."""
     result = 0.5 * (known.covariance + known.covariance.T) * np.outer(scale, scale)
     result[~known.identifiable] = result[:, ~known.identifiable] = np.nan
     return result

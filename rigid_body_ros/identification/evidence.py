@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-A fit close to its solution: the changes if other parameters were also estimated.
+Linearize a fit at its solution, to find out how much additional parameters would explain.
 
-The derivatives by all parameters, those that were estimated and those that were not, make a linear
-problem of a few rows. A *score test* tells how much of the errors another parameter would explain
-(Rao 1948). If the parameter has no effect, the result is distributed as chi-square.
+The derivatives with respect to all parameters, estimated or not, form a linear problem with few
+rows. For a parameter that was not estimated, a *score test* (Rao 1948) computes by how much this
+parameter would lower the sum of squares of the errors. If the parameter has no effect, this
+decrease has a chi-square distribution.
 """
 
 from __future__ import annotations
@@ -36,12 +37,13 @@ from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import Noise, noise_of
 
-#: Relative size above which the rest of a column is more than a rounding error.
+#: If a column minus its projection onto other columns is at most this fraction of the column, the
+#: difference is a rounding error.
 _ROUNDING = 1e-5
-#: Largest number of samples of a channel in a window, which bounds the memory.
+#: Maximum number of samples of a channel in a window, which bounds the memory.
 _LONGEST = 12_000
-#: rad; a prediction that is less certain than this is none, and one that is less certain than
-#: this is not linear.
+#: Thresholds for the standard deviation of a predicted attitude, rad. Above `_LOST`, the
+#: prediction is useless. Above `_LINEAR`, the linearization is inaccurate.
 _LOST, _LINEAR = 0.1, 0.02
 #: Approximate number of samples from which the noise of a channel is estimated.
 _ENOUGH = 20_000
@@ -50,17 +52,18 @@ _ENOUGH = 20_000
 @dataclass(frozen=True, eq=False)
 class Linearized:
     """
-    A linear least-squares problem: errors + matrix @ change.
+    A linear least-squares problem: minimize the sum of the squares of `errors + matrix @ change`.
 
     Attributes
     ----------
     names : list of str
-        The components, as columns of the matrix.
+        The components, in the order of the columns of the matrix.
     blocks : list of array, shape (m, n + 1)
-        For each window, a factor of its derivatives and errors, in standard deviations; the last
-        column has the errors. Its state is eliminated.
+        For each window, the triangular factor of a matrix, without the rows and columns of the
+        state of the window. The columns of the matrix are the derivatives and, as the last column,
+        the errors, in standard deviations.
     is_late : list of bool
-        Whether a window is in the second half of its recording.
+        Whether each window is in the second half of its recording.
 
     """
 
@@ -69,30 +72,30 @@ class Linearized:
     is_late: list[bool]
 
     def columns(self, names: Sequence[str]) -> list[int]:
-        """Return the numbers of components."""
+        """Return the column numbers of components."""
         return [self.names.index(name) for name in names]
 
     def stacked(self) -> tuple[Floats, Floats]:
-        """Return the matrix and the errors of all windows."""
+        """Return `matrix` and `errors` of all windows together."""
         rows = np.concatenate(self.blocks)
         return rows[:, :-1], rows[:, -1]
 
     def split(self, columns: Sequence[int], later: Sequence[bool]) -> Floats:
-        """Return columns of the matrix, with zeros in the windows that `later` does not mark."""
+        """Return columns of the matrix; zero in the rows of windows for which `later` is False."""
         return np.concatenate([block[:, columns] * late for block, late
                                in zip(self.blocks, later)])
 
 
 def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]:
     """
-    Return the drop of the sum of squares by other columns, and the number of independent ones.
+    Return by how much `others` lower the sum of squares, and how many of them are independent.
 
     Parameters
     ----------
     others, base : array, shape (m, k) and (m, n)
-        Columns that were not fitted, and columns that were.
+        Columns of parameters that were not fitted, and of parameters that were fitted.
     errors : array, shape (m,)
-        In standard deviations.
+        The errors, in standard deviations.
 
     """
     left = _without(base, np.column_stack([others, errors]))
@@ -105,7 +108,7 @@ def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]
 
 
 def solved(matrix: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """Return the change that lowers the errors most, and its standard deviations."""
+    """Return the solution `change` of `Linearized`, and the standard deviations of its entries."""
     norms = np.linalg.norm(matrix, axis=0)
     norms = np.where(norms > 0.0, norms, 1.0)
     left, singular, right = np.linalg.svd(matrix / norms, full_matrices=False)
@@ -132,22 +135,23 @@ def _basis(columns: Floats) -> Floats:
 
 def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> LeastSquares:
     """
-    Return the problem of a solution with other parameters, in some windows or more.
+    Return the problem of a solution, extended by parameters and cut into `pieces` or more windows.
 
     Parameters
     ----------
     solution : Solution
         The fit.
     parameters : Parameters
-        All parameters: those that were estimated, and others.
+        The parameters that were estimated, and additional parameters.
     pieces : int
-        Fewest windows of all recordings together.
+        Minimum number of windows in all recordings together.
 
     """
     old = solution.problem
     most = max(len(channel) for channels in old.setup.channels for channel in channels)
     parts = -(-max(pieces, -(-most // _LONGEST)) // len(old.windows))
-    # Windows begin where the windows of the solution begin, because its motion jumps there.
+    # The fitted motion jumps at the beginning of each window of the solution. Therefore, a window
+    # of the new problem must begin at each of these times.
     windows = old.setup.windows(solution.length_ns, solution.physics, parts)
     setup = replace(old.setup, parameters=parameters)
     problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
@@ -159,7 +163,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
 
 
 def linear(problem: LeastSquares) -> Linearized:
-    """Return the linear problem of all windows, close to the guess of its parameters."""
+    """Linearize the problem of all windows at the guess of the parameters."""
     blocks, is_late = [], []
     middles = [(int(channels[0].stamps_ns[0]) + int(channels[0].stamps_ns[-1])) // 2
                for channels in problem.setup.channels]
@@ -173,9 +177,10 @@ def linear(problem: LeastSquares) -> Linearized:
 
 def noises(problem: LeastSquares) -> list[list[Noise]]:
     """
-    Return the noise of each channel of each recording, in its standard deviation.
+    Return the noise of each channel of each recording, relative to the weights of the fit.
 
-    It is the noise of the errors that remain if all parameters of the problem are estimated.
+    The noise is estimated from the errors that would remain if all parameters of the problem were
+    estimated.
     """
     chosen = [*_few(problem)]
     rows = [_rows(problem, k) for k in chosen]
@@ -205,14 +210,15 @@ class Foresight:
     Attributes
     ----------
     statistic : float
-        Sum of squares of the errors that the uncertainty of the fit does not explain; distributed
-        as chi-square if the model is right and the noise white.
+        Sum of squares of the errors, except the part that the uncertainty of the fit explains. The
+        sum has a chi-square distribution if the model is right and the noise is white.
     count : int
-        Number of errors in it: of the samples before the first that is predicted within more than
-        0.02 rad, where derivatives say little; without outliers.
+        Number of errors in the sum. Outliers are excluded. The sum ends before the first sample
+        whose predicted attitude is uncertain by more than 0.02 rad, because the linearization
+        fails for larger uncertainties.
     predictable_s : float
-        From this time after the start on, the uncertainty of the fit alone explains an error of
-        0.1 rad; infinite if it never does.
+        Time since the start, s, at which the standard deviation of the predicted attitude first
+        exceeds 0.1 rad; infinite if this never happens.
 
     """
 
@@ -224,20 +230,20 @@ class Foresight:
 def foresight(solution: Solution, number: int, channels: Sequence[Measured],
               residuals: Sequence[Residuals], noises: Sequence[Noise]) -> Foresight:
     """
-    Return how well a fit predicts the validation of a recording.
+    Return how well a fit predicts the samples of a recording that were not fitted.
 
     Parameters
     ----------
     solution : Solution
         The fit.
     number : int
-        Of the recording.
+        Number of the recording.
     channels : sequence of Measured
-        Its channels, with the samples that were not fitted.
+        The channels of the recording, including the samples that were not fitted.
     residuals : sequence of Residuals
-        The errors of those samples, for each channel.
+        The errors of the samples that were not fitted, for each channel.
     noises : sequence of Noise
-        Of each channel.
+        The noise of each channel.
 
     """
     old = solution.problem
@@ -245,7 +251,7 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     empty: Any = [None] * len(old.setup.channels)
     roots, spreads = [*empty], [*empty]
     roots[number] = [one.inliers.astype(float) for one in residuals]
-    # For single errors, not for the mean of many.
+    # The spreads apply to the mean of many errors. Convert them to spreads of single errors.
     sizes = [spread / noise.lasting
              for spread, noise in zip(solution.weights.spreads[number], noises)]
     spreads[number] = sizes
@@ -270,7 +276,11 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
 
 
 def _known(solution: Solution, last: int) -> Floats:
-    """Return a factor of the information about the last window's state and shared parameters."""
+    """
+    Return a triangular factor of an information matrix.
+
+    The unknowns of the matrix are the state of window `last` and the parameters.
+    """
     problem, blocks = solution.problem, []
     own = len(problem.unknowns[last])
     for k in range(len(problem.windows)):
@@ -283,7 +293,7 @@ def _known(solution: Solution, last: int) -> Floats:
 
 
 def _deviations(known: Floats, slopes: Floats) -> Floats:
-    """Return the standard deviations of predictions, infinite if they are not determined."""
+    """Return the standard deviations of predictions, infinite if a prediction is undetermined."""
     _, singular, right = np.linalg.svd(known)
     kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
     deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)
@@ -291,7 +301,7 @@ def _deviations(known: Floats, slopes: Floats) -> Floats:
 
 
 def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tuple[int, Floats]]:
-    """Generate the errors of each channel in a window, shape (n, 3), NaN for outliers."""
+    """For each channel in a window, generate index and errors, (n, 3); NaN for outliers."""
     window, first = problem.windows[k], 0
     for channel, rows in enumerate(window.rows):
         root = problem.weights.roots[window.experiment][channel][rows]
@@ -303,7 +313,7 @@ def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tu
 
 
 def _few(problem: LeastSquares) -> Iterator[int]:
-    """Generate the numbers of some windows of each recording, with enough samples."""
+    """Generate the indices of the first windows of each recording, up to `_ENOUGH` samples."""
     counts = [0] * len(problem.setup.channels)
     for k, window in enumerate(problem.windows):
         if counts[window.experiment] < _ENOUGH:
@@ -312,7 +322,7 @@ def _few(problem: LeastSquares) -> Iterator[int]:
 
 
 def _rows(problem: LeastSquares, k: int) -> Floats:
-    """Return the derivatives and the errors of a window."""
+    """Return the derivatives and, as the last row, the errors of a window at the guess."""
     physics = problem.parameters.guess
     return np.concatenate([problem.derivatives(k, physics),
                            problem.scaled_errors(k, physics)[None]])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings of one body, and the channels of their sensors: one quantity of one topic each."""
+"""Recordings of one body, and their channels. A channel is one quantity of one topic."""
 
 from __future__ import annotations
 
@@ -32,33 +32,35 @@ from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.sensing.measured import Measured
 
-#: A sensor needs at least this many samples.
+#: Minimum number of samples of a channel.
 _FEWEST = 8
-#: s; over this time the rate of an attitude is estimated, and at most this many samples.
+#: Approximate time between two attitudes from which a rate is estimated, s, and approximate number
+#: of samples from which a state is estimated.
 _LAG, _LOCAL = 0.1, 25
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """
-    One recording: what acted on the body, and what was measured.
+    One recording: the torques that acted on the body, and the measurements.
 
     Attributes
     ----------
     start : State
-        The initial state, or a guess of it if it is fitted. Measurements before it are not used.
+        The initial state, or a guess of it if the start is fitted. Measurements before the start
+        are ignored.
     log : TorqueLog, sequence of TorqueLog or None
         The torques, as for `propagate`.
     measured : sequence of Measured
         The measurements of the sensors.
     wheels : TorqueLog or sequence of Wheel, optional
-        Torque on the rotors, or wheels with names, as for `propagate`; the same wheels in all
-        recordings.
+        Torque on the rotors, or named wheels, as for `propagate`. All recordings must have the
+        same wheels.
     fields : sequence of Field
-        As for `propagate`; the same in all recordings.
+        The fields, as for `propagate`. All recordings must have the same fields.
     efforts : EffortLog, optional
-        The commands of wheels with names. Whether a wheel with a largest speed refuses one
-        follows from the guess of the motion.
+        The commands of named wheels. The motion that follows from the guess decides whether a
+        wheel reaches its maximum speed and refuses a command.
 
     """
 
@@ -77,12 +79,12 @@ class Experiment:
 
 def channels_of(experiment: Experiment) -> list[Measured]:
     """
-    Return each quantity of each sensor of a recording, with the samples from its start on.
+    Return the channels of a recording, without the samples before the start of the motion.
 
     Raises
     ------
     InputError
-        A topic has too few finite samples from the start on, or there is no topic.
+        There is no measured topic, or a topic contains too few finite samples after the start.
 
     """
     if not experiment.measured:
@@ -111,7 +113,7 @@ def _checked(channel: Measured, start_ns: int) -> Measured:
 
 
 def typical_rate(channels: Sequence[Measured]) -> float:
-    """Return the root mean square of the angular velocity, rad/s, robustly."""
+    """Return a robust root mean square of the angular velocity, rad/s."""
     rates = [channel.values if not channel.is_attitude else _rates(channel)
              for channel in channels]
     found = max(float(np.sqrt(np.mean(np.minimum(squares, 25.0 * np.median(squares)))))
@@ -120,7 +122,7 @@ def typical_rate(channels: Sequence[Measured]) -> float:
 
 
 def _rates(channel: Measured) -> Floats:
-    """Return rates from attitudes some time apart."""
+    """Return angular velocities, computed from pairs of attitudes that are close in time."""
     spacing = np.median(np.diff(channel.stamps_ns)) * 1e-9
     lag = min(max(1, round(_LAG / max(spacing, 1e-9))), len(channel) - 1)
     turned = so3.log(so3.multiply(so3.conjugate(channel.values[:-lag]), channel.values[lag:]))
@@ -131,18 +133,18 @@ def _rates(channel: Measured) -> Floats:
 def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
                 fallback: State) -> tuple[Floats, Floats]:
     """
-    Return attitude and angular velocity at a time, from the measurements close to it.
+    Return attitude and angular velocity at a time, estimated from measurements close in time.
 
     Parameters
     ----------
     channels : sequence of Measured
-        The measurements of the sensors, in the time and the axes of the body.
+        The measurements of the sensors, converted to the clock of the torques and to body axes.
     time_ns : int
         The time of the state.
     rate : float, rad/s
         Typical angular velocity.
     fallback : State
-        For what was not measured.
+        The state that provides the quantities that were not measured.
 
     Returns
     -------
@@ -181,7 +183,7 @@ def _near(channel: Measured, time_ns: int, rate: float) -> Measured:
 
 
 def _robust_line(seconds: NDArray[np.floating], values: Floats) -> tuple[Floats, Floats]:
-    """Return value and slope at zero of lines or parabolas through most of the samples."""
+    """Fit a line or a parabola to each column robustly; return values and slopes at zero."""
     degree = 0 if len(seconds) < 3 else 1 if len(seconds) < 7 else 2
     columns = np.vander(seconds, degree + 1, increasing=True)
     weights: Floats = np.ones(len(seconds))

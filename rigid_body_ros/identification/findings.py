@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Findings about a model from the errors of its fit.
+Findings about a model, from tests of the errors of its fit.
 
-Each test has a probability of a false alarm of 1e-4. About forty of them apply to a model, so
-fewer than one right model in a hundred is not called explained.
+In each test, the probability of a false alarm is 1e-4. About forty tests apply to a model.
+Therefore, more than 99 of 100 correct models get the verdict 'explained'.
 """
 
 from __future__ import annotations
@@ -52,62 +52,72 @@ from rigid_body_ros.sensing.noise import (
     Noise,
 )
 
-#: Ratio of spreads above which the fit is repeated with them.
+#: If the largest spread of the noise exceeds the smallest spread by this factor, the fit is
+#: repeated with weights that follow from the spreads.
 _UNEQUAL = 1.05
-#: Pieces of a recording, after each of which the inertia may have changed.
+#: Minimum number of windows in the search for a change of the inertia. The search tries a change
+#: at the beginning of each window.
 _PIECES = 16
-#: s; errors are averaged over this time.
+#: s; errors are averaged over batches of this length, to find errors that persist.
 _BATCH = 1.0
-#: Standard deviations of a normal variable that it exceeds with the probability of an alarm.
+#: A normal variable exceeds its mean by at least this many standard deviations with probability
+#: 1e-4.
 _FAR = 3.72
-#: Smallest size of the noise of an axis, relative to that of all axes.
+#: Smallest noise that a fit assumes for an axis, relative to the root mean square over the axes.
 _LEAST = 1e-3
-#: rad; and rad/s, and relative to the rates: no sensor has a larger noise.
+#: Largest plausible noise of an attitude sensor, rad, and of a gyro, in rad/s and relative to the
+#: rates.
 _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
-#: rad; rad/s, and relative to the rates: smaller errors are rounding errors.
+#: Errors below this number (in rad, in rad/s or relative to the rates) are rounding errors.
 _TINY = 1e-9
-#: Share of outliers, if they come together, that no sensor has, and if they do not.
+#: Largest plausible fraction of outliers among the samples of a sensor: for outliers in clusters,
+#: and for scattered outliers.
 _CLUSTERED, _SCATTERED = 0.03, 0.3
-#: Difference of the shares of outliers before and after a change of the inertia.
+#: Minimum difference between the fractions of outliers before and after a change of the inertia.
 _APART = 0.4
 INERTIA_CHANGE = 'inertia_change'
 
 
 class Reason(NamedTuple):
-    """A reason against a model, and whether it alone makes the model useless."""
+    """A reason against a model, and whether this reason alone rejects the model."""
 
     text: str
     rejects: bool = False
 
 
 class Score(NamedTuple):
-    """How much a suspect would explain close to the solution: drop, probability, and when (s)."""
+    """The score of a suspect: how much better the fit would be with an additional parameter."""
 
     name: str
+    #: By how much the chi-square of the fit would drop.
     drop: float
+    #: Probability of a drop of at least this size if the parameter has no effect.
     p: float
+    #: For a change of the inertia, the time from the start to the change, s.
     seconds: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """
-    The findings from the errors of a fit.
+    What the errors of a fit reveal about the model.
 
     Attributes
     ----------
     solution : Solution
-        Fitted with the noise that was found.
+        The fit, with weights that follow from the noise.
     reasons : list of Reason
+        The reasons against the model.
     scores : list of Score
-        Of suspects that explain something, the best first.
+        The scores of the suspects that explain a significant part of the errors, best first.
     drift : dict of str to float
-        By component, the difference between the halves of the recordings.
+        The difference between the estimates from the two halves of the recordings, by component;
+        0 if the difference is not significant.
     noises : list of list of Noise
-        For each channel of each recording; none if the errors are rounding errors.
-    predictable_s : float or None
-        How long after its start the motion can be predicted; None if to its end, and without a
-        validation.
+        The noise of each channel of each recording. Empty if all errors are rounding errors.
+    predictable_s : float or None, s
+        Time since the start up to which the motion of every recording can be predicted. None if
+        all motions can be predicted up to the last sample, or if there is no validation.
 
     """
 
@@ -120,7 +130,7 @@ class Findings:
 
     def with_validation(self, every: Sequence[Sequence[Measured]],
                         ahead: Sequence[Residuals]) -> Findings:
-        """Return the same, and what the errors of the validation say."""
+        """Return these findings, extended by those from the errors of the validation."""
         if not ahead or not self.noises:
             return self
         seconds, reasons = zip(*_validation(self, every, ahead))
@@ -129,7 +139,7 @@ class Findings:
 
 
 def examined(solution: Solution) -> Findings:
-    """Return what the errors of a fit say about its model."""
+    """Return the findings from the errors of a fit."""
     setup = solution.problem.setup
     if _is_rounding(solution):
         return Findings(solution, [], [], {}, [])
@@ -148,7 +158,7 @@ def examined(solution: Solution) -> Findings:
 
 
 def _is_rounding(solution: Solution) -> bool:
-    """Return whether all errors are so small that no sensor would show them."""
+    """Return whether all errors are too small to come from a sensor."""
     return all(noise <= _TINY * (1.0 if channel.is_attitude else max(1.0, setup.rate))
                for setup in [solution.problem.setup]
                for channels, every in zip(setup.channels, solution.weights.sigma)
@@ -156,15 +166,15 @@ def _is_rounding(solution: Solution) -> bool:
 
 
 def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
-    """Return the fit with weights that account for the size and the duration of errors."""
+    """Return the fit with weights that account for how large and how persistent errors are."""
     setup = solution.problem.setup
     spreads: list[list[Floats]] = []
     for channels, every in zip(setup.channels, found):
         spreads.append([])
         for channel, noise in zip(channels, every):
             given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            # The fit finds the size of all axes again. An axis without errors, such as from a
-            # stuck sensor, must not dominate the others.
+            # Use relative sizes, because the next fit estimates the factor common to all axes. A
+            # stuck sensor may have an axis without errors, which must not dominate the fit.
             relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
             sizes = np.ones(3) if given else np.maximum(relative, _LEAST)
             spreads[-1].append(sizes * noise.lasting)
@@ -175,7 +185,7 @@ def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
 
 
 def _scores(given: Linearized, known: Sequence[str], names: Sequence[str]) -> Iterator[Score]:
-    """Generate what each suspect would explain."""
+    """Generate the score of each suspect."""
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
     base = matrix[:, given.columns(known)]
@@ -187,13 +197,13 @@ def _scores(given: Linearized, known: Sequence[str], names: Sequence[str]) -> It
 
 
 def _largest(*scores: Iterable[Score]) -> list[Score]:
-    """Return the score with the largest drop, if there is any."""
+    """Return the score with the largest drop; empty if there are no scores."""
     found = [score for each in scores for score in each]
     return [max(found, key=lambda one: one.drop)] if found else []
 
 
 def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Iterator[Score]:
-    """Generate what an inertia that changes from piece to piece explains."""
+    """Generate the score of a change of the inertia at the beginning of each window."""
     from scipy.special import chdtrc
     inertia = given.columns([name for name in known if name.startswith('inertia')])
     matrix, errors = given.stacked()
@@ -204,13 +214,18 @@ def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> 
         later = [other.experiment == window.experiment and i >= k
                  for i, other in enumerate(problem.windows)]
         drop, rank = explained(given.split(inertia, later), base, errors)
-        # One of many times is the best by chance: Bonferroni's bound.
+        # Many times of the change are tried, and the best is kept: use Bonferroni's bound.
         p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
         yield Score(INERTIA_CHANGE, drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
 
 
 def _breaks(solution: Solution) -> Iterator[Score]:
-    """Generate changes of the inertia where outliers begin or end: a fit follows one part only."""
+    """
+    Generate the score of a change of the inertia where outliers begin or end.
+
+    After a large change, the fit follows only one part of the motion, and all other samples are
+    outliers.
+    """
     from scipy.special import chdtrc
     for problem, channels, every, errors, sigma in zip(
             solution.problem.setup.problems, solution.problem.setup.channels, solution.inliers,
@@ -230,7 +245,11 @@ def _breaks(solution: Solution) -> Iterator[Score]:
 
 
 def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, float]]:
-    """Return whether the halves of the recordings have different values, and how different."""
+    """
+    Compare the estimates from the first and the second halves of the recordings.
+
+    Return a list, which contains a reason if the estimates differ, and `Findings.drift`.
+    """
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
     if not matrix.shape[1] or len({*given.is_late}) < 2:
@@ -251,7 +270,7 @@ def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, 
 
 
 def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
-    """Generate reasons for noise that no such sensor has, or that exceeds the given one."""
+    """Generate a reason for noise that is too large for a sensor, or exceeds the given noise."""
     setup = solution.problem.setup
     for number, channels in enumerate(setup.channels):
         for channel, errors, inliers, noise in zip(channels, solution.errors[number],
@@ -274,7 +293,7 @@ def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
 
 
 def _outliers(solution: Solution) -> Iterator[Reason]:
-    """Generate reasons for outliers that come together, or are too many."""
+    """Generate a reason for each channel with clusters of outliers or too many outliers."""
     for number, channels in enumerate(solution.problem.setup.channels):
         for channel, inliers in zip(channels, solution.inliers[number]):
             share = float(np.mean(~inliers))
@@ -288,7 +307,7 @@ def _outliers(solution: Solution) -> Iterator[Reason]:
 
 
 def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
-    """Generate reasons for errors that last longer than the noise of the sensor."""
+    """Generate a reason for each channel whose errors persist longer than its noise explains."""
     problem = solution.problem
     sums: dict[tuple[int, int], list[Floats]] = {}
     for k, window in enumerate(problem.windows):
@@ -312,13 +331,13 @@ def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason
 
 
 def probability(p: float) -> str:
-    """Return a probability in words."""
+    """Return a probability as text."""
     return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
 
 
 def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
                 ahead: Sequence[Residuals]) -> Iterator[tuple[float, Reason | None]]:
-    """Generate the predictable time of a recording, s, and whether it is predicted badly."""
+    """For each recording, generate the predictable time, s, and a reason if errors are large."""
     from scipy.special import ndtr
     for number, channels in enumerate(every):
         own = [one for one in ahead if one.recording == number]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A report of what the data determines and what it does not."""
+"""Find out which parameters the data does not determine."""
 
 from __future__ import annotations
 
@@ -25,13 +25,16 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.names import field_of
 from rigid_body_ros.scene.fields import MOMENT
 
-#: Relative sizes of a derivative, and of a combination of derivatives, that are rounding errors.
+#: Relative sizes below which derivatives are rounding errors: derivatives with respect to one
+#: parameter, and with respect to a combination of parameters.
 _ZERO, _ROUNDING = 1e-9, 1e-6
-#: A direction is undetermined if its standard deviation exceeds this part of the scale.
+#: A direction is undetermined if its standard deviation, relative to the scales of the parameters,
+#: exceeds this number.
 _WIDEST = 0.5
-#: Components of a direction that count, that are listed, and that are rounding errors.
+#: Thresholds for the size of a component of a direction. Above `_COUNTS`, the component
+#: matters. Above `_LISTED`, the result lists it. Below `_EXACT`, it is a rounding error.
 _COUNTS, _LISTED, _EXACT = 0.3, 0.05, 1e-3
-#: Relative difference up to which ratios of moments count as equal.
+#: Ratios of moments count as equal if their relative difference is less than this number.
 _SAME = 0.1
 
 
@@ -43,8 +46,9 @@ class Direction:
     Attributes
     ----------
     components : dict of str to float
-        By name of a parameter, its part of the direction, relative to its scale.
+        The change of each parameter along the combination, relative to the scale of the parameter.
     reason : str
+        Why the data does not determine the combination.
 
     """
 
@@ -55,13 +59,16 @@ class Direction:
 @dataclass(frozen=True, eq=False)
 class Certainty:
     """
-    The certainty of parameters, divided by their scales.
+    The certainty of parameters.
 
     Attributes
     ----------
     covariance : array, shape (n, n)
+        Covariance of the parameters divided by their scales.
     identifiable : array of bool, shape (n,)
+        Whether the data determines each parameter.
     directions : list of Direction
+        The combinations of parameters that the data does not determine.
 
     """
 
@@ -72,12 +79,12 @@ class Certainty:
 
 def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty:
     """
-    Return what an information matrix says about parameters.
+    Return the certainty of parameters from their information matrix.
 
     Parameters
     ----------
     factor : array, shape (m, n)
-        F of the information F^T F of the parameters, divided by their scales.
+        F, where F^T F is the information matrix of the parameters divided by their scales.
     names : sequence of str, length n
         The names of the parameters.
     values : array, shape (n,)
@@ -100,7 +107,7 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty
 
 
 def _split(factor: Floats) -> tuple[Floats, Floats]:
-    """Return orthonormal bases, as columns, of the directions without effect, and of the rest."""
+    """Return orthonormal bases (columns): of directions without effect, and of those with one."""
     norms = np.linalg.norm(factor, axis=0)
     zero = norms <= _ZERO * norms.max(initial=1e-300)
     norms = np.where(zero, 1.0, norms)
@@ -125,7 +132,7 @@ def _direction(names: Sequence[str], values: Floats, vector: Floats) -> Directio
 
 def _reason(names: Sequence[str], values: Floats, vector: Floats) -> str:
     inertia = _chosen(names, 'inertia')
-    ratios = vector[inertia][:3] / values[inertia][:3]  # of the moments
+    ratios = vector[inertia][:3] / values[inertia][:3]  # relative changes of the moments
     scales_inertia = ratios.size > 0 and np.ptp(ratios) < _SAME * np.abs(ratios).max()
     parts, wider = ({MOMENT if field_of(name[:-2]) else name.split('.')[0]
                      for name, part in zip(names, vector) if abs(part) >= least}

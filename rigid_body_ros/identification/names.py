@@ -28,12 +28,12 @@ from rigid_body_ros.scene.fields import MOMENT, moment_unit
 
 
 class Kind(NamedTuple):
-    """A parameter: its components, their unit, their value if it is not fitted, and its owner."""
+    """A parameter: the names and the unit of its components, and the value that has no effect."""
 
     components: tuple[str, ...]
     unit: str
     neutral: float = 0.0
-    #: Whether each sensor can have its own.
+    #: Whether each sensor can have a separate value.
     is_of_sensor: bool = False
 
 
@@ -41,9 +41,9 @@ def _axes(name: str) -> tuple[str, ...]:
     return tuple(f'{name}.{axis}' for axis in 'xyz')
 
 
-#: The moment of the weight, and the name of its field.
+#: The name of the parameter for the weight, and also of the field that represents the weight.
 WEIGHT = 'weight'
-#: By name, without the moment of a field and `start`.
+#: Parameters by name, except `start` and the moments of fields.
 KINDS = {
     'inertia': Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
     'inertia_diagonal': Kind(tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]), 'kg m^2'),
@@ -61,25 +61,25 @@ KINDS = {
     'damping': Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad'),
     'rotor_momentum': Kind(_axes('initial_rotor_momentum'), 'N m s'),
 }
-#: The name of the initial attitude and angular velocity.
+#: The name of the parameter for the initial attitude and angular velocity.
 START = 'start'
-#: Names of parameters, in the order of a fit.
+#: The names of all parameters, in the order in which a fit lists them.
 NAMES = (*KINDS, START)
-#: Names that are not among the parameters of a scene.
+#: Names of parameters that a scene cannot contain.
 NOT_IN_SCENES = tuple(name for name in KINDS if name not in (
     'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum', WEIGHT))
-#: Pairs of names with the same meaning.
+#: Pairs of names that cannot be fitted together.
 _EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
-#: Units by the beginning of a component name.
+#: Units by the first part of the name of a component: the part before the dot.
 _UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in KINDS.values()},
           'initial_attitude': 'rad', 'initial_angular_velocity': 'rad/s'}
-#: Parameters that shift stamps, by a number of nanoseconds.
+#: Parameters that shift stamps. Shifts are rounded to whole nanoseconds.
 SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
 _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 
 
 def components_of(name: str) -> tuple[str, ...]:
-    """Return the component names of a parameter, or of NAME.moment, the moment of a field."""
+    """Return the names of the components of a parameter or of the moment of a field."""
     kind, topic = split_topic(name)
     if kind not in KINDS:
         return _axes(name)
@@ -94,19 +94,19 @@ def unit_of(component: str) -> str:
 
 
 def split_topic(name: str) -> tuple[str, str]:
-    """Return a name without `@TOPIC`, and the topic, empty if there is none."""
+    """Split a name into the part before `@TOPIC` and the topic, which may be empty."""
     kind, _, topic = name.partition('@')
     return kind, topic
 
 
 def field_of(name: str) -> str:
-    """Return the name of the field whose moment a parameter is; empty if it is not a moment."""
+    """Return NAME for the parameter NAME.moment of a field; empty for other parameters."""
     found = _OF_FIELD.fullmatch(name)
     return found[1] if found else ''
 
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of parameters; raise InputError if they cannot be fitted together."""
+    """Return the names in the order of `NAMES`; raise InputError if they cannot be fitted."""
     for name in names:
         kind, topic = split_topic(name)
         if kind not in NAMES and not field_of(name):
@@ -131,18 +131,18 @@ def checked_names(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def of_sensors() -> tuple[str, ...]:
-    """Return the names of the parameters that each sensor can have for its own."""
+    """Return the names of the parameters that each sensor can have separately."""
     return tuple(name for name, kind in KINDS.items() if kind.is_of_sensor)
 
 
 def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Floats]:
     """
-    Return the moments to fit, by name of the parameter, as they are given.
+    Return the given moments of the fields whose moments are fitted, by the name of the parameter.
 
     Raises
     ------
     InputError
-        There is no field of that name other than zero, or there is one of the name of the weight.
+        The field of a moment does not exist or is zero, or a field has the name of the weight.
 
     """
     given = {f'{one.name}.{MOMENT}': np.asarray(one.moment) for one in fields

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Put the page of an identification together."""
+"""Assemble the page of an identification."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.residual_torque import residual_torque, with_attitude
 from rigid_body_ros.sensing.torque_panels import residual_panels
 
-#: s; lags of an autocorrelation that are drawn, and fewest samples.
+#: Largest lag at which an autocorrelation is drawn, s, and minimum number of lags.
 _LAG, _FEWEST = 2.0, 20
 #: Half the width of a 95 % interval, in standard deviations.
 _NORMAL_95 = 1.96
@@ -54,17 +54,17 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
     Parameters
     ----------
     fit : Identification
-        With at least one sample.
+        The result, with at least one sample.
     first : Experiment
-        The first recording, whose motion, errors and torques are drawn.
+        The first recording. The page shows the motion, errors and torques of this recording.
     name : str
-        Its name.
+        Name of the first recording.
     scene : Scene
         The scene with the guess.
     command : str
         The command line.
     degrees : bool
-        Whether to show angles in degrees.
+        Whether the page shows angles in degrees.
 
     """
     (_, headline), *reasons = fit.verdict.rows()
@@ -81,7 +81,7 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
 
 
 def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:
-    """Generate why the computed curves jump, if they do."""
+    """Generate a note that explains jumps of the computed curves, if there are jumps."""
     stamps_ns = np.concatenate([part.stamps_ns for part in fit.residuals
                                 if part.is_training and not part.recording])
     if 1e-9 * np.ptp(stamps_ns) > 1.5 * fit.window_s:
@@ -105,13 +105,13 @@ def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
 
 
 def _stamps_ns(fit: Identification) -> NDArray[np.int64]:
-    """Return the stamps of the first recording; a sensor may have none in the validation."""
+    """Return the stamps of all samples of the first recording."""
     return np.unique(np.concatenate([
         part.stamps_ns for part in fit.residuals if not part.recording]))
 
 
 def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
-    """Generate the measured and the computed values, and the errors."""
+    """Generate panels with the measured and the computed values, and with the errors."""
     stamps_ns, inliers, measured, computed, errors = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))
@@ -126,7 +126,7 @@ def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
 
 
 def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> dict[str, float]:
-    """Return when the validation begins, and up to when the motion can be predicted."""
+    """Return when the validation begins and when the motion ceases to be predictable, s."""
     ahead = [part for part in parts if not part.is_training]
     lines = {}
     if ahead:
@@ -138,7 +138,7 @@ def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> di
 
 
 def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:
-    """Generate the torque that the estimates leave unexplained."""
+    """Generate panels with the part of the torque that the estimates do not explain."""
     sensors = sorted(fit.aligned, key=len, reverse=True)
     attitudes = [one for one in sensors if one.is_attitude and len(one) > 1]
     rates = [one for one in sensors if not one.is_attitude]
@@ -150,7 +150,7 @@ def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:
 
 
 def _correlations(errors: Residuals) -> Iterator[Panel]:
-    """Generate the autocorrelation of the errors of the fit."""
+    """Generate a panel with the autocorrelation of the errors of the fit."""
     if len(errors.stamps_ns) < 4 * _FEWEST or not errors.is_training:
         return
     spacing = 1e-9 * float(np.median(np.diff(errors.stamps_ns)))
@@ -166,7 +166,7 @@ def _correlations(errors: Residuals) -> Iterator[Panel]:
 
 
 def _body(fit: Identification) -> dict[str, Any]:
-    """Return the motion with all estimates, and the measured attitudes as its ghost."""
+    """Return an animation of the motion with all estimates, and of the measured attitudes."""
     stamps_ns = _stamps_ns(fit)
     body = moving_body.of_motion(fit.motion, stamps_ns)
     ghosts = [one for one in fit.aligned if one.attitude is not None]

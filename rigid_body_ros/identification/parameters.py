@@ -40,27 +40,30 @@ from rigid_body_ros.scene.fields import MOMENT
 
 #: m/s^2, space axes
 GRAVITY = 0.0, 0.0, -9.80665
-#: The second moments of a guess are at least this fraction of their trace.
+#: Smallest second moment that a body can have, as a fraction of the trace of its second moments.
 _THINNEST = 1e-5
-#: Moments from which a fit starts are at least this fraction.
+#: Smallest second moment from which a fit starts, as a fraction of the trace.
 _FLATTEST = 0.02
-#: Damping from which a fit starts if the scene has none, relative to the scale.
+#: Damping that is added at the start of a fit, so that the Cholesky factor exists even without
+#: damping, as a fraction of the scale.
 _LITTLE = 1e-3
-#: s; the lag from which a fit starts: at zero, its derivative equals that of a delay.
+#: s; the lag from which a fit starts. A fit cannot start from a lag of zero, because the
+#: derivatives with respect to lag and delay are equal there.
 SHORT_LAG = 0.02
-#: Tensors without negative eigenvalues whose sums are all damping tensors nearby: n n^T.
+#: Six directions n. Weighted sums of their tensors n n^T yield every symmetric tensor.
 _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
-#: Column i has the entries xx ... yz of the tensor of direction i.
+#: Column i contains the entries xx ... yz of the tensor n n^T of direction i.
 _OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(ROWS, COLUMNS)])
 
 
-#: The values of parameters that are not fitted; to make them at each use takes a tenth of a fit.
+#: The values of parameters that are not fitted. The arrays are cached, because creating new arrays
+#: at each use takes a tenth of the time of a fit.
 _NEUTRAL = {name: np.broadcast_to(kind.neutral, len(kind.components))
             for name, kind in KINDS.items()}
 
 
 class Prior(NamedTuple):
-    """Prior knowledge of a component: its value, with a standard deviation."""
+    """Prior knowledge of a component: the expected value and its standard deviation."""
 
     value: float
     sigma: float
@@ -69,16 +72,17 @@ class Prior(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Physics:
     """
-    The values that the motions and the sensors of all recordings share.
+    The values of the parameters that all recordings share.
 
     Attributes
     ----------
     inertia : array, shape (3, 3), kg m^2, body axes
     damping : array, shape (3, 3), N m s/rad, body axes
     values : dict of str to array
-        The other parameters that are fitted, by name, with `@TOPIC` if they are of one sensor.
+        The other fitted parameters by name. A name ends in `@TOPIC` if the parameter applies to
+        one sensor.
     gravity : array, shape (3,), m/s^2, space axes
-        The field of the weight.
+        The gravitational field that acts on the weight.
 
     """
 
@@ -89,29 +93,30 @@ class Physics:
 
     @cached_property
     def body(self) -> RigidBody:
-        """Return the body."""
+        """Return a body with the fitted inertia and damping."""
         return _body(self.inertia.tobytes(), self.damping.tobytes())
 
     def value(self, name: str, topic: str = '') -> Floats:
         """
-        Return a parameter; the value of a sensor if it has its own.
+        Return the value of a parameter for a topic or, without such a value, for all sensors.
 
-        The torque that acts is the logged one times `torque_gain` and `torque_gains`, later by
-        `torque_delay` and with the first-order lag `torque_lag`, plus `torque_bias`. A sensor
-        measures the angular velocity times `gyro_scale` plus `gyro_bias`, in axes that the vector
-        `mount` rotates. Its time is its stamp plus `clock_offset`, plus `clock_drift` times the
-        time since the start.
+        These formulas define the parameters. The logged torque is multiplied by `torque_gain` and
+        `torque_gains`, delayed by `torque_delay`, and filtered with the first-order lag
+        `torque_lag`. This torque plus `torque_bias` acts on the body. A sensor measures the
+        angular velocity times `gyro_scale` plus `gyro_bias`, in the axes of the sensor. The
+        rotation vector `mount` turns the body axes to the axes of the sensor. The time of a sample
+        is its stamp plus `clock_offset`, plus `clock_drift` times the time since the start.
         """
         found = self.values.get(f'{name}@{topic}') if topic else None
         found = self.values.get(name) if found is None else found
         return _NEUTRAL[name] if found is None else found
 
     def number(self, name: str, topic: str = '') -> float:
-        """Return a parameter with one component."""
+        """Return the value of a parameter with one component."""
         return float(self.value(name, topic)[0])
 
     def acting(self, fields: Sequence[Field]) -> list[Field]:
-        """Return fields with the moments that are fitted, and the weight."""
+        """Return the fields with the fitted moments, and the weight if it is fitted."""
         acting: list[Field] = [
             replace(one, moment=self.values[f'{one.name}.{MOMENT}'])
             if isinstance(one, UniformField) and f'{one.name}.{MOMENT}' in self.values else one
@@ -122,22 +127,23 @@ class Physics:
 
 @lru_cache(maxsize=64)
 def _body(inertia: bytes, damping: bytes) -> RigidBody:
-    # A third of the points of a fit change other parameters, and the constants take long.
+    # Cache bodies, because bodies are expensive to create. In a fit, a third of the evaluations
+    # change neither inertia nor damping.
     return RigidBody(*(np.frombuffer(each).reshape(3, 3) for each in (inertia, damping)))
 
 
 class Magnitudes(NamedTuple):
     """
-    The magnitudes from which the scales of parameters follow.
+    The magnitudes that determine the scales of parameters.
 
     Attributes
     ----------
     rate : float, rad/s
     torque : float, N m
     span_s : float, s
-        Length of the recordings.
+        Duration of the longest channel.
     strengths : dict of str to float
-        Magnitude of each uniform field, by name of its moment.
+        Magnitude of each uniform field, by the name of the parameter for its moment.
 
     """
 
@@ -148,21 +154,22 @@ class Magnitudes(NamedTuple):
 
 
 def second_moments(inertia: Floats) -> Floats:
-    """Return the second moments of mass; they are positive definite for every possible body."""
+    """Return the second moments of mass, which are positive definite for every possible body."""
     return 0.5 * np.trace(inertia) * np.eye(3) - inertia
 
 
 def inertia_of(moments: Floats) -> Floats:
-    """Return the inertia of a body with these second moments of mass."""
+    """Return the inertia of a body with the given second moments of mass."""
     return np.trace(moments) * np.eye(3) - moments
 
 
 def lifted(inertia: Floats) -> Floats:
     """
-    Return an inertia whose second moments are not too small for a fit to begin there.
+    Return an inertia whose second moments are large enough for the start of a fit.
 
-    At a flat plate or a thin rod the logarithm of a second moment is far off, and its derivative
-    says little. The products of inertia stay.
+    For a flat plate or a thin rod, one second moment is almost zero. Derivatives with respect to
+    the logarithm of this moment are too small to be useful. Therefore, the same amount is added to
+    all second moments; the products of inertia do not change.
     """
     moments = second_moments(inertia)
     lack = _FLATTEST * np.trace(moments) - np.linalg.eigvalsh(moments)[0]
@@ -173,20 +180,23 @@ class Parameters:
     """
     The fitted parameters that all recordings share.
 
-    In the coordinates of the fit, every point is a possible body: they are the logarithms and the
-    relative off-diagonal entries of the Cholesky factor of the second moments of mass (Rucker and
-    Wensing 2022), the entries of a Cholesky factor of the damping, and other values divided by
-    their scale. Close to a solution, the *plain* coordinates are all values divided by their
-    scale; those of the damping are the weights of six tensors whose sums need no bounds.
+    In the coordinates of the fit, every point is a possible body. The coordinates of the inertia
+    come from the Cholesky factor of the scaled second moments of mass (Rucker and Wensing 2022):
+    the logarithms of its diagonal entries, and its off-diagonal entries. The coordinates of the
+    damping are the entries of its Cholesky factor. The coordinates of other parameters are their
+    values divided by their scales.
+
+    Close to a solution, *plain* coordinates are used: all values divided by their scales. For the
+    damping, the plain coordinates are the weights of six tensors, and need no bounds.
 
     Parameters
     ----------
     names : sequence of str
-        As `checked_names` returns them.
+        The names that `checked_names` returns.
     guess : Physics
     magnitudes : Magnitudes
     priors : dict of str to Prior
-        By component.
+        Priors by component.
 
     """
 
@@ -223,47 +233,47 @@ class Parameters:
 
     @property
     def shifts(self) -> list[int]:
-        """Return the numbers of the components that shift stamps."""
+        """Return the indices of the components that shift stamps."""
         return [i for i, name in enumerate(self.names) if split_topic(name)[0] in SHIFTS]
 
     @property
     def steps(self) -> Floats:
-        """Return steps for finite differences; those of shifts are a number of nanoseconds."""
+        """Return finite-difference steps; those of components that shift stamps are longer."""
         steps: Floats = np.full(self.size, 1e-7)
         steps[self.shifts] = 1e-5
         return steps
 
     def surprise(self, physics: Physics) -> Floats:
-        """Return the differences from the priors, in standard deviations."""
+        """Return the differences between values and priors, in standard deviations."""
         values = dict(zip(self.names, self.values(physics)))
         return np.array([(values[name] - prior.value) / prior.sigma
                          for name, prior in self.priors.items()])
 
     def columns(self, groups: Iterable[str]) -> list[int]:
-        """Return the numbers of the components of some parameters."""
+        """Return the indices of the components of the given parameters."""
         wanted = {name for group in groups for name in components_of(group)}
         return [i for i, name in enumerate(self.names) if name in wanted]
 
     def values(self, physics: Physics) -> Floats:
-        """Return the components, in their units."""
+        """Return the values of the components, in their units."""
         return np.concatenate([np.empty(0), *(_values(name, physics) for name in self.groups)])
 
     def coordinates(self, physics: Physics) -> Floats:
-        """Return the coordinates of the fit."""
+        """Return the values as coordinates of the fit."""
         return np.concatenate([np.empty(0), *(self._coordinates(name, physics)
                                               for name in self.groups)])
 
     def physics(self, coordinates: Floats) -> Physics:
-        """Return the values at a point; far off they may not be finite."""
+        """Return the values at a point of the fit; far from the guess, they may not be finite."""
         with np.errstate(over='ignore', invalid='ignore'):
             return self._at(coordinates, False, self.guess)
 
     def near(self, physics: Physics, steps: Floats) -> Physics:
-        """Return the values a small, positive step in plain coordinates from a solution."""
+        """Return the values after small, positive steps in plain coordinates from a solution."""
         return self._at(steps, True, physics)
 
     def from_plain(self, derivatives: Floats) -> Floats:
-        """Return derivatives by values divided by their scale, from those in plain coordinates."""
+        """Convert derivatives from plain coordinates to values divided by their scales."""
         result = derivatives.copy()
         if 'damping' in self.groups:
             rows = self.columns(['damping'])
@@ -323,23 +333,23 @@ class Parameters:
 def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
                    guess: Physics) -> dict[str, Prior]:
     """
-    Return the prior of each component.
+    Check the priors that a user gave, and return the prior of each component.
 
     Parameters
     ----------
     priors : dict of str to float or str
-        Standard deviations by name of a parameter or of a component, in its unit, or relative to
-        the guess: '5%'.
+        Standard deviations by the name of a parameter or of a component. A number is in the unit
+        of the component; text such as '5%' is relative to the guess.
     parameters : Parameters
-        What is fitted.
+        The fitted parameters.
     guess : Physics
-        As it was given.
+        The guess that the user gave.
 
     Raises
     ------
     InputError
-        A name is not an estimated component, a number is not positive, or the guess of a relative
-        one is 0.
+        A name refers to no estimated component, a number is not positive, or a percentage applies
+        to a guess of 0.
 
     """
     values = dict(zip(parameters.names, parameters.values(guess)))
@@ -370,7 +380,7 @@ def _possible(moments: Floats) -> Floats:
 
 
 def _with_products(diagonal: Floats, moments: Floats) -> Floats:
-    """Return the Cholesky factor with this diagonal, and the products of inertia of another."""
+    """Return the Cholesky factor with a given diagonal that yields the off-diagonal `moments`."""
     factor = np.diag(diagonal)
     factor[1, 0] = moments[1, 0] / diagonal[0]
     factor[2, 0] = moments[2, 0] / diagonal[0]

@@ -26,20 +26,21 @@ from rigid_body_ros.report.labels import literal
 
 def draw(path: str | Path, fit: Identification, experiment: Experiment, name: str) -> None:
     """
-    Draw the errors of the first recording over time, with its torques, into a PNG file.
+    Plot the errors and the torques of the first recording over time, and write a PNG file.
 
-    Outliers are left out. The errors of the training come first, then those of the validation.
+    Outliers are not drawn. Each plot of errors shows the fitted samples, followed by the
+    validation.
 
     Parameters
     ----------
     path : str or Path
-        The PNG file, with any suffix; an existing file is overwritten.
+        The PNG file. Its name may have any suffix. An existing file is overwritten.
     fit : Identification
         The result.
     experiment : Experiment
         The first recording.
     name : str
-        Its name, for the title.
+        Name of the first recording, for the title.
 
     Raises
     ------

@@ -13,14 +13,15 @@
 # limitations under the License.
 
 """
-Multiple shooting: the least-squares problem of the parameters and the states of all windows.
+Multiple shooting: the least-squares problem for the parameters and the states of all windows.
 
-The residuals of a window depend on the parameters that all windows share and on the state at its
-beginning. A QR decomposition of the derivatives by both splits them: the first rows determine the
-change of the state from that of the parameters, and the others contain the parameters alone, as in
-the variable projection of Golub and Pereyra (1973). The solver sees only these few rows. So its
-memory and its work do not grow with the number of samples, and grow little with the number of
-windows.
+The residuals of a window depend on the parameters that all windows share, and on the state at the
+beginning of the window. A QR decomposition of the derivatives separates the parameters from the
+state. The first rows of the triangular factor yield the change of the state for a given change of
+the parameters. The remaining rows depend only on the parameters, as in the variable projection of
+Golub and Pereyra (1973). The solver uses only the remaining rows, which are few. Therefore, the
+memory and the work of the solver do not grow with the number of samples, and grow little with the
+number of windows.
 """
 
 from __future__ import annotations
@@ -39,20 +40,20 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
-#: Width of the prior of each coordinate, which only keeps undetermined ones near the guess.
+#: Standard deviation of the weak prior that keeps undetermined coordinates near the guess.
 _PRIOR = 3.0
-#: Largest change of a prediction, and of an unknown, in a finite difference.
+#: Largest change of an unknown of a state, and of a prediction, in a finite difference.
 _STEP = 1e-7
-#: The final derivatives are of second order, so their steps are this many times longer.
+#: At the solution, derivatives use second-order differences, with steps longer by this factor.
 _FINAL = 100.0
-#: If the solver rejects a step, the states take this fraction of their own next time.
+#: Each step that the solver rejects multiplies the next correction of the states by this factor.
 _SHORTER = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
     """
-    The weight of a sample of each channel.
+    The weights of the samples of each channel.
 
     Attributes
     ----------
@@ -61,8 +62,8 @@ class Weights:
     roots : list of list of array, shape (n,)
         Square root of the weight of each sample.
     spreads : list of list of array, shape (3,)
-        For each axis, the factor by which errors that last for many samples exceed independent
-        ones of deviation sigma.
+        For each axis, the effective noise divided by `sigma`. The effective noise is larger if
+        errors persist over many samples.
 
     """
 
@@ -74,16 +75,16 @@ class Weights:
 @dataclass(frozen=True, eq=False)
 class _Linearization:
     """
-    The problem close to a point.
+    The problem, linearized at a point.
 
     Attributes
     ----------
     point : array, shape (n,)
-        The shared parameters.
+        Coordinates of the shared parameters.
     changes : array, shape (k, 6)
-        The states, relative to the reference, scaled.
+        Scaled changes of the states relative to the reference states.
     triangles : list of array
-        For each window, the triangular factor of its rows.
+        The triangular factor of the rows of each window.
     residuals, jacobian : array, shape (m,) and (m, n)
 
     """
@@ -114,28 +115,30 @@ class LeastSquares:
         self.setup, self.windows, self.reference, self.weights = setup, windows, states, weights
         self.parameters = parameters = setup.parameters
         fits_attitude = setup.fits_attitude
-        #: Rows of a state that are unknown: those of a rotation vector, and of the rate.
+        #: For each state, the indices of its unknown components: 0 to 2 for the rotation vector of
+        #: the attitude, 3 to 5 for the angular velocity.
         self.unknowns = [np.arange(0 if fits_attitude[window.experiment] else 3,
                                    6 if setup.fits_start or not window.is_first else 0)
                          for window in windows]
         self.guess = parameters.coordinates(parameters.guess)
         self.evaluations = 0
-        #: Steps of the finite differences, of the shared parameters and of each state.
+        #: Finite-difference steps of the shared parameters and of each state.
         self.steps = parameters.steps, np.full((len(windows), 6), _STEP)
-        #: Where the solver is, and where it looks.
+        #: The problem, linearized at the last point that the solver accepted, and at the last
+        #: point that the solver tried.
         self._base: _Linearization | None = None
         self._trial: _Linearization | None = None
         self._rejected = 0
 
     def weighted(self, weights: Weights) -> LeastSquares:
-        """Return the same problem with other weights."""
+        """Return this problem with the given weights."""
         other = LeastSquares(self.setup, self.windows, self.reference, weights)
         other.steps = self.steps
         return other
 
     @property
     def size(self) -> int:
-        """Return the number of unknowns."""
+        """Return the number of unknowns: shared parameters, and components of all states."""
         return self.parameters.size + sum(len(unknown) for unknown in self.unknowns)
 
     def states(self) -> Poses:
@@ -145,14 +148,14 @@ class LeastSquares:
 
     def settle(self, tolerance: float, most: int) -> bool:
         """
-        Move the states alone, if there are no shared parameters; return whether they converged.
+        Fit only the states, without shared parameters, and return whether the fit converged.
 
         Parameters
         ----------
         tolerance : float
-            Relative change of the sum of squares at which the steps of Gauss and Newton end.
+            Relative decrease of the sum of squares below which the Gauss-Newton steps end.
         most : int
-            Largest number of steps.
+            Maximum number of steps.
 
         """
         point: Floats = np.empty(0)
@@ -171,7 +174,7 @@ class LeastSquares:
         return False
 
     def fun(self, point: Floats) -> Floats:
-        """Return the residuals at a point of the shared parameters, compressed."""
+        """Return the residuals at a point of the shared parameters, with the states eliminated."""
         if self._trial is None or not np.array_equal(self._trial.point, point):
             self._trial = self._linearized(point)
             self._rejected += 1
@@ -196,7 +199,7 @@ class LeastSquares:
             triangles = [self._triangle(k, here, there, change, largest[k])
                          for k, change in enumerate(changes)]
             self._adapt(largest)
-        except ValueError:  # no body, or too fast a motion: the solver takes a shorter step
+        except ValueError:  # the body is impossible, or the motion is too fast: reject the step
             return _Linearization(point, changes, [], np.append(prior, np.inf), np.eye(shared))
         known = np.array([self.parameters.surprise(one) for one in (here, *there)])
         residuals = [prior, known[0]]
@@ -209,7 +212,7 @@ class LeastSquares:
                               np.concatenate(jacobian))
 
     def _changes(self, point: Floats) -> Floats:
-        """Return the changes of all states that go with a point, shape (k, 6), scaled."""
+        """Return the scaled changes of all states for a point of the solver, shape (k, 6)."""
         base = self._base
         if base is None:
             return np.zeros((len(self.windows), 6))
@@ -223,16 +226,22 @@ class LeastSquares:
         return changes
 
     def _changed(self, k: int | slice, changes: Floats) -> Poses:
-        """Return a reference state, or all of them, with changes of shape (c, 6)."""
+        """
+        Return reference state `k` after each of the scaled changes, shape (c, 6).
+
+        If `k` is a slice, each of its states is changed by one row of `changes`.
+        """
         return Poses(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
                      self.reference.angular_velocity[k] + self.setup.rate * changes[:, 3:])
 
     def _triangle(self, k: int, physics: Physics, moved_physics: Sequence[Physics],
                   change: Floats, largest: Floats) -> Floats:
         """
-        Return the triangular factor of a window: columns of its state, shared ones, rest.
+        Return the triangular factor of a window.
 
-        The array `largest` takes the largest derivative of any prediction by each unknown.
+        The columns of the factor belong to the unknowns of the state, to the shared parameters,
+        and to the errors. The method also writes to the array `largest`: for each unknown, the
+        largest derivative of any prediction.
         """
         window, unknown, steps = self.windows[k], self.unknowns[k], self.steps[0]
         own, free = len(unknown), self._free(k)
@@ -258,19 +267,19 @@ class LeastSquares:
         return triangle(columns)
 
     def _free(self, k: int) -> int:
-        """Return the number of unknowns of a window whose derivatives need no propagation."""
+        """Return how many unknowns of a window have derivatives that need no propagation."""
         is_in_body = self.windows[k].is_in_body and WEIGHT not in self.parameters.groups
         return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 
     def _adapt(self, largest: Floats) -> None:
-        """Choose steps that change no prediction much, however much the motion magnifies them."""
+        """Choose difference steps so that no prediction changes much, even in unstable motion."""
         shared = self.parameters.steps / np.maximum(largest[:, 6:].max(axis=0), 1.0)
         shifts = self.parameters.shifts
         shared[shifts] = self.parameters.steps[shifts]
         self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
 
     def _turned(self, k: int, base: list[Floats], attitude: Floats, step: Floats) -> list[Floats]:
-        """Return the slopes by the initial attitude, with which all torques in body axes turn."""
+        """Return slopes with respect to the initial attitude; all torques must be in body axes."""
         space = 2.0 * so3.multiply(attitude[1:] - attitude[0],
                                    so3.conjugate(attitude[0]))[:, None, :3] / step[:, None, None]
         return [so3.rotate(so3.conjugate(one), space) if channel.is_attitude
@@ -278,7 +287,7 @@ class LeastSquares:
                 for channel, one in zip(self.windows[k].channels, base)]
 
     def _rows(self, k: int, errors: list[Floats]) -> Floats:
-        """Return errors or slopes, shape (c, n, 3) each, in standard deviations, as rows."""
+        """Convert the errors or slopes of all channels, shape (c, n, 3), to c weighted rows."""
         window = self.windows[k]
         sigma = self.weights.sigma[window.experiment]
         roots = self.weights.roots[window.experiment]
@@ -288,7 +297,7 @@ class LeastSquares:
                                in zip(errors, sigma, spreads, roots, window.rows)], axis=1)
 
     def residuals(self, physics: Physics) -> list[list[Floats]]:
-        """Return the errors of all samples with the reference states, NaN outside of windows."""
+        """Return the errors if all windows begin at the reference states; NaN outside windows."""
         result = [[np.full((len(root), 3), np.nan) for root in roots]
                   for roots in self.weights.roots]
         for k, window in enumerate(self.windows):
@@ -300,13 +309,13 @@ class LeastSquares:
 
     def information(self, physics: Physics) -> Floats:
         """
-        Return a factor F of the information F^T F of the values, divided by their scales.
+        Return F, where F^T F is the information matrix of the unknowns divided by their scales.
 
         Returns
         -------
         array, shape (m, n)
-            Columns for the shared parameters, and for the state at each start that is fitted. The
-            states of the other windows are eliminated.
+            The columns belong to the shared parameters and to the state at each fitted start. The
+            states of all other windows are eliminated.
 
         """
         kept = [k for k, window in enumerate(self.windows)
@@ -344,7 +353,8 @@ class LeastSquares:
         Returns
         -------
         array, shape (c, m)
-            By the unknowns of its state, and by the shared values divided by their scales.
+            Derivatives with respect to the unknown components of the state, and with respect to
+            the shared parameters divided by their scales.
 
         """
         window, unknown = self.windows[k], self.unknowns[k]
@@ -358,7 +368,8 @@ class LeastSquares:
                                     for unit in np.eye(shared)] for times in (1, 2)]
         predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
             k, np.concatenate([np.zeros((1, 6)), *moves])))
-        # One-sided, so that values on the boundary of possible bodies are not an exception.
+        # Use one-sided differences, because steps in the other direction may yield an impossible
+        # body.
         rows = self._rows(k, slopes(window, [one[0] for one in predicted], [
             (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
             / (2.0 * step[:, None, None]) for one in predicted]))
@@ -367,13 +378,13 @@ class LeastSquares:
 
 
 def errors_of(channels: Sequence[Measured], predicted: Sequence[Floats]) -> list[Floats]:
-    """Return predicted minus measured values, shape (c, n, 3), attitudes as rotation vectors."""
+    """Return predicted minus measured values, (c, n, 3); rotation vectors for attitudes."""
     return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
             if channel.is_attitude else here - channel.values
             for channel, here in zip(channels, predicted)]
 
 
 def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> list[Floats]:
-    """Return changes of predictions, shape (c, n, 3), attitudes as rotation vectors."""
+    """Return changes of predictions, shape (c, n, 3); rotation vectors for attitudes."""
     return [2.0 * so3.multiply(so3.conjugate(here), change)[..., :3] if channel.is_attitude
             else change for channel, here, change in zip(window.channels, predicted, changes)]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the recordings of a fit, and write the fitted scene or its body."""
+"""Read the recordings of a fit, and write the result as a scene file or a URDF."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experim
     """
     Read the torques and the measurements of a recording, as `read_observed` does.
 
-    The torques are those that act, if the scene has actuators.
+    If the scene has actuators, the returned torques are the torques that act, not the commands.
     """
     problem, measurements = read_observed(path, scene, reading, may_command=True)
     logs, timeout_ns = list(problem.acting_logs), problem.options.timeout_ns
@@ -55,12 +55,13 @@ def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experim
 def read_experiments(paths: Sequence[str | Path], scene: Scene,
                      reading: Reading) -> list[Experiment]:
     """
-    Read several recordings, with the errors of `read_observed`.
+    Read several recordings, each as `read_experiment` does.
 
     Raises
     ------
     InputError
-        Also if the same measurements are read twice, which are not independent.
+        `read_observed` rejects a recording, or the same measurements occur twice, so they are not
+        independent.
 
     """
     experiments, known = [], dict[bytes, str]()
@@ -81,12 +82,12 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene,
 def identified(paths: Sequence[str | Path], scene: Scene, experiments: Sequence[Experiment],
                **options: Any) -> Identification:
     """
-    Return the fit of recordings of a scene, with the options of `identify`.
+    Fit the recordings of a scene, with the options of `identify`.
 
     Raises
     ------
     InputError
-        As for `identify`, or the motion cannot be computed.
+        `identify` raises this error, or a motion cannot be computed.
 
     """
     try:
@@ -97,9 +98,9 @@ def identified(paths: Sequence[str | Path], scene: Scene, experiments: Sequence[
 
 def fitted_scene(scene: Scene, fit: Identification) -> str:
     """
-    Return a scene file with the estimates of the first recording.
+    Return the text of a scene file with the estimates of the first recording.
 
-    The values that a scene cannot contain are in comments.
+    Estimates that a scene cannot contain are written as comments.
     """
     others = [name for name in fit.estimates if _group(name) in NOT_IN_SCENES]
     return '\n'.join([*(f'# {line}' for line in _comments(fit, others)),
@@ -108,7 +109,7 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
 
 def fitted_urdf(scene: Scene, fit: Identification) -> str:
     """
-    Return a URDF with the inertia of the fitted body; other estimates are in comments.
+    Return a URDF with the inertia of the fitted body; other estimates are written as comments.
 
     The name of the link is the parameter `link` of the scene or, if that is empty, `body_frame`
     without `frame_prefix`.
@@ -122,7 +123,7 @@ def fitted_urdf(scene: Scene, fit: Identification) -> str:
 
 
 def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
-    """Return the problems of a fit, and some of its estimates."""
+    """Return comments with the reasons of the verdict, and with the named estimates."""
     estimates = [(name, fit.estimates[name]) for name in names]
     return ['Fitted by attitude_identify.',
             *(f'{fit.verdict.level}: {reason}' for reason in fit.verdict.reasons),
@@ -130,17 +131,17 @@ def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
 
 
 def _group(name: str) -> str:
-    """Return the parameter of a component."""
+    """Return the name of the parameter to which a component belongs."""
     return split_topic(name)[0].split('.')[0]
 
 
 def _uniform(fit: Identification) -> list[UniformField]:
-    """Return the fields that have names."""
+    """Return the uniform fields that have names."""
     return [one for one in fit.fields if isinstance(one, UniformField) and one.name]
 
 
 def _changed(fit: Identification) -> dict[str, Any]:
-    """Return the estimated parameters of a scene, with those that depend on them."""
+    """Return the estimated values of scene parameters, and all parameters of the named fields."""
     names = {name.split('.')[0] for name in fit.estimates}
     start = fit.starts[0]
     groups = {

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors that a fit leaves, of the samples that were fitted and of those kept out."""
+"""The errors of a fit: the errors of the fitted samples, and the errors of the validation."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 
-#: Largest lag of an autocorrelation, in samples.
+#: Largest lag at which an autocorrelation is computed, in samples.
 _LONGEST = 2000
-#: A sample of the validation is left out if its error is this many times the median.
+#: A sample of the validation is an outlier if its error exceeds both the median error and the
+#: noise by this factor.
 _OUTLIER = 8.0
 
 
@@ -48,20 +49,20 @@ class Residuals:
         Number of the recording, from 0.
     topic : str
     is_attitude : bool
-        Whether these are errors of attitudes, not of angular velocities.
+        Whether the quantity is the attitude, rather than the angular velocity.
     is_training : bool
         Whether the samples were fitted.
     stamps_ns : array of int64, shape (n,), ns
-        As measured.
+        The stamps as measured.
     errors : array, shape (n, 3)
-        Predicted minus measured; rotation vectors (rad) or angular velocities (rad/s) in the axes
-        of the sensor.
+        Predicted minus measured, in the axes of the sensor: rotation vectors (rad) or angular
+        velocities (rad/s).
     measured : array, shape (n, 4) or (n, 3)
-        Attitudes, or angular velocities.
+        The measured attitudes or angular velocities.
     inliers : array of bool, shape (n,)
         Which samples are not outliers.
     noise : float
-        Standard deviation of each component, given or estimated.
+        Standard deviation of each component of a measurement, given or estimated.
 
     """
 
@@ -77,7 +78,7 @@ class Residuals:
 
     @property
     def name(self) -> str:
-        """Return the topic and the quantity, and the number of a later recording."""
+        """Return topic, quantity and, for all recordings but the first, `[number]`."""
         quantity = 'attitude' if self.is_attitude else 'angular_velocity'
         return f'{self.topic} {quantity}' + (f'[{self.recording + 1}]' if self.recording else '')
 
@@ -88,18 +89,18 @@ class Residuals:
 
     @property
     def kept_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of these errors, ns."""
+        """Return the stamps, ns, of the errors that are not outliers."""
         return self.stamps_ns[self.inliers]
 
     @property
     def computed(self) -> Floats:
-        """Return the prediction of the measurements."""
+        """Return the predicted attitudes or angular velocities."""
         return so3.multiply(self.measured, so3.exp(self.errors)) if self.is_attitude \
             else self.measured + self.errors
 
     @property
     def autocorrelation(self) -> float:
-        """Return the correlation of the errors of neighbouring samples; 0 if they are white."""
+        """Return the correlation of the errors of adjacent samples; 0 for white noise."""
         total = float(np.sum(self.kept ** 2))
         return float(np.sum(self.kept[1:] * self.kept[:-1])) / total if total else 0.0
 
@@ -107,17 +108,18 @@ class Residuals:
 @dataclass(frozen=True)
 class Misfit:
     """
-    How a model and measurements differ.
+    How well a model fits the measurements.
 
     Attributes
     ----------
     samples, outliers : int
-        The outliers are not in the other numbers.
+        Number of samples, and number of outliers. The other attributes ignore outliers.
     attitude_rms, rate_rms : float or None
-        rad and rad/s; None if not measured.
+        Root mean square of the errors, rad and rad/s; None if the quantity was not measured.
     chi2_per_dof : float or None
-        Sum of squares of the errors over their variances, divided by the number of errors minus
-        the number of unknowns. It is 1 if the noise was estimated from the same errors.
+        Sum of the squared errors, each divided by its variance, over the degrees of freedom: the
+        number of errors minus the number of unknowns. The result is 1 if the noise was estimated
+        from these errors.
 
     """
 
@@ -129,7 +131,7 @@ class Misfit:
 
     @classmethod
     def of(cls, residuals: Sequence[Residuals], unknowns: int) -> Misfit:
-        """Return the misfit of errors after a fit of a number of unknowns."""
+        """Compute the misfit from the errors of a fit with the given number of unknowns."""
         def rms(is_attitude: bool) -> float | None:
             values = np.concatenate([np.empty(0), *(one.kept.ravel() for one in residuals
                                                     if one.is_attitude == is_attitude)])
@@ -141,7 +143,7 @@ class Misfit:
                    chi2 / count if count > 0 else None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields with the names of the JSON."""
+        """Return the fields under the names that the JSON file uses."""
         return {'samples': self.samples, 'outliers': self.outliers,
                 'attitude_rms_rad': self.attitude_rms, 'rate_rms_rad_s': self.rate_rms,
                 'chi2_per_dof': self.chi2_per_dof}
@@ -149,9 +151,10 @@ class Misfit:
 
 def correlations(residuals: Residuals) -> Floats:
     """
-    Return the autocorrelation of errors, shape (m + 1, 3), for 0 to m samples apart.
+    Return the autocorrelation of errors for lags from 0 to m samples, shape (m + 1, 3).
 
-    Outliers do not count. m is a quarter of the samples, and at most 2000.
+    The largest lag m is a quarter of the number of samples, but at most 2000. The function ignores
+    outliers.
     """
     kept = residuals.inliers[:, None]
     errors = np.where(kept, residuals.errors, 0.0)
@@ -162,7 +165,7 @@ def correlations(residuals: Residuals) -> Floats:
 
 
 def _products(values: Floats, most: int) -> Floats:
-    """Return the sums of the products of rows 0 to so many apart."""
+    """Return the sums of the products of rows that are 0 to `most` rows apart."""
     size = 2 * len(values)
     power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2
     return np.asarray(np.fft.irfft(power, size, axis=0)[:most + 1])
@@ -170,7 +173,7 @@ def _products(values: Floats, most: int) -> Floats:
 
 def inliers_of(residuals: Sequence[Residuals], physics: Physics, origin_ns: int
                ) -> list[Measured]:
-    """Return what the channels of a recording measured, in the time and the axes of the body."""
+    """Return the measurements without outliers, on the clock of the torques and in body axes."""
     channels: dict[str, list[Residuals]] = {}
     for one in residuals:
         channels.setdefault(one.name, []).append(one)
@@ -184,13 +187,13 @@ def inliers_of(residuals: Sequence[Residuals], physics: Physics, origin_ns: int
 
 
 def of_training(solution: Solution) -> list[Residuals]:
-    """Return the errors of the samples that were fitted."""
+    """Return the errors of the fitted samples."""
     result = []
     for number, channels in enumerate(solution.problem.setup.channels):
         for channel, errors, inliers, noise in zip(
                 channels, solution.errors[number], solution.inliers[number],
                 solution.weights.sigma[number]):
-            used = np.isfinite(errors[:, 0])  # a clock offset moves some before the start
+            used = np.isfinite(errors[:, 0])  # with a clock offset, samples may precede the start
             result.append(Residuals(number, channel.topic, channel.is_attitude, True,
                                     channel.stamps_ns[used], errors[used],
                                     channel.values[used], inliers[used], float(noise)))
@@ -199,9 +202,10 @@ def of_training(solution: Solution) -> list[Residuals]:
 
 def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> tuple[int, Window]:
     """
-    Return a window with the samples of a recording that were not fitted.
+    Return the index of the last fitted window of a recording, and a window for the validation.
 
-    Its motion begins with the state of the last window of the fit, whose number comes first.
+    The window for the validation contains the samples of the recording that were not fitted. The
+    motion in this window begins with the state of the last fitted window.
     """
     problem = solution.problem
     setup = problem.setup
@@ -217,14 +221,14 @@ def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> t
 
 def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> list[Residuals]:
     """
-    Return the errors of the samples that were not fitted, in the prediction from the others.
+    Return the errors of the samples that were not fitted, predicted from the fitted samples.
 
     Parameters
     ----------
     solution : Solution
         The fit.
     every : sequence of sequence of Measured
-        The channels of each recording, with the samples that were not fitted.
+        The channels of each recording, including the samples that were not fitted.
 
     """
     problem, result = solution.problem, []

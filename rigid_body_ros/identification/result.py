@@ -34,11 +34,11 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.text import lines, rounded, scaled
 from rigid_body_ros.sensing.measured import Measured
 
-#: Half the width of a 95 % interval, in standard deviations.
+#: Half the width of a 95 % interval of a normal variable, in standard deviations.
 _NORMAL_95 = 1.959963984540054
-#: Correlation above which a pair of estimates is listed, and the largest number of pairs.
+#: Correlation above which a pair of estimates is listed, and maximum number of listed pairs.
 _CORRELATED, _PAIRS = 0.95, 6
-#: Autocorrelation above which errors are not white.
+#: Autocorrelation above which errors are reported as not white.
 _COLOURED = 0.2
 
 
@@ -53,10 +53,12 @@ class Estimate:
     value, start : float
         The estimate, and the guess.
     sigma : float
-        Standard deviation; infinite if the data does not determine the number.
+        Standard deviation of the estimate; infinite if the data does not determine the number.
     identifiable : bool
+        Whether the data determines the number.
     systematic : float
-        How far the number moves with what the model lacks; 0 if it explains the measurements.
+        The largest error of the estimate that effects outside the model may cause; 0 if the model
+        explains the measurements.
 
     """
 
@@ -70,13 +72,13 @@ class Estimate:
 
     @property
     def interval_95(self) -> tuple[float, float] | None:
-        """Return the limits of the 95 % interval, None if there is none."""
+        """Return the limits of the 95 % interval; None if the number is not determined."""
         half = _NORMAL_95 * self.sigma + self.systematic
         return (self.value - half, self.value + half) if self.identifiable else None
 
     @property
     def uncertainty(self) -> float:
-        """Return half of the interval in standard deviations, with the systematic part."""
+        """Return the standard deviation of a normal variable with the interval `interval_95`."""
         return self.sigma + self.systematic / _NORMAL_95
 
 
@@ -88,40 +90,47 @@ class Identification:
     Attributes
     ----------
     body : RigidBody
-        With the estimated inertia and damping.
+        The body with the estimated inertia and damping.
     fields : list of Field
-        Of the first recording, with the estimated moments, and the estimated weight.
+        The fields of the first recording with the estimated moments, and the estimated weight.
     starts : list of State
-        The initial state of each recording.
+        The initial state of each recording, estimated if 'start' was fitted.
     estimates : dict of str to Estimate
-        By component name.
+        The estimates by component name.
     covariance : array, shape (n, n)
-        Of the estimates, in the products of their units; NaN for those that are not identifiable.
+        Covariance of the estimates, in the products of their units; NaN for estimates that are not
+        identifiable.
     guess_attitude : array, shape (4,)
-        Quaternion x y z w that the rotation vector `initial_attitude` turns, in body axes: the
-        initial attitude that was given for the first recording.
+        The initial attitude that was given for the first recording: a quaternion x y z w. The
+        estimate `initial_attitude` is the rotation vector, in body axes, from this attitude to the
+        estimated one.
     unidentifiable : list of Direction
         Combinations of parameters that the data does not determine.
     residuals : list of Residuals
-        The errors of all samples.
+        The errors of the fitted samples, and of the samples that were kept for validation.
     training : Misfit
+        How well the model fits the fitted samples.
     validation : Misfit or None
-    window_s : float
-        Length of the windows of the fit; each begins with a state of its own.
+        How well the model fits the samples that were kept for validation.
+    window_s : float, s
+        Length of the windows into which the fit divides a recording. The state at the beginning of
+        each window is fitted separately.
     evaluations : int
+        Number of function evaluations in all fits.
     converged : bool
+        Whether the fit converged.
     verdict : Verdict
         Whether the model explains the measurements.
     has_torque : bool
         Whether a logged torque acts.
-    predictable_s : float or None
-        How long after the start the motion can be predicted: until the uncertainty of the fit
-        explains an error of 0.1 rad. None if that is the whole motion, or without a validation.
+    predictable_s : float or None, s
+        Time since the start at which the standard deviation of the predicted attitude exceeds 0.1
+        rad in any recording. None if this never happens, or if there is no validation.
     motion : Problem
-        The first recording, with all estimates.
+        The motion of the first recording with all estimates.
     aligned : list of Measured
-        Each quantity that a sensor of the first recording measured, without outliers, in the time
-        and the axes of the body.
+        The measurements of the first recording without outliers, converted to the clock of the
+        torques and to body axes. Each element contains one quantity of one topic.
 
     """
 
@@ -152,20 +161,20 @@ class Identification:
 
     @property
     def correlation(self) -> Floats:
-        """Return the correlations of the estimates, NaN for those that are not identifiable."""
+        """Return the correlations of the estimates; NaN if an estimate is not identifiable."""
         sigma = np.sqrt(np.diag(self.covariance))
-        with np.errstate(invalid='ignore'):  # without any error, 0 / 0
+        with np.errstate(invalid='ignore'):  # without any errors, this is 0 / 0
             return self.covariance / np.outer(sigma, sigma)
 
     @property
     def holds_for_exact_torque(self) -> bool:
-        """Return whether the inertia follows from a torque whose gain was not estimated."""
+        """Return whether the inertia depends on a torque whose gain was not estimated."""
         return self.has_torque and 'inertia.ixx' in self.estimates and not any(
             name.startswith('torque_gain') for name in self.estimates)
 
     @property
     def is_flat(self) -> bool:
-        """Return whether the body is a flat plate or a thin rod within its uncertainty."""
+        """Return whether the body may be a flat plate or a thin rod, within the uncertainty."""
         names = [name for name in self.estimates if name.startswith('inertia.')]
         if not names:
             return False
@@ -177,7 +186,7 @@ class Identification:
         return bool(smallest[0] <= np.sqrt(variance))
 
     def first_errors(self) -> list[list[Residuals]]:
-        """Return the errors of each quantity of the first recording, those of the fit first."""
+        """Return the errors of each quantity in the first recording; fitted samples come first."""
         quantities: dict[str, list[Residuals]] = {}
         for errors in self.residuals:
             if errors.recording == 0 and errors.inliers.any():
@@ -186,16 +195,16 @@ class Identification:
 
     @property
     def noise(self) -> dict[str, float]:
-        """Return the standard deviation of each quantity of each topic, given or estimated."""
+        """Return the standard deviation of the noise for each quantity of each topic."""
         return {one.name: one.noise for one in self.residuals if one.is_training}
 
     @property
     def autocorrelation(self) -> dict[str, float]:
-        """Return the correlation of neighbouring errors that were fitted; 0 if they are white."""
+        """Return the correlation of adjacent errors of the fitted samples; 0 for white noise."""
         return {one.name: one.autocorrelation for one in self.residuals if one.is_training}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as JSON data; numbers that are not finite are None."""
+        """Return the result as JSON types; numbers that are not finite become None."""
         return {
             'estimates': {name: {
                 'value': one.value, 'unit': one.unit, 'start': one.start,
@@ -218,7 +227,7 @@ class Identification:
             'evaluations': self.evaluations, 'converged': self.converged}
 
     def text(self, degrees: bool = False) -> str:
-        """Return the verdict, a table of the estimates, and one line for each other fact."""
+        """Return as text the verdict, a table of the estimates, and a line for each other fact."""
         verdict, facts = ([f'{name:17}{text}' for name, text in rows]
                           for rows in (self.verdict.rows(), self.rows(degrees)))
         return lines([*verdict, *_aligned(self.table(degrees)), *facts])
@@ -227,14 +236,14 @@ class Identification:
         return self.text()
 
     def table(self, degrees: bool = False) -> list[list[str]]:
-        """Return titles, and the texts of each estimate; values are rounded to their sigma."""
+        """Return a row of titles and a row for each estimate, rounded to its uncertainty."""
         every = [['parameter', 'value', 'sigma', 'systematic', '95 % interval', 'guess', 'unit'],
                  *(_cells(one, degrees) for one in self.estimates.values())]
         has_systematic = any(one.systematic for one in self.estimates.values())
         return every if has_systematic else [[*row[:3], *row[4:]] for row in every]
 
     def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
-        """Generate the facts other than the estimates: names and texts."""
+        """Generate the facts other than verdict and estimates, as pairs of a name and a text."""
         for direction in self.unidentifiable:
             yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
         for first, second, value in _correlated(self):
@@ -262,7 +271,7 @@ class Identification:
 
 
 def _aligned(every: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Generate the rows of a table as texts."""
+    """Generate the rows of a table as lines with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*every)]
     for row in every:
         name, *middle = (f'{cell:>{width}}' if column else f'{cell:{width}}'

@@ -29,13 +29,13 @@ from rigid_body_ros.sensing.measured import Measured
 
 
 def topics_of(kind: str, channels: Sequence[Measured]) -> list[str]:
-    """Return the topics whose sensors can have a parameter: those of a gyro need rates."""
+    """Return the topics to which a parameter applies; gyro parameters need measured rates."""
     return [*{channel.topic: None for channel in channels
               if not (kind.startswith('gyro') and channel.is_attitude)}]
 
 
 def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.int64]:
-    """Return the times of the samples of a channel, ns; drift counts from an origin."""
+    """Return the stamps of a channel, ns, plus offset and drift; the drift is 0 at `origin_ns`."""
     offset_ns = round(1e9 * physics.number('clock_offset', channel.topic))
     drift = physics.number('clock_drift', channel.topic)
     stamps_ns = channel.stamps_ns + offset_ns if offset_ns else channel.stamps_ns
@@ -46,15 +46,16 @@ def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.i
 
 def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Floats | None]:
     """
-    Return the rotations from sensor axes to body axes, for each channel.
+    Return the rotations from sensor axes to body axes for each channel.
 
-    If there are attitudes, the parameter `mount` does not apply to the angular velocities of other
-    topics: those are in body axes, unless they have a `mount@TOPIC`.
+    If any topic contains attitudes, the parameter `mount` applies only to topics with attitudes.
+    The angular velocities of any other topic are in body axes, unless `mount@TOPIC` is fitted.
 
     Returns
     -------
     list of array, shape (c, 1, 4), or None
-        Of each of the c parameters; None if there is no rotation.
+        For each channel, a quaternion for each of the c elements of `physics`, or None if there is
+        no rotation.
 
     """
     result: list[Floats | None] = []
@@ -65,7 +66,7 @@ def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Flo
 
 
 def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
-    """Return the rotation vector of a sensor: `mount@TOPIC`, or `mount` if that applies to it."""
+    """Return the rotation vector `mount@TOPIC` of a sensor; without it, `mount` or zero."""
     topic = split_topic(name)[1]
     attitudes = {channel.topic for channel in channels if channel.is_attitude}
     if topic and attitudes and topic not in attitudes and name not in physics.values:
@@ -74,7 +75,7 @@ def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Float
 
 
 def corrected(channels: Sequence[Measured], physics: Physics, origin_ns: int) -> list[Measured]:
-    """Return channels in the time and the axes of the body."""
+    """Convert channels to the clock of the torques and to body axes; remove bias and scale."""
     result = []
     for channel, mount in zip(channels, mounts([physics], channels)):
         moved = replace(channel, stamps_ns=clocked(channel, physics, origin_ns))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a fit, and the windows that they can be divided into."""
+"""The inputs of a fit, and the division of recordings into windows."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 
-#: rad; the body turns by about this much in the first windows.
+#: rad; the body turns by about this angle in the first windows.
 _FIRST = 8.0
-#: Fewest and most samples of a channel in a window.
+#: Minimum and maximum number of samples of a channel in a window.
 _SHORTEST, _LONGEST = 20, 60_000
-#: ns; a window with a fitted clock begins this much before its first sample.
+#: ns; if a parameter shifts stamps, a window begins this long before the span of its samples.
 _LEAD_NS = 200_000_000
 _MEMORY_NS = round(1e9 * MEMORY)
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """The inputs of a fit: see `identify`."""
+    """The inputs of a fit, derived from the arguments of `identify`."""
 
     problems: Sequence[Problem]
     channels: list[list[Measured]]
@@ -54,21 +54,21 @@ class Setup:
 
     @property
     def given(self) -> Physics:
-        """Return the guess as it was given: a fit may begin with a thicker body."""
+        """Return the guess that the user gave; the fit may start from a less flat body."""
         return replace(self.parameters.guess, inertia=self.problems[0].body.inertia)
 
     @property
     def axial_tensor(self) -> Floats:
-        """Return the inertia of the body minus the inertia that is fitted, (3, 3)."""
+        """Return the axial inertia of named wheels, which the fitted inertia does not include."""
         return self.axial[0].tensor if self.axial[0] else np.zeros((3, 3))
 
     def body(self, physics: Physics) -> RigidBody:
-        """Return the body with its wheels."""
+        """Return the body including its wheels."""
         return RigidBody(physics.inertia + self.axial_tensor, physics.damping) \
             if self.axial[0] else physics.body
 
     def start(self, number: int) -> State:
-        """Return the start of a recording as it was given."""
+        """Return the start that the user gave for a recording."""
         axial = self.axial[number]
         return axial.start if axial else self.problems[number].start
 
@@ -86,7 +86,7 @@ class Setup:
 
     @property
     def longest_ns(self) -> int:
-        """Return the longest length of a window, ns."""
+        """Return the maximum length of a window, ns."""
         most = max(len(channel) for channels in self.channels for channel in channels)
         return max(int(self.span_ns * min(1.0, _LONGEST / most)), 1)
 
@@ -98,7 +98,7 @@ class Setup:
         return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
 
     def windows(self, length_ns: int, physics: Physics, parts: int = 1) -> list[Window]:
-        """Return all recordings in windows of about this length, each divided into parts."""
+        """Divide all recordings into windows; see `windows_of`."""
         lead_ns = _LEAD_NS if self.parameters.shifts else 0
         return [window for number, channels in enumerate(self.channels)
                 for window in self.windows_of(number, channels, length_ns, physics, lead_ns,
@@ -114,20 +114,21 @@ class Setup:
         number : int
             Number of the recording.
         channels : sequence of Measured
-            Its sensors.
+            The channels of the recording.
         length_ns : int
-            Length of a window.
+            Approximate length of a window.
         physics : Physics
-            With the clocks of the sensors.
+            The parameters, including the clocks of the sensors.
         lead_ns : int
-            How much earlier than their first sample windows begin.
+            Time from the beginning of each window, except the first, to the beginning of its
+            samples.
         parts : int
-            Number of windows that each window of that length is divided into.
+            Number of windows to return for each `length_ns` of the recording.
 
         Returns
         -------
         list of Window
-            Those with samples, in order.
+            The windows in order of time, without windows that contain no samples.
 
         """
         problem, axial = self.problems[number], self.axial[number]

@@ -13,12 +13,14 @@
 # limitations under the License.
 
 """
-The fit: windows that grow, noise levels, and outliers.
+Fit the model with windows that grow, and estimate the noise and the outliers.
 
-Short windows first, whose states begin at the measurements: there a guess far off does no harm,
-because an error has no time to grow. Then longer windows, each fit from the previous one, up to
-the whole recording, or until the motion magnifies errors so much that a longer window does not
-fit.
+The first fit uses short windows. The guess of the state of each window comes from the
+measurements. In short windows, a bad guess does no harm, because errors have no time to grow. The
+next fits use longer and longer windows, and each fit starts from the result of the previous fit.
+In the last fit, one window contains the whole recording, if possible. If such a fit is not good,
+for example because the motion magnifies errors too much, the last fit uses the longest windows
+for which the fit is good.
 """
 
 from __future__ import annotations
@@ -38,53 +40,60 @@ from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
-#: How much shorter windows are if the guess is too far off for the first ones.
+#: If the first fit may have found a wrong minimum, a fit with windows shorter by this factor is
+#: tried.
 _CLOSER = 8
-#: Correlation of neighbouring errors above which the first fit is in doubt.
+#: If the correlation of adjacent errors exceeds this, the minimum of the first fit may be wrong.
 _LASTING = 0.5
-#: Number of windows of the first fit, which only has to find out roughly what acts.
+#: Maximum number of windows in the first fit, which only estimates approximate parameters.
 _FEW = 8
-#: How much longer the next windows are; the smaller ones if that does not fit.
+#: Factors by which windows grow, in the order in which they are tried.
 _GROWTH = (8, 4, 2)
-#: rad, and relative to the rate; errors of a prediction up to which derivatives are of use.
+#: Largest error of a prediction at which derivatives are useful, in rad or relative to the rate.
 _LINEAR = 0.3
-#: A fit that takes more evaluations than this is too far from linear, and so are its intervals.
+#: Maximum number of evaluations in a fit with longer windows. A fit that needs more
+#: evaluations is too nonlinear, and yields no reliable intervals.
 _FAST = 6
-#: Longer windows fit if their errors are at most this many times those of the shorter ones: all
-#: errors, and those in one of them.
+#: A fit with longer windows is good if the errors of all windows together grow at most by the
+#: factor `_WORSE`, and the errors in each window at most by the factor `_WORST`.
 _WORSE, _WORST = 1.1, 2.0
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
-#: rad or rad/s; errors of a few times this are not outliers, however small the others.
+#: Smallest standard deviation that the search for outliers assumes, rad or rad/s. Rounding errors
+#: are smaller, so they are never outliers.
 _NO_OUTLIER = 1e-8
 #: Scale of the Cauchy loss, in standard deviations.
 _CAUCHY = 2.4
-#: Standard deviations below this, in rad, and relative to the rate, are rounding errors.
+#: Standard deviations below this number (in rad or relative to the rate) are rounding errors.
 _ROUNDING = 1e-11
-#: ns; windows that begin within this time have the same state: a fit moves clocks a little.
+#: ns; if a new window begins at most this long before an old window, it starts from the state of
+#: the old window. The two windows begin at slightly different times, because a fit changes the
+#: clock offsets.
 _SAME_NS = 1_000_000
-#: Ratio of the standard deviation of normal noise to the median of its magnitude.
+#: Standard deviation of normal noise, divided by the median magnitude of the noise.
 _NORMAL = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    A fit with windows of some length.
+    The result of a fit with windows of a given length.
 
     Attributes
     ----------
     length_ns : int
     problem : LeastSquares
-        Its reference states are those of the solution.
+        The problem that was solved. Its reference states are the states of the solution.
     physics : Physics
+        The fitted parameters.
     errors : list of list of array, shape (n, 3)
-        Predicted minus measured values of each channel of each recording.
+        Predicted minus measured values of each channel of each recording, rad or rad/s.
     weights : Weights
-        Those of the next fit: from these errors.
+        The weights that follow from these errors, for the next fit.
     inliers : list of list of array of bool, shape (n,)
+        Which samples of each channel of each recording are not outliers.
     evaluations : int
-        Of all fits up to this one.
+        Number of function evaluations in this fit and all previous fits.
     converged : bool
 
     """
@@ -100,7 +109,7 @@ class Solution:
 
 
 def solve(setup: Setup) -> Solution:
-    """Return the fit with the longest windows that the data allows."""
+    """Fit with longer and longer windows; return the result for the longest possible windows."""
     solution = _rough(setup)
     solution = fitted(solution, solution.length_ns, 1e-2, 12)
     while solution.length_ns < setup.longest_ns:
@@ -113,10 +122,11 @@ def solve(setup: Setup) -> Solution:
 
 def _rough(setup: Setup) -> Solution:
     """
-    Return the first windows, with parameters from a fit to a few of them.
+    Return a first solution: all windows of the shortest length; parameters fitted to some of them.
 
-    If errors are left that last for many samples, the fit may have ended in a wrong minimum. In
-    shorter windows errors have less time to grow, so a fit to them is tried as another guess.
+    If the remaining errors persist over many samples, the fit may have ended in a wrong minimum.
+    In this case, a fit to even shorter windows provides another guess, because errors have less
+    time to grow in shorter windows.
     """
     guess = setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
     found = _from_few(setup, setup.shortest_ns, guess)
@@ -127,23 +137,23 @@ def _rough(setup: Setup) -> Solution:
 
 
 def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
-    """Return a fit to a few windows, with states from the measurements in all of them."""
+    """Fit a few windows; the guesses of their states come from the measurements."""
     windows = setup.windows(length_ns, guess)
     few = windows[::-(-len(windows) // _FEW)]
     return fitted(_first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
 
 
 def _lasts(solution: Solution) -> bool:
-    """Return whether errors of neighbouring samples are correlated, in any channel."""
+    """Return whether the errors of adjacent samples are strongly correlated in any channel."""
     for error, middle in _with_middles(solution):
-        clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # an outlier hides the others
+        clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # an outlier would dominate
         if np.nansum(clipped[1:] * clipped[:-1]) > _LASTING * np.nansum(clipped ** 2):
             return True
     return False
 
 
 def _misfit(solution: Solution) -> float:
-    """Return a number that is smaller for the better of two fits to the same samples."""
+    """Return a measure of the errors of a fit, to compare fits to the same samples."""
     return sum(float(np.log(max(middle, _ROUNDING))) for _, middle in _with_middles(solution))
 
 
@@ -152,7 +162,7 @@ def _with_middles(solution: Solution) -> list[tuple[Floats, float]]:
 
 
 def _longer(solution: Solution) -> Solution | None:
-    """Return a fit with longer windows, None if none fits."""
+    """Return a good fit with longer windows; None if there is no such fit."""
     setup = solution.problem.setup
     for factor in _GROWTH:
         length_ns = min(factor * solution.length_ns, setup.longest_ns)
@@ -166,7 +176,7 @@ def _longer(solution: Solution) -> Solution | None:
 
 
 def polished(solution: Solution) -> Solution:
-    """Return the maximum-likelihood fit to the samples that are not outliers."""
+    """Return the maximum-likelihood fit to all samples that are not outliers."""
     whole = [[inlier.astype(float) for inlier in inliers] for inliers in solution.inliers]
     previous = replace(solution, weights=replace(solution.weights, roots=whole))
     for _ in range(8):
@@ -181,7 +191,7 @@ def polished(solution: Solution) -> Solution:
 
 
 def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
-    """Return a guess, with states from the measurements."""
+    """Return a solution to start from: the given parameters, and states from the measurements."""
     sensors = [corrected(channels, physics, problem.start.time_ns)
                for problem, channels in zip(setup.problems, setup.channels)]
     pairs = []
@@ -203,7 +213,7 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
 
 def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
             ) -> tuple[Floats, Floats]:
-    """Return the state from which a window is predicted best: noise may hide a rate."""
+    """Return which of the given states predicts the measurements in a window best."""
     predicted = window.predict([physics] * len(states),
                                Poses(*(np.array(values) for values in zip(*states))))
     errors = [np.median(np.linalg.norm(one, axis=2), axis=1)
@@ -213,7 +223,7 @@ def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
 
 def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
            is_last: bool = False, windows: list[Window] | None = None) -> Solution:
-    """Return a fit with windows of this length, from the states of another one."""
+    """Return a fit with windows of a given length that starts from the previous fit."""
     from scipy.optimize import least_squares
     setup = previous.problem.setup
     windows = windows or setup.windows(length_ns, previous.physics)
@@ -233,7 +243,7 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
 
 
 def states_at(solution: Solution, windows: list[Window]) -> Poses:
-    """Return the states of a solution at the beginnings of other windows."""
+    """Return the states of a solution at the times when the given windows begin."""
     old, pairs = solution.problem, []
     begins = [(one.experiment, one.anchor_ns) for one in old.windows]
     for window in windows:
@@ -277,7 +287,7 @@ def _level(error: Floats, channel: Measured, setup: Setup, share: float) -> floa
 
 
 def _middle(error: Floats) -> float:
-    """Return the median magnitude of errors; NaN stands for a sample outside of the windows."""
+    """Return the median magnitude of errors; ignore NaN, which marks samples outside windows."""
     finite = np.abs(error[np.isfinite(error)])
     return float(np.median(finite)) if finite.size else 0.0
 
@@ -287,7 +297,7 @@ def _floor(channel: Measured, setup: Setup) -> float:
 
 
 def _predicts(problem: LeastSquares, physics: Physics) -> bool:
-    """Return whether errors before a fit are so small that derivatives are of use."""
+    """Return whether the errors at the start of a fit are small enough for useful derivatives."""
     setup, errors = problem.setup, problem.residuals(physics)
     for window in problem.windows:
         every = setup.channels[window.experiment]
@@ -300,7 +310,12 @@ def _predicts(problem: LeastSquares, physics: Physics) -> bool:
 
 
 def _fits(longer: Solution, shorter: Solution) -> bool:
-    """Return whether a fit converged, and the errors grew neither as a whole nor in a window."""
+    """
+    Return whether a fit with longer windows is good.
+
+    A good fit has converged, and its errors are not much larger than those of the fit with
+    shorter windows, in all windows together (`_WORSE`) and in each window (`_WORST`).
+    """
     usual = [[_middle(error) for error in every] for every in shorter.errors]
     pairs = [(error, _WORSE * middle) for every, middles in zip(longer.errors, usual)
              for error, middle in zip(every, middles)]

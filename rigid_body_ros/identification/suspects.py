@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Parameters that were not estimated, tried one by one."""
+"""Repeat a fit with suspects: parameters that were not estimated."""
 
 from __future__ import annotations
 
@@ -36,29 +36,33 @@ from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import fitted, Solution
 from rigid_body_ros.scene.fields import MOMENT
 
-#: Evaluations of a fit with a suspect, and its tolerance.
+#: Maximum number of function evaluations in a fit with a suspect, and tolerance of this fit.
 _MOST, _TOLERANCE = 15, 1e-6
 
 
 @dataclass(frozen=True)
 class Suspect:
     """
-    A parameter that was not estimated, and would explain errors.
+    A parameter that was not estimated, but would explain a part of the errors.
 
     Attributes
     ----------
     name : str
         The parameter, or `inertia_change`.
     chi2_drop : float
-        Drop of the sum of squares of the training if it is also estimated.
+        By how much the chi-square of the fit drops if the parameter is also estimated. The
+        chi-square is the sum of the squared errors in standard deviations.
     p : float
-        Probability of such a drop without an effect.
+        Probability of a drop of at least this size if the parameter has no effect.
     value : list of float
-        Its components, in their units; of a change, its time since the start, s.
+        The estimated components, in their units. For `inertia_change`, the time from the start to
+        the change, s.
     validation_chi2_per_dof : float or None
-        With the suspect; None without a validation.
+        Chi-square of the validation, per degree of freedom, if the parameter is also estimated;
+        None if there is no validation.
     command : str
-        The options to type.
+        The command-line option with which a fit also estimates the parameter. For
+        `inertia_change`, advice in words.
 
     """
 
@@ -70,14 +74,14 @@ class Suspect:
     command: str
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields with the names of the JSON."""
+        """Return the fields under the names that the JSON file uses."""
         return {'name': self.name, 'chi2_drop': self.chi2_drop,
                 'validation_chi2_per_dof': self.validation_chi2_per_dof, 'p': self.p,
                 'value': as_json(np.array(self.value)), 'command': self.command}
 
 
 def candidates(setup: Setup) -> list[str]:
-    """Return the names of parameters that were not estimated, but could be."""
+    """Return the names of the parameters that were not estimated, but can be estimated."""
     given = setup.parameters.groups
     names = [name for name in _of_body(setup) if name not in given]
     channels = [channel for every in setup.channels for channel in every]
@@ -106,7 +110,7 @@ def _of_body(setup: Setup) -> list[str]:
 
 
 def extended(setup: Setup, physics: Physics, names: Sequence[str]) -> Parameters:
-    """Return the parameters of a fit and others, for which a fit is the guess."""
+    """Return the parameters of a fit plus `names`, with the fitted values as the guess."""
     groups = [name for name in setup.parameters.groups
               if not (name == 'inertia_diagonal' and 'inertia' in names)]
     given = moments_of(names, setup.problems[0].fields)
@@ -118,7 +122,7 @@ def extended(setup: Setup, physics: Physics, names: Sequence[str]) -> Parameters
 
 
 def with_suspect(solution: Solution, name: str) -> Solution:
-    """Return the fit that also estimates a suspect."""
+    """Repeat a fit with a suspect as an additional parameter."""
     setup = solution.problem.setup
     groups = setup.parameters.groups
     physics = solution.physics
@@ -130,7 +134,7 @@ def with_suspect(solution: Solution, name: str) -> Solution:
             name: np.full(3, physics.number('torque_gain'))})
         setup = replace(setup, parameters=Parameters(
             [group for group in groups if group != 'torque_gain'], physics,
-            setup.parameters.magnitudes))  # the prior of the gain is not part of the trial
+            setup.parameters.magnitudes))  # ignore the prior of the gain
     wider = replace(setup, parameters=extended(setup, physics, [name]))
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
@@ -139,26 +143,26 @@ def with_suspect(solution: Solution, name: str) -> Solution:
 
 
 def sum_of_squares(solution: Solution) -> float:
-    """Return the sum of squares of the errors that were fitted, in standard deviations."""
+    """Return the sum of squares of the fitted errors, each divided by its standard deviation."""
     problem = solution.problem
     return sum(float(np.sum(problem.scaled_errors(k, solution.physics) ** 2))
                for k in range(len(problem.windows)))
 
 
 def value_of(solution: Solution, name: str) -> list[float]:
-    """Return the components of a suspect."""
+    """Return the estimated values of the components of a suspect, in their units."""
     parameters = solution.problem.setup.parameters
     values = parameters.values(solution.physics)
     return [float(values[i]) for i in parameters.columns([name])]
 
 
 def command_with(setup: Setup, name: str) -> str:
-    """Return the option that also estimates a suspect."""
+    """Return the command-line option with which the fit also estimates a suspect."""
     kind, topic = split_topic(name)
     names = [*setup.parameters.groups, *([START] if setup.fits_start else [])]
     replaced = {'inertia': 'inertia_diagonal', 'torque_gains': 'torque_gain'}.get(name)
     names = [each for each in names if each != replaced]
-    if topic and kind in names:  # each sensor gets its own
+    if topic and kind in names:  # each sensor gets a separate value
         names.remove(kind)
         channels = [channel for every in setup.channels for channel in every]
         names += [f'{kind}@{other}' for other in topics_of(kind, channels) if other != topic]

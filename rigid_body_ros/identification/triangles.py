@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""QR decomposition of tall matrices; LAPACK's loses more time to threads than it gains."""
+"""QR decomposition of tall matrices, without LAPACK: its threads would slow down a fit."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from rigid_body_ros.engine import kernels
 
 def triangle(columns: Floats) -> Floats:
     """
-    Return the triangular factor of a matrix.
+    Return the triangular factor of the QR decomposition of a matrix.
 
     Parameters
     ----------
     columns : array, shape (n, m)
-        The columns of the matrix as rows; they are overwritten.
+        The transposed matrix. The array is overwritten.
 
     Returns
     -------
     array, shape (n, n)
-        Upper triangular, with rows of zeros if m is less than n.
+        Upper triangular matrix, with rows of zeros if m is less than n.
 
     """
     result = np.zeros((len(columns), len(columns)))

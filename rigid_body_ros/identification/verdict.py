@@ -40,17 +40,19 @@ from rigid_body_ros.identification.suspects import (
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import ALARM
 
-#: How far what a model lacks may move an estimate, relative to its scale.
+#: Default of `accept`: the largest accepted systematic error of an estimate, relative to the scale
+#: of the estimate.
 ACCEPT = 0.05
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
 _MEANINGS = {
     EXPLAINED: 'no test rejects the model',
     APPROXIMATE: 'the model lacks something; the intervals are wider to cover its effect',
     REJECTED: 'the model does not explain the measurements; do not use the estimates'}
-#: Suspects that are tried by a fit, and those that are listed.
+#: Maximum number of suspects that are fitted, and maximum number that are listed.
 _TRIED, _LISTED = 5, 3
-#: Parts of the drop of the best suspect above which another one explains as much, and above which
-#: the shift by it counts.
+#: Fractions of the largest drop of chi-square. A suspect with a drop above `_ALIKE` explains
+#: about as much as the best suspect. A suspect with a drop above `_COUNTS` adds to the systematic
+#: part of the intervals.
 _ALIKE, _COUNTS = 0.98, 0.1
 
 
@@ -66,7 +68,7 @@ class Verdict:
     reasons : list of str
         The reasons against the model.
     suspects : list of Suspect
-        Parameters that would explain more, the best first.
+        Parameters that would explain more of the errors, best first.
 
     """
 
@@ -85,7 +87,7 @@ class Verdict:
                 'suspects': [one.as_dict() for one in self.suspects]}
 
     def rows(self) -> Iterator[tuple[str, str]]:
-        """Generate whether the model explains the measurements, why not, and what would."""
+        """Generate the verdict, the reasons and the suspects, as pairs of a name and a text."""
         yield 'verdict', f'{self.level}: {_MEANINGS[self.level]}'
         for reason in self.reasons:
             yield 'reason', reason
@@ -100,14 +102,15 @@ class Verdict:
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]
           ) -> list[tuple[Suspect, Solution]]:
     """
-    Return fits that also estimate one of the likeliest suspects; none if all is explained.
+    Return the most likely suspects, each with a fit that also estimates the suspect.
 
     Parameters
     ----------
     findings : Findings
         The reasons against the model.
     every : sequence of sequence of Measured
-        The channels of each recording, with the samples of the validation; empty without one.
+        The channels of each recording, including the samples of the validation. Empty if there is
+        no validation.
 
     """
     from scipy.special import chdtrc
@@ -115,7 +118,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     setup = solution.problem.setup
     names = [one.name for one in findings.scores if one.name != INERTIA_CHANGE][:_TRIED]
     if findings.reasons and 'inertia' in candidates(setup) and 'inertia' not in names:
-        names.append('inertia')  # it may be too far off for derivatives
+        names.append('inertia')  # the guess may be too bad for a score test
     if not names:
         return []
     before = sum_of_squares(replace(solution, problem=solution.problem.weighted(
@@ -123,11 +126,11 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     for name in names:
         try:
             fit = with_suspect(solution, name)
-        except ValueError:  # without it the motion is too far off for a fit
+        except ValueError:  # the motion of this fit cannot be computed
             continue
         drop, value = max(before - sum_of_squares(fit), 0.0), value_of(fit, name)
         p = float(chdtrc(len(value), drop))
-        if p < ALARM:  # far from linear, a score may promise what no value keeps
+        if p < ALARM:  # the score test is linear, and may predict a larger drop
             validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
             result.append((Suspect(name, drop, p, value, validation, command_with(setup, name)),
                            fit))
@@ -138,20 +141,20 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
            moved: Sequence[Mapping[str, float]], scales: Mapping[str, float],
            accept: float) -> tuple[Verdict, dict[str, float]]:
     """
-    Return the verdict, and the systematic part of each estimate.
+    Return the verdict, and the systematic part of the interval of each estimate.
 
     Parameters
     ----------
     findings : Findings
         The reasons against the model.
     attempts : sequence of Suspect
-        Those that a fit was made with.
+        The suspects that were fitted.
     moved : sequence of dict of str to float
-        The change of the estimates with each of them.
+        For each suspect, how much each estimate changes if the suspect is also fitted.
     scales : dict of str to float
-        Of the estimates.
+        The scales of the estimates.
     accept : float
-        As for `identify`.
+        The largest accepted systematic error of an estimate, as for `identify`.
 
     """
     reasons, suspects = findings.reasons, _ranked(findings, attempts)[:_LISTED]
@@ -177,9 +180,11 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
 
 def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     """
-    Return the suspects, the best first: by chi-square of the validation, otherwise by their drop.
+    Return the suspects, best first.
 
-    A change of the inertia is ranked by its drop, because no fit includes it.
+    If there is a validation, suspects are ranked by the chi-square of the validation. Otherwise,
+    suspects are ranked by the drop of the chi-square of the fit. A change of the inertia is always
+    ranked by the drop of the chi-square of the fit, because no fit includes such a change.
     """
     ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
                                                -one.chi2_drop))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Windows of a recording, and the predictions of the sensors in them."""
+"""Windows of a recording, and predictions of the measurements in each window."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.sensing.measured import Measured
 
-#: Parameters that the torques of a window depend on.
+#: Parameters that change the torques of a window.
 _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
 Stamps = Sequence[NDArray[np.int64]]
 
@@ -39,19 +39,21 @@ Stamps = Sequence[NDArray[np.int64]]
 @dataclass(frozen=True, eq=False)
 class AxialInertia:
     """
-    Axial inertia of wheels with names: the fitted body lacks it, and has the wheels as rotors.
+    Axial inertia of named wheels.
 
-    The speeds of wheels are known at the start, relative to the body. So their axial momenta there
-    follow from the rate of the body.
+    The fitted inertia does not include the axial inertia, because a fit treats the wheels as
+    rotors. At the start, the speeds of the wheels relative to the body are known. Therefore, the
+    axial momenta of the wheels depend on the angular velocity of the body, which is fitted.
 
     Attributes
     ----------
     tensor : array, shape (3, 3), kg m^2
-        The sum of I a a^T.
+        The sum of I a a^T over the wheels, where I is the axial inertia and a is the axis.
     rate : array, shape (3,), rad/s
-        A guess of the rate at the start, for windows that begin later.
+        A guess of the angular velocity of the body at the start, for the momentum of the rotors in
+        windows that begin later.
     start : State
-        As it was given, with the speeds of the wheels.
+        The start that the user gave, with the speeds of the wheels.
 
     """
 
@@ -63,27 +65,30 @@ class AxialInertia:
 @dataclass(eq=False)
 class Window:
     """
-    A part of a recording, whose motion is computed from a state at its beginning.
+    A part of a recording; its motion is computed from the state at the beginning of the window.
 
     Attributes
     ----------
     experiment : int
         Number of the recording.
     is_first : bool
-        Whether it begins at the start of the recording.
+        Whether the window begins at the start of the recording.
     problem : Problem
-        With the torques that act in the window, and the momentum of the rotors at its beginning.
-        Body, attitude and angular velocity do not count.
+        The torques that act in the window, and the momentum of the rotors at the beginning of the
+        window. Each prediction replaces the body, attitude and angular velocity of this problem.
     channels : list of Measured
+        The samples in the window.
     rows : list of slice
         Which samples of each channel of the recording are in the window.
     origin_ns : int
-        The start of the recording, from which the drift of clocks counts.
+        The start of the recording, at which clock drift has not yet shifted any stamp.
     axial : array, shape (3, 3), kg m^2, optional
-        Axial inertia of wheels with names whose speeds are known at its beginning: the momentum
-        of the rotors is relative to the body there.
+        Axial inertia of named wheels, if the speeds of the wheels at the beginning of the window
+        are known. In this case, the momentum of the rotors in `problem` is relative to the
+        rotating body.
     is_in_body : bool
-        Whether all torques are in body axes, so that the motion turns with its initial attitude.
+        Whether all torques are in body axes, so that a rotation of the initial attitude rotates
+        the whole motion.
 
     """
 
@@ -95,9 +100,11 @@ class Window:
     origin_ns: int
     axial: Floats | None = None
     is_in_body: bool = field(init=False)
-    #: The latest gain, delay and lag, and the problem with them.
+    #: Cache: the gain, delay and lag of the latest prediction, and the problem with the resulting
+    #: torques.
     _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
-    #: The latest stamps of all channels, the indices of each in their union, and the union.
+    #: Cache: the sample times of all channels in the latest prediction, the indices of these times
+    #: in their union, and the union.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
         init=False, default=None)
 
@@ -107,19 +114,19 @@ class Window:
 
     @property
     def anchor_ns(self) -> int:
-        """Return its beginning, ns."""
+        """Return the beginning of the window, ns."""
         return self.problem.start.time_ns
 
     def predict(self, physics: Sequence[Physics], states: Poses) -> list[Floats]:
         """
-        Return what the sensors measure without noise, for each channel.
+        Return what the sensors would measure without noise, for each channel.
 
         Parameters
         ----------
         physics : sequence of Physics, length c
-            The parameters.
+            The parameters of each prediction.
         states : Poses
-            The c states at the beginning.
+            The c states at the beginning of the window.
 
         Returns
         -------
@@ -128,7 +135,7 @@ class Window:
         Raises
         ------
         ValueError
-            As for `propagate`.
+            `propagate` rejects the motion.
 
         """
         found = [np.empty((len(physics), len(channel), 4 if channel.is_attitude else 3))
@@ -147,13 +154,13 @@ class Window:
 
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
-        """Return attitude and angular velocity at a time, from those at the beginning."""
+        """Return attitude and angular velocity at a time, propagated from the given state."""
         motion = self._motion(physics, attitude, velocity, np.array([time_ns]))
         return motion.attitude[0], motion.angular_velocity[0]
 
     def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
                 times_ns: NDArray[np.int64]) -> Trajectory:
-        """Return the motion at times; before the beginning, the state there."""
+        """Return the motion at given times; at times before the window, the initial state."""
         momentum = self.problem.start.rotor_momentum + physics.value('rotor_momentum')
         if self.axial is not None:
             momentum = momentum + self.axial @ velocity
@@ -164,7 +171,7 @@ class Window:
         return problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
 
     def _instants(self, physics: Physics) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
-        """Return the times of all samples, each once, and the indices of each channel in them."""
+        """Return the indices of the samples in the union of all sample times, and the union."""
         stamps = [clocked(channel, physics, self.origin_ns) for channel in self.channels]
         if self._times is None or not all(map(np.array_equal, stamps, self._times[0])):
             union = np.unique(np.concatenate(stamps))
@@ -173,11 +180,11 @@ class Window:
 
     @property
     def size(self) -> int:
-        """Return the number of samples of all channels."""
+        """Return the total number of samples in all channels."""
         return sum(len(channel) for channel in self.channels)
 
     def _acting(self, physics: Physics, end_ns: int) -> Problem:
-        """Return the problem with the torques that act up to a time."""
+        """Return the problem with the torques that act; a torque bias acts up to `end_ns`."""
         key = b''.join(physics.value(name).tobytes() for name in _OF_TORQUES)
         if not self._applied or key != self._applied[0]:
             self._applied = key, self.problem.replaced(
