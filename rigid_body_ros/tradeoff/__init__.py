@@ -13,15 +13,21 @@
 # limitations under the License.
 
 """
-Speed against accuracy: every solver over a series of settings, on the user's own motion.
+Trade speed against accuracy: run every solver with a series of settings on the motion of the user.
 
-All settings run over a *stretch*: the motion, or its beginning of up to about ten thousand radians
-or samples. They are compared with a reference there: the Taylor series at its tightest tolerance
-with shorter steps. The *rounding floor* is the largest difference between the reference and
-motions that round differently: the series with other steps and in principal axes, and, without
-torque, the closed form. If a change of the last digits of inertia, torques and start moves the
-motion by more than the floor, no solver guarantees a smaller error than that. A setting that meets
-a target on the stretch is recommended only if it also meets the target on the whole motion.
+All settings run over a *stretch*: the whole motion or, if the motion is long, its first half,
+quarter and so on. In a stretch, the body turns by at most ten thousand radians, and there are at
+most twenty thousand samples. On the stretch, the settings are compared with a reference: the
+Taylor series at its tightest tolerance, with shorter steps.
+
+The *rounding floor* is the largest difference between the reference and motions that round
+differently. These motions come from the series with other steps, the series in principal axes
+and, without torque, the closed form. A change of the last digits of inertia, torques and start may
+move the motion by more than the floor. In this case, no solver can guarantee an error smaller than
+the effect of the change.
+
+A setting that meets a target on the stretch is recommended only if it also meets the target on the
+whole motion.
 """
 
 from rigid_body_ros.tradeoff.choices import Choice, Error, Measurement, recommend

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Compute the same motion in principal axes, where the Taylor series rounds differently.
+Compute a motion in principal axes, where the Taylor series rounds differently.
 
-In principal axes no terms of J^-1 tau cancel. Moments and axes have about 32 digits; torques and
-rates are rounded once, after the rotation.
+In principal axes, no terms of J^-1 tau cancel. Moments and axes are computed with about 32 digits.
+Torques and rates are rounded only once, after the rotation.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: A coefficient too small to change a motion. It makes the kernels use the arithmetic for full
-#: tensors, so that the rounding also differs for a tensor that is diagonal to begin with.
+#: A coefficient of Euler's equations that is too small to change a motion. Because it is not zero,
+#: the kernels use the arithmetic for full tensors. Therefore, rounding differs even if the given
+#: tensor is diagonal.
 _NEGLIGIBLE = 1e-200
 
 
 class PrincipalAxes:
     """
-    Transform a body and its motion to and from its principal axes.
+    Transform a body and a motion to and from the principal axes of the body.
 
     Attributes
     ----------
@@ -65,12 +66,12 @@ class PrincipalAxes:
         return State._as_computed(start.time_ns, packed)
 
     def log(self, log: TorqueLog) -> TorqueLog:
-        """Return a log with body torques in principal axes; space torques are unchanged."""
+        """Convert torques in body axes to principal axes; do not change torques in space axes."""
         turned = self._components(log.torques)[..., 0]
         return log.with_torques(np.where(log.in_space[:, None], log.torques, turned))
 
     def back(self, attitude: Floats) -> Floats:
-        """Return attitudes of the original body axes, shape (m, 4)."""
+        """Convert attitudes of the principal axes to attitudes of the body axes, shape (m, 4)."""
         return so3.multiply(attitude, so3.conjugate(self._rotation))
 
     def _components(self, vectors: Floats) -> Floats:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The measurements, and the choice: the cheapest setting that is accurate enough."""
+"""Measurements of settings, and the choice of the cheapest setting that is accurate enough."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST
 from rigid_body_ros.tradeoff.settings import Setting
 
-#: Part of the spread that the error of the integration may be.
+#: Largest integration error that is negligible, as a fraction of the spread of an ensemble.
 _PART = 0.1
-#: Cost of a reference, in runs of the Taylor series.
+#: Time to compute a reference, divided by the time of one run of the Taylor series.
 _REFERENCE_COST = 14.0
 
 
 class Error(NamedTuple):
-    """Largest differences from the reference, and the difference of the final attitude."""
+    """The largest differences from the reference, and the difference of the final attitude."""
 
     #: rad
     attitude_final: float
     attitude: float
     #: rad/s
     angular_velocity: float
-    #: Relative to the largest value; without torque, the relative change since the start.
+    #: Largest errors of momentum and energy, divided by the largest values in the reference. For
+    #: a free body, the errors are the changes since the start.
     momentum: float
     energy: float
 
@@ -58,12 +59,12 @@ class Measurement:
     error : Error
         NaN if the run failed.
     seconds : float
-        Wall time: the fastest of several runs, because other load on the machine only adds to it.
-        NaN if the run failed.
+        Wall time of the fastest of several runs; load from other programs may slow down some
+        runs. NaN if the run failed.
     first_seconds : float
-        Wall time of the first run, with the kernels loaded.
+        Wall time of the first run, with the kernels already loaded.
     failure : str
-        Why the run failed; empty if it did not.
+        Why the run failed; empty if it succeeded.
     pareto_optimal : bool
         Whether no other setting is both faster and more accurate.
 
@@ -83,15 +84,15 @@ class Choice(NamedTuple):
     measurement: Measurement
     #: Expected attitude error over the whole log, rad.
     error: float
-    #: Whether that error was measured on the whole log or scaled from the stretch.
+    #: Whether `error` was measured on the whole log; otherwise it was scaled from the stretch.
     measured: bool
 
 
 class Spread(NamedTuple):
-    """How far the runs of an ensemble end from the nominal motion, and which motion it is."""
+    """The spread of an ensemble, and data that identify the nominal motion."""
 
     runs: int
-    #: Median angle, rad.
+    #: Median angle between the final attitudes of a run and of the nominal motion, rad.
     median: float
     start_ns: int
     end_ns: int
@@ -100,7 +101,7 @@ class Spread(NamedTuple):
 
     @property
     def target(self) -> float:
-        """Return the largest error that does not matter beside the spread, rad."""
+        """Return the largest error that is negligible compared with the spread, rad."""
         return _PART * self.median
 
 
@@ -108,40 +109,41 @@ class Advice(NamedTuple):
     """
     The cost of the recommended setting in an ensemble.
 
-    The times are wall times, s, of one run among many on one core, up to its final state.
+    The times are wall times per run, s, if one core computes many runs up to the final state.
     """
 
     spread: Spread
-    #: None if no setting is recommended.
+    #: Time with the recommended setting. None if no setting is recommended.
     seconds: float | None
-    #: With the default setting.
+    #: Time with the default setting.
     default_seconds: float
 
     @property
     def saved_seconds(self) -> float:
-        """Return the time that the setting saves in all runs, at least 0."""
+        """Return the time, s, that the setting saves over the default in all runs; at least 0."""
         per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
         return self.spread.runs * max(per_run, 0.0)
 
 
 class OnWhole:
     """
-    The errors of settings on the whole log, measured as long as time allows.
+    The errors of settings on the whole log, measured until the available time is used up.
 
     Parameters
     ----------
     whole, stretch : Case
     reference : Reference
-        Of the stretch.
+        The reference of the stretch.
     measurements : sequence of Measurement
-        On the stretch.
+        The measurements on the stretch.
     seconds : float
-        Wall time to spend.
+        Wall time that is available for the measurements.
 
     Attributes
     ----------
     reference : Reference or None
-        The reference of the whole log, None as long as no error was measured there.
+        The reference of the whole log. If the stretch is not the whole motion, the attribute
+        is None until the first error is measured.
 
     """
 
@@ -155,7 +157,7 @@ class OnWhole:
         self._found: dict[Measurement, float] = {}
 
     def __call__(self, measurement: Measurement) -> float | None:
-        """Return the largest attitude error, rad, or None if that takes too long to compute."""
+        """Return the largest attitude error, rad, or None if computing it takes too long."""
         if self._is_measured:
             assert self.reference
             return measurement.error.attitude + self.reference.guaranteed_error
@@ -170,7 +172,7 @@ class OnWhole:
 
     @property
     def least(self) -> float | None:
-        """Return the smallest measured error, rad, or None if there is none."""
+        """Return the smallest error measured on the whole log, rad; None if none was measured."""
         return min(self._found.values(), default=None)
 
     def _measured(self, measurement: Measurement) -> float:
@@ -191,18 +193,20 @@ def recommend(measurements: Sequence[Measurement], target: float, floor: float, 
     Parameters
     ----------
     measurements : sequence of Measurement
-        On the stretch. A setting that misses the target there also misses it on the whole log.
+        Measurements on the stretch. A setting that misses the target on the stretch also misses
+        the target on the whole log.
     target, floor : float, rad
-        The floor is added to the error of every setting. It is `Reference.guaranteed_error`:
-        rounding, or the effect of the last digits if that is larger.
+        The target, and the floor that is added to the error of every setting. The floor is
+        `Reference.guaranteed_error`: the larger of the rounding floor and the effect of the last
+        digits.
     growth : float
-        Length of the whole log relative to the stretch.
+        Length of the whole log divided by the length of the stretch.
     error_on_whole : callable
-        Returns the attitude error on the whole log, rad, or None if that takes too long to
-        compute. The error of the stretch is then assumed to grow with the square of the time: a
-        rate error that grows linearly, as that of RK4 does with its energy error, gives such an
-        attitude error. Errors grow faster only near a separatrix, where rounding grows
-        exponentially.
+        A function that returns the attitude error on the whole log, rad, or None if the
+        computation takes too long. If the function returns None, the error on the stretch is
+        assumed to grow with the square of the time. This holds if the rate error grows linearly,
+        for example because of the energy error of RK4. Errors grow faster only near a separatrix,
+        where rounding errors grow exponentially.
 
     """
     fitting = [one for one in measurements if one.error.attitude + floor <= target]  # no NaN

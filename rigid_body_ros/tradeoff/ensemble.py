@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The target that the spread of an ensemble sets, and the time that its setting saves."""
+"""Derive a target from the spread of an ensemble, and find the cheapest setting for many runs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
 from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
 
-#: s; approximate time for timing runs, number of rounds, and largest number of runs.
+#: Timing of many runs: approximate time of the cheapest setting in a round, s; number of rounds;
+#: and maximum number of runs of each setting in a round.
 _TIMED, _ROUNDS, _MOST_RUNS = 0.01, 5, 256
 
 
@@ -44,8 +45,8 @@ def read(folder: str | Path) -> Spread:
     Raises
     ------
     InputError
-        The folder has no complete ensemble, or the median angle of its runs from the nominal is
-        zero.
+        The folder contains no complete ensemble, or the median angle of the runs from the nominal
+        attitude is zero.
 
     """
     path = Path(folder) / 'summary.json'
@@ -65,14 +66,14 @@ def read(folder: str | Path) -> Spread:
 
 def advise(result: Tradeoff, spread: Spread) -> Tradeoff:
     """
-    Return the result with the setting that is the cheapest for many runs, and what it costs.
+    Add the cheapest setting for many runs, and the cost of this setting, to a result.
 
     Parameters
     ----------
     result : Tradeoff
-        Measured with the target of the spread.
+        A result whose targets include the target of the spread.
     spread : Spread
-        Of an ensemble of the same motion.
+        The spread of an ensemble of the same motion.
 
     """
     choice = _recommended_for_many(result, spread.target)
@@ -86,8 +87,9 @@ def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
     """
     Return the cheapest setting for many runs.
 
-    One setting of each solver is timed. The costs of its other settings are scaled by the same
-    factor.
+    Only one setting of each solver is timed in many runs. For this setting, the cost per run in
+    many runs is divided by the cost of a single run. This ratio scales the costs of all settings
+    of the solver.
     """
     single = {one.setting: one for one in result.measurements if not one.failure}
     best: dict[str, Setting] = {}
@@ -104,7 +106,7 @@ def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
 
 
 def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
-    """Time many copies of the motion with each setting in turns; the fastest round counts."""
+    """Return the time per run, s, of each setting, if copies of the whole motion run at once."""
     cheapest = min(one.seconds for one in result.measurements if not one.failure)
     runs = min(_MOST_RUNS, math.ceil(_TIMED / cheapest))
     run = _run_of(result.stretch.problem, runs, int(result.stretch.times_ns[-1]))
@@ -119,12 +121,12 @@ def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
 
 
 def _run_of(problem: Problem, runs: int, end_ns: int) -> Callable[..., object]:
-    """Return what computes the final states of copies of a motion, as an ensemble does."""
+    """Return a function that computes the final states of `runs` copies of a motion at once."""
     start = problem.start
     bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)), problem.body.damping)
     starts = States(start.time_ns, np.tile(start.attitude, (runs, 1)), start.angular_velocity,
                     start.rotor_momentum)
-    acting = problem.acting_logs  # the lags of actuators are left out
+    acting = problem.acting_logs  # ignore the lags of actuators
     logs = [acting] * runs if len(acting) > 1 else next(iter(acting), None)
     return partial(propagate_many, bodies, starts, logs, at=[end_ns], wheels=problem.wheels,
                    fields=problem.fields,

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Estimate the error of interpolating a torque log between its samples, with any solver."""
+"""Estimate the error caused by interpolation between the samples of a torque log."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from rigid_body_ros.tradeoff.problem import Case
 
 #: Order of convergence of each interpolation in the sample spacing, for smooth torques.
 _ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
-#: An interpolation is clearly better than another if its error is smaller by this factor.
+#: One interpolation is clearly better than another if the ratio of their errors is below this.
 _CLEARLY = 0.25
 
 
@@ -39,12 +39,12 @@ class InterpolationError(NamedTuple):
     interpolation: str
     #: Largest change of the attitude if only every second sample is kept.
     thinned: float
-    #: Error of the log with all its samples, extrapolated from logs with fewer samples.
+    #: Error with all samples of the log, extrapolated from logs with fewer samples.
     estimate: float
 
 
 def interpolation_errors(case: Case) -> tuple[InterpolationError, ...]:
-    """Return the estimated error of each interpolation, from logs with samples left out."""
+    """Estimate the error of each interpolation from logs with only some of the samples."""
     if not _can_interpolate(case) or len(case.problem.logs[0]) < 3:
         return ()
     changes = {}
@@ -60,21 +60,22 @@ def interpolation_errors(case: Case) -> tuple[InterpolationError, ...]:
 
 def better_interpolation(errors: Sequence[InterpolationError],
                          own: InterpolationError) -> InterpolationError | None:
-    """Return the best interpolation if it is clearly better than the scene's own."""
+    """Return the best interpolation if it is clearly better than `own`; otherwise, None."""
     best = min(errors, key=lambda error: error.estimate)
     return best if best.estimate < _CLEARLY * own.estimate else None
 
 
 def final_differences(case: Case) -> dict[str, float | None]:
     """
-    Return the angles between the final attitudes with the scene's interpolation and the others.
+    Return how much the final attitude changes if another interpolation replaces the scene's.
 
-    `attitude_replay` prints the same differences.
+    `attitude_replay` prints the same angles.
 
     Returns
     -------
     dict
-        By interpolation, an angle, rad; None if the body spins too fast with it.
+        Angles, rad, by the name of the other interpolation. None if the body spins too fast to
+        compute its motion with this interpolation.
 
     """
     if not _can_interpolate(case):
@@ -95,20 +96,20 @@ def final_differences(case: Case) -> dict[str, float | None]:
 
 
 def _can_interpolate(case: Case) -> bool:
-    """Whether the torques have one log, of one frame, and none is on rotors."""
+    """Return whether the only torques are those of one log in one frame, without actuators."""
     logs = case.problem.logs
-    if case.problem.actuators:  # commands are held
+    if case.problem.actuators:  # commands to actuators are always held
         return False
     return not case.torque_free and len(logs) == len(case.problem.sources) == 1 \
         and np.unique(logs[0].in_space).size == 1
 
 
 def _change(case: Case, interpolation: str, spacing: int) -> float:
-    """Return the largest change of the attitude, rad, if every `spacing`-th sample is kept."""
+    """Return the largest change of attitude, rad, if only every `spacing`-th sample is kept."""
     rows = np.arange(len(case.problem.logs[0]))
     full = _motion(case, interpolation, rows)
-    # Begin with each of the first samples in turn, because keeping only every second sample may
-    # leave a pulse of an even number of samples unchanged.
+    # Try each of the first `spacing` samples as the first sample to keep, because with some
+    # choices, a pulse that lasts an even number of samples does not change.
     thinned = [_motion(case, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
                for first in range(spacing)]
     return max(float(so3.angle_between(full.attitude, motion.attitude).max())
@@ -117,10 +118,11 @@ def _change(case: Case, interpolation: str, spacing: int) -> float:
 
 def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) -> float:
     """
-    Return the error with all samples, from the changes with half and a quarter of them, rad.
+    Return the error with all samples, rad, from the changes with 1/2 and 1/4 of the samples.
 
-    The error falls by 2^order each time the spacing is halved. If an interpolation of higher order
-    is not clearly better than hold, the torque is not smooth at this spacing and the order is 1.
+    When the spacing is halved, the error falls by a factor of 2^order. If an interpolation of
+    higher order is not clearly better than hold, the torque is not smooth at this spacing, and the
+    order is 1.
     """
     order = _ORDERS[interpolation] if half < _CLEARLY * hold else 1
     observed = quarter / half - 1.0 if half else 2.0

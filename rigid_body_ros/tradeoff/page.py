@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Put the page of a measured trade-off together."""
+"""Assemble the page of a measured trade-off."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.tradeoff.choices import Choice
 from rigid_body_ros.tradeoff.result import Tradeoff, value
 
-#: Smaller errors are not meaningful.
+#: Smallest error that is drawn, rad. Smaller errors are not meaningful.
 _LEAST = float(np.finfo(float).eps)
 
 
@@ -36,9 +36,9 @@ def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
     Parameters
     ----------
     result : Tradeoff
-        From `measure`.
+        The result of `measure`.
     title : str
-        Names the recording and its topic, or the scene.
+        The title: the names of the recording and of its topic, or the name of the scene.
     scene : Scene
         The scene of the body.
     command : str
@@ -51,7 +51,7 @@ def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
 
 
 def _headline(result: Tradeoff) -> str:
-    """Return the cheapest setting for each target."""
+    """Return text with the cheapest setting for each target."""
     found = [f'for errors up to {target:.3g} rad: '
              + (f'{choice.measurement.setting.solver}, {value(choice.measurement.setting)}'
                 if choice else 'none is certain') for target, choice in result.choices.items()]
@@ -79,7 +79,7 @@ def _work_precision(result: Tradeoff) -> Panel:
 
 
 def _lines(result: Tradeoff) -> Iterator[tuple[str, float]]:
-    """Generate descriptions of errors to mark, and the errors, rad."""
+    """Generate the description and the value, rad, of each error that the page marks."""
     for name, error in sorted(result.reference_errors().items(), key=lambda line: line[1]):
         error = max(error, _LEAST)
         yield name if name.endswith('rad') else f'{name} {error:.0e} rad', error

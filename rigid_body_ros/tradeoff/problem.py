@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The motion to measure: the whole motion, a stretch that is quick to compute, and the reference.
+The motion to measure: the whole motion, a stretch that is quick to compute, and a reference.
 
-The reference is the Taylor series at its tightest tolerance with shorter steps.
+The reference is the Taylor series at its tightest tolerance, with shorter steps.
 """
 
 from __future__ import annotations
@@ -36,13 +36,14 @@ from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
 TIGHTEST = 1e-15
-#: Length of a motion without torque, in turns.
+#: Default length of a motion without torque, in turns.
 TURNS = 50.0
-#: Typical angle of a step of the Taylor series, rad.
+#: Angle through which the body typically turns in a step of the Taylor series, rad.
 _SERIES_ANGLE = 0.5
-#: Largest number of samples and series steps in a stretch; they take a few milliseconds.
+#: Maximum number of output times plus series steps in a stretch. A run of such a stretch takes a
+#: few milliseconds.
 _WORK = 20_000
-#: Outputs in addition to the torque stamps, to catch errors between stamps that are far apart.
+#: Number of output times other than torque stamps, to detect errors between distant stamps.
 _OUTPUTS = 100
 
 
@@ -54,9 +55,9 @@ class Case:
     Attributes
     ----------
     problem : Problem
-        Each run replaces its solver.
+        The problem. Each run replaces the solver.
     times_ns : array of int64, shape (m,)
-        Output times, ascending.
+        Ascending output times.
 
     """
 
@@ -70,42 +71,43 @@ class Case:
 
     @property
     def torque_free(self) -> bool:
-        """Whether all logged torques are zero, those on the rotors included."""
+        """Return whether all logged torques are zero, including torques on the rotors."""
         return not self.problem.has_torque
 
     @property
     def has_linear_terms(self) -> bool:
-        """Whether rotors or damping add terms linear in the angular velocity."""
+        """Return whether rotors or damping add terms linear in the angular velocity."""
         return self.problem.body.is_damped or self.problem.has_rotors
 
     @property
     def has_terms(self) -> bool:
-        """Whether there are rotors, damping or fields."""
+        """Return whether there are rotors, damping or fields."""
         return self.has_linear_terms or bool(self.problem.fields)
 
     @property
     def conserves(self) -> bool:
-        """Whether the body keeps its momentum and its energy."""
+        """Return whether the momentum and the energy of the body are constant."""
         return self.torque_free and not self.has_terms
 
     @property
     def samples(self) -> int:
-        """Return the number of torques."""
+        """Return the number of torque samples."""
         return sum(map(len, self.problem.sources))
 
     @property
     def interpolation(self) -> str:
-        """Return the interpolation of the torques, or without any torque the default of a log."""
+        """Return the interpolation of the torques; without torques, return 'hold'."""
         return self.problem.logs[0].interpolation if self.problem.logs else 'hold'
 
     def run(self, **options: Any) -> Trajectory:
-        """Return the motion with some `Options`; raise ValueError as `propagate` does."""
+        """Compute the motion with the given `Options`; raise ValueError as `propagate` does."""
         return self.problem.solved_by(**options).propagate(at=self.times_ns)
 
     def in_principal_axes(self, max_step: float) -> Floats:
-        """Return attitudes computed by the series in principal axes, without linear terms."""
+        """Compute attitudes with the series in principal axes; `has_terms` must be false."""
         axes, given = PrincipalAxes(self.problem.body), self.problem
-        # A limit is along the axes of the body; a lag is the same along any.
+        # The limits of actuators apply along the body axes, so apply the limits before the
+        # conversion. Lags are the same in all axes.
         lags = [each and each.lag for each in given.actuators]
         problem = given.replaced(body=axes.body, start=axes.start(given.start),
                                  log=[*map(axes.log, given.acting_logs)], actuator=lags or None)
@@ -114,15 +116,15 @@ class Case:
                                     max_step=max_step).attitude)
 
     def until(self, end_ns: int) -> Case:
-        """Return the motion up to an end time, with the samples needed up to it."""
+        """Return the motion up to an end time, with only the samples that this part needs."""
         problem = self.problem.between(self.problem.start, end_ns)
         return Case(problem, _times(problem, end_ns))
 
     def stretch(self) -> Case:
-        """Return the motion, or its first half, quarter, ...: as long as is quick to compute."""
+        """Return the longest beginning that is quick to compute: the whole, 1/2, 1/4, etc."""
         start_ns = self.problem.start.time_ns
         span_ns = int(self.times_ns[-1]) - start_ns
-        # Begin with the shortest, because the cost of the whole motion is not known in advance.
+        # Try the shortest part first, because the cost of the whole motion is unknown.
         shorter = self.until(start_ns + max(span_ns >> 30, 1))
         for halvings in range(29, -1, -1):
             longer = self.until(start_ns + max(span_ns >> halvings, 1))
@@ -133,7 +135,11 @@ class Case:
         return self
 
     def natural_step(self, motion: Trajectory, angle: float) -> float:
-        """Return the time, s, to turn by an angle at top speed; at most the sample spacing."""
+        """
+        Return the time, s, that the body takes to turn by `angle` at its top speed.
+
+        The time is at most the longest gap between torque stamps.
+        """
         first_ns, last_ns = self.problem.start.time_ns, int(self.times_ns[-1])
         stamps = stamps_of(self.problem.sources)
         edges = np.union1d([first_ns, last_ns],
@@ -145,18 +151,18 @@ class Case:
 @dataclass(frozen=True, eq=False)
 class Reference:
     """
-    The reference motion and how accurate it is.
+    The reference motion and its accuracy.
 
     Attributes
     ----------
     trajectory : Trajectory
     floor : float, rad
-        Largest difference between this motion and others that round differently: the series with
-        other steps and, without rotors, damping and fields, in principal axes, and, without
-        torque as well, the closed form.
+        Largest difference between motions that round differently. These motions come from the
+        series with several step lengths. Without rotors, damping and fields, the series in
+        principal axes is added; if there is also no torque, the closed form is added, too.
     last_digits : float, rad
-        How far a change of the last digits of inertia, torques and start moves the motion; see
-        `last_digit_effect`.
+        How far a change of the last digits of inertia, torques and start moves the attitude, as
+        computed by `last_digit_effect`.
 
     """
 
@@ -171,7 +177,7 @@ class Reference:
 
     @classmethod
     def of(cls, case: Case) -> Reference:
-        """Return the reference of a motion."""
+        """Compute the reference of a motion."""
         plain = case.run(solver='taylor', tolerance=TIGHTEST)
         step = case.natural_step(plain, _SERIES_ANGLE)
         best, other = (case.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
@@ -187,12 +193,16 @@ class Reference:
 
 def whole(problem: Problem, end_ns: int | None) -> Case:
     """
-    Return the whole motion, up to `end_ns`; by default to the last stamp, or for `TURNS` turns.
+    Return the whole motion up to `end_ns`.
+
+    By default, the motion ends at the last stamp of the torques. Without torques, the
+    motion ends after `TURNS` turns.
 
     Raises
     ------
     ValueError
-        The body does not rotate and has no torques or fields, or the end is not after the start.
+        The body does not rotate, and there is neither torque nor field; or the end is not after
+        the start.
 
     """
     start_ns = problem.start.time_ns
@@ -227,6 +237,6 @@ def _times(problem: Problem, end_ns: int) -> NDArray[np.int64]:
 
 
 def turned_angle(motion: Trajectory) -> float:
-    """Return the angle that the body turns through from the first to the last output, rad."""
+    """Return the angle, rad, through which the body turns from the first to the last output."""
     speed = np.linalg.norm(motion.angular_velocity, axis=1)
     return float(np.sum(np.maximum(speed[1:], speed[:-1]) * np.diff(motion.times_ns)) * 1e-9)

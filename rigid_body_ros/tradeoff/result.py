@@ -30,7 +30,7 @@ from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.settings import Setting
 
 _WIDTH = 18
-#: The meaning of the floor without rotors, damping and fields, and with them.
+#: Descriptions of the rounding floor: without terms (rotors, damping and fields), and with terms.
 _FLOORS = (
     ('largest difference between runs that round differently: the series with other steps,',
      'in principal axes and, without torque, the closed form; it does not show an error '
@@ -56,21 +56,23 @@ class Tradeoff:
     ----------
     stretch, whole : Case
     angle : float
-        Angle that the body turns through over the stretch, rad.
+        Angle through which the body turns over the stretch, rad.
     measurements : tuple of Measurement
+        The measurements on the stretch.
     reference : Reference
-        Of the stretch.
+        The reference of the stretch.
     interpolation_errors : tuple of InterpolationError
-        On the stretch.
+        The errors of interpolation, estimated on the stretch.
     interpolation_differences : dict
-        By interpolation, the angle of its final attitude from the scene's, rad; see
-        `final_differences`.
+        How much the final attitude changes with other interpolations, rad, by the name of the
+        interpolation; see `final_differences`.
     choices : dict
-        By target, rad, the recommended setting, or None if no setting meets the target.
+        The recommended setting for each target, rad; None if no setting meets the target.
     error_on_whole : OnWhole
-        Returns the attitude error of a measurement on the whole log; see `recommend`.
+        A function that returns the attitude error of a measurement on the whole log; see
+        `recommend`.
     ensemble : Advice, optional
-        For the ensemble that sets one of the targets.
+        The advice for the ensemble whose spread determines one of the targets.
 
     """
 
@@ -87,26 +89,27 @@ class Tradeoff:
 
     @property
     def growth(self) -> float:
-        """Return the length of the whole log relative to the stretch."""
+        """Return the length of the whole log, divided by the length of the stretch."""
         return self.whole.seconds / self.stretch.seconds
 
     @property
     def interpolation_error(self) -> InterpolationError | None:
-        """Return the estimated error of the scene's interpolation, None if there is none."""
+        """Return the error of the scene's interpolation; None if it could not be estimated."""
         return next((error for error in self.interpolation_errors
                      if error.interpolation == self.stretch.interpolation), None)
 
     @property
     def better_interpolation(self) -> InterpolationError | None:
-        """Return the best interpolation if it is clearly better than the scene's."""
+        """Return the best interpolation if it is clearly better than the scene's, or None."""
         own = self.interpolation_error
         return better_interpolation(self.interpolation_errors, own) if own else None
 
     def dominant(self, target: float, held: bool = False) -> str:
         """
-        Return the largest source of error of the recommended setting, or else of the best one.
+        Return the largest source of error of the recommended setting.
 
-        A torque that is held between its samples has no error of the interpolation.
+        If no setting is recommended, use the setting with the smallest error. If `held` is true,
+        assume that the torque is held between samples, so that interpolation causes no error.
         """
         floor, own = self.reference.floor, self.interpolation_error
         choice = self.choices[target]
@@ -114,7 +117,7 @@ class Tradeoff:
         solver = choice.measurement.error.attitude if choice else min(errors, default=math.inf)
         shares = {'rounding': floor, 'solver': solver, 'last digits': self.reference.last_digits,
                   'interpolation': own.estimate if own and not held else 0.0}
-        # The error of a solver at the floor is rounding.
+        # An error of a solver that is close to the floor is a rounding error.
         if solver <= 2.0 * floor:
             shares['solver'] = 0.0
         return max(shares, key=lambda name: shares[name])
@@ -126,7 +129,7 @@ class Tradeoff:
         Parameters
         ----------
         all_rows : bool
-            Whether the table has all settings, or only the Pareto-optimal ones.
+            Whether the table lists all settings, instead of only the Pareto-optimal settings.
 
         """
         recommended = [line for target in self.choices for line in _recommended(self, target)]
@@ -144,7 +147,7 @@ class Tradeoff:
         yield from _facts(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all results for a JSON file; each key names its unit."""
+        """Return all results as JSON types; the keys include the units."""
         span = self.stretch.seconds
         targets = [_target_data(self, target) for target in self.choices]
         return {
@@ -170,15 +173,15 @@ class Tradeoff:
 
     def curves(self) -> dict[str, tuple[list[float], list[float]]]:
         """
-        Return the points of each solver's curve, in the order of its settings.
+        Return the points of the curve of each solver, in the order of its settings.
 
-        Errors below the rounding floor are replaced by the floor: they are not significant, and
-        would bend the end of a curve.
+        If an error is smaller than the rounding floor, the rounding floor replaces the error,
+        because smaller errors are not significant.
 
         Returns
         -------
         dict
-            By solver, largest attitude errors, rad, and costs, s per simulated second.
+            Largest attitude errors, rad, and costs, s per simulated second, by solver.
 
         """
         found: dict[str, tuple[list[float], list[float]]] = {}
@@ -190,7 +193,7 @@ class Tradeoff:
         return found
 
     def reference_errors(self) -> dict[str, float]:
-        """Return the errors, rad, that a plot draws as lines, by their labels."""
+        """Return the errors, rad, that a plot draws as lines, by label."""
         found = {'rounding floor': self.reference.floor,
                  'last-digit effect': self.reference.last_digits}
         found.update({f'target {target:g} rad': target for target in self.choices})
@@ -224,7 +227,7 @@ def _expected(result: Tradeoff, choice: Choice) -> str:
 
 
 def _why(result: Tradeoff, target: float) -> str:
-    """Return the figure that decides, and the part of the motion that it is of."""
+    """Return why no setting is certain to meet a target, and in which part of the motion."""
     reference, of_whole = result.reference, result.error_on_whole.reference
     part = '' if result.stretch is result.whole else \
         f' in the first {result.stretch.seconds:.9g} s'
@@ -238,7 +241,7 @@ def _why(result: Tradeoff, target: float) -> str:
 
 
 def _smallest(result: Tradeoff, target: float, part: str) -> str:
-    """Return the smallest error of all settings, if no limit of accuracy forbids the target."""
+    """Return text with the smallest error of all settings, on the stretch or the whole motion."""
     least = min(one.error.attitude for one in result.measurements if not one.failure)
     least += result.reference.guaranteed_error
     measured = result.error_on_whole.least
@@ -252,7 +255,7 @@ def _smallest(result: Tradeoff, target: float, part: str) -> str:
 
 
 def _limits(result: Tradeoff, target: float) -> Iterator[tuple[str, str]]:
-    """Generate the limits of the accuracy; a torque that is held has no error of interpolation."""
+    """Generate one or two rows on what limits the accuracy; two only for 'hold' interpolation."""
     dominant, own = result.dominant(target), result.interpolation_error
     if dominant != 'interpolation' or not own:
         yield 'limited by', _LIMITS[dominant]
@@ -321,7 +324,7 @@ def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
 
 
 def value(setting: Setting) -> str:
-    """Return the tolerance or the step of a setting as text, '-' for the defaults."""
+    """Return the tolerance or the step of a setting as text; '-' if the setting has neither."""
     return f'step {setting.max_step:.6g} s' if setting.max_step else \
         f'tolerance {setting.tolerance:.0e}' if setting.tolerance else '-'
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The settings of the solvers, and which of them to measure."""
+"""The settings of the solvers, and the choice of settings to measure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from rigid_body_ros.propagation.solvers import RECORDS
 from rigid_body_ros.tradeoff.problem import Case, TIGHTEST
 
 _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
-#: Angle of the longest fixed step, rad; largest number of steps in a run, which take about 0.1 s.
+#: Angle through which the body turns in the longest fixed step, rad, and maximum number of steps
+#: in a run. A run with the maximum number of steps takes about 0.1 s.
 _LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 
 
@@ -37,19 +38,19 @@ class Setting(NamedTuple):
 
     @property
     def options(self) -> dict[str, Any]:
-        """Return the keyword arguments of `propagate`."""
+        """Return the setting as keyword arguments of `propagate`."""
         return {name: value for name, value in self._asdict().items() if value is not None}
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return the lines of a scene that select this setting in any scene."""
+        """Return the lines of a scene that select this setting."""
         if self.max_step is not None:
             return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
         return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
                 'max_step: 0.0')
 
 
-#: The tolerance of a scene that has none.
+#: The setting of a scene that specifies no solver and no tolerance.
 DEFAULT = Setting(Options.solver, Options.tolerance)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Time every setting, compare it with the reference, and recommend one for each target."""
+"""Time every setting, compare it with the reference, and recommend a setting for each target."""
 
 from __future__ import annotations
 
@@ -31,10 +31,11 @@ from rigid_body_ros.tradeoff.problem import Case, Reference, turned_angle, whole
 from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import Setting, settings_of
 
-#: rad; the target of `measure` and of --target by default.
+#: Default target of `measure` and of --target, rad.
 TARGET = 1e-6
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
-#: s; shorter runs depend on the previous run, so each is repeated once before it is timed.
+#: s; if a run takes less wall time than this, its time depends on the previous run. Therefore, an
+#: untimed run of the same setting precedes each such timed run.
 _BRIEF = 0.01
 
 
@@ -47,15 +48,17 @@ def measure(problem: Problem, *, end_ns: int | None = None,
     Parameters
     ----------
     problem : Problem
-        Its solver, tolerance and longest step are ignored.
+        The motion. Its solver, tolerance and longest step are ignored.
     end_ns : int, optional
-        End of the motion; otherwise the last stamp, or 50 turns after the start without torques.
+        End of the motion. By default, the motion ends at the last stamp of the torques or, without
+        torques, 50 turns after the start.
     targets : sequence of float, rad
         Attitude errors allowed at any time of the motion.
     seconds : float
-        Wall time to spend on repeated runs, and on runs over the whole motion.
+        Wall time for repeated runs, s. Runs over the whole motion may take up to this time in
+        addition.
     track : callable, optional
-        Wraps the iteration over the settings to show progress.
+        A function that wraps the iteration over the settings, for example to show progress.
 
     Returns
     -------
@@ -64,8 +67,8 @@ def measure(problem: Problem, *, end_ns: int | None = None,
     Raises
     ------
     ValueError
-        The body does not rotate and has no torques, the end is not after the start, or the torques
-        spin the body too fast to compute its motion.
+        The body does not rotate, and there is neither torque nor field; the end is not after the
+        start; or the torques spin the body too fast to compute its motion.
 
     """
     case = whole(problem, end_ns)
@@ -87,7 +90,7 @@ def measure(problem: Problem, *, end_ns: int | None = None,
 
 def _measure_all(case: Case, settings: Sequence[Setting], reference: Reference,
                  seconds: float, track: Track) -> list[Measurement]:
-    """Run every setting once to get its error, then repeatedly, in turns, to get its time."""
+    """Run every setting once to get its error, then all settings in turns to get their times."""
     measurements = [_first_run(case, setting, reference)
                     for setting in track(settings, len(settings))]
     times: list[list[float]] = [[] for _ in measurements]
@@ -126,7 +129,7 @@ def _error(case: Case, motion: Trajectory, reference: Trajectory) -> Error:
         energy = body.kinetic_energy(start.angular_velocity)
     momentum_error = np.linalg.norm(motion.angular_momentum_space - momentum, axis=1).max()
     energy_error = np.abs(motion.kinetic_energy - energy).max()
-    # With rotors, the momentum of both may be zero.
+    # Divide by the momentum of the body, because with rotors, the total momentum may be zero.
     size = np.linalg.norm(body.angular_momentum(reference.angular_velocity), axis=1).max()
     return Error(float(attitude[-1]), float(attitude.max()), float(rates.max()),
                  float(momentum_error / size), float(energy_error / np.max(energy)))
@@ -134,7 +137,7 @@ def _error(case: Case, motion: Trajectory, reference: Trajectory) -> Error:
 
 def _with_pareto_front(measurements: Sequence[Measurement],
                        floor: float) -> tuple[Measurement, ...]:
-    """Mark the Pareto-optimal settings; all errors below the floor count as equal."""
+    """Mark the Pareto-optimal settings; errors below the floor count as equal to the floor."""
     best, optimal = math.inf, set()
     for number, one in sorted(enumerate(measurements), key=lambda item: item[1].seconds):
         error = max(one.error.attitude, floor)
