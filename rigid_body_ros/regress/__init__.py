@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Run a controller again in lockstep, and compare its closed loop with a recorded one.
+Run a controller again in lockstep, and compare its closed loop with a recorded closed loop.
 
-`domain` reserves a ROS domain, `controller` runs a command in it, and `node_process` a node that
-the caller passes. `session` lets both run and records the loop. `loop` reads the recording,
-`differences` compares two loops, `regression` decides which to compare, and `page` shows them.
+`domain` reserves a ROS domain. In this domain, `controller` runs the command of the controller,
+and `node_process` runs a node that the caller provides. `session` runs the controller and the node
+as a closed loop, and records the loop. `loop` reads the recording. `differences` compares two
+loops. `regression` decides which loops to compare. `page` shows the loops.
 """
 
 from rigid_body_ros.regress.differences import Differences, differences

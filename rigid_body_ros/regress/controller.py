@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The command of a controller, with all processes that it starts."""
+"""Run the command of a controller, and end all processes that the command started."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from types import TracebackType
 
 from rigid_body_ros.common.errors import InputError, printable, reason
 
-#: s; from SIGINT, as Ctrl-C sends it, to SIGKILL.
+#: Time, s, from SIGINT, the signal of Ctrl-C, to SIGKILL.
 _GRACE = 3.0
 _PERIOD = 0.02
-#: Number of lines, and of characters in each, that are shown of the output.
+#: Maximum number of output lines that are shown, and of characters in each line.
 _LINES, _WIDTH = 20, 200
 
 
 class ControllerProcess:
     """
-    A command in a session of its own, which ends with the context.
+    A command in a new process session; a context manager that ends the command on exit.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class ControllerProcess:
 
     def __init__(self, words: Sequence[str]) -> None:
         self.words = words
-        # A file: a pipe that is not read would block the command.
+        # Use a file, because a pipe that nobody reads would block the command.
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 (`__exit__` closes it)
         try:
             self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=self._output,
@@ -71,13 +71,13 @@ class ControllerProcess:
 
     @property
     def status(self) -> int | None:
-        """Return the exit status, minus the number of a signal, or None while it runs."""
+        """Return the exit code: None during the run, negative if a signal ended the command."""
         return self._process.poll()
 
     @property
     def output(self) -> list[str]:
         """Return the last lines that the command printed."""
-        # The command writes at the shared file position; pread does not move it.
+        # Use pread: unlike read, it does not move the file position, where the command writes.
         descriptor = self._output.fileno()
         size = os.fstat(descriptor).st_size
         wanted = _LINES * _WIDTH
@@ -85,7 +85,7 @@ class ControllerProcess:
         return [printable(line[:_WIDTH]) for line in text.splitlines()[-_LINES:]]
 
     def end(self) -> None:
-        """End the command and all processes that it started, as Ctrl-C does, or by force."""
+        """End the command and all its processes: send SIGINT and, after 3 s, SIGKILL."""
         until = time.monotonic() + _GRACE
         self._send(signal.SIGINT)
         while self._alive() and time.monotonic() < until:
@@ -100,7 +100,7 @@ class ControllerProcess:
     def _send(self, number: int) -> None:
         for process in {self._process.pid, *_members(self._process.pid)}:
             try:
-                # Not the first process once it has ended: another process may have its number.
+                # If the first process has ended, send nothing: its ID may be in use again.
                 if process != self._process.pid or self._process.poll() is None:
                     os.kill(process, number)
             except ProcessLookupError:
@@ -108,13 +108,13 @@ class ControllerProcess:
 
 
 def _members(session: int) -> list[int]:
-    """Return the processes of a session that run; none where there is no /proc."""
+    """Return the IDs of the running processes of a session; empty without /proc."""
     found = []
     for stat in Path('/proc').glob('[0-9]*/stat'):
         try:
             text = stat.read_text(errors='replace')
         except OSError:
-            continue  # it has ended
+            continue  # the process has ended
         state, _, _, number, *_ = text.rpartition(')')[2].split()
         if int(number) == session and state not in 'ZX':
             found.append(int(stat.parent.name))

@@ -37,22 +37,25 @@ class Differences:
     Attributes
     ----------
     torques, states : int
-        Number of stamps that both have, and that were compared.
+        Number of torques and of states that were compared: those with stamps in both loops.
     same_torques, same_states : int
-        Number of those whose bits are all equal.
+        Number of compared torques and of compared states with equal bits.
     first_ns : int, optional
-        The first stamp at which a bit differs, or that only one of the two has.
+        The first stamp at which any bit differs, or that occurs in only one of the two loops. None
+        if all bits are equal.
     first : str
-        What differs there: the log of a torque, 'state', or 'stamp' if only one has it; '' if
-        nothing.
+        What differs at `first_ns`: the name of a torque log, 'state', or 'stamp' if the stamp
+        occurs in only one of the two loops. Empty if nothing differs.
     missing : int
-        Number of stamps that only one of the two has.
+        Number of stamps that occur in only one of the two loops.
     torque, attitude, rate : float, optional
-        The largest differences, N m, rad and rad/s; None if there is nothing to compare.
+        The largest differences of torques (N m), attitudes (rad) and angular velocities (rad/s).
+        None if the two loops have no stamps in common.
     start_ns, end_ns : int
-        The times of the first and the last state of the reference.
+        The time of the start and the time of the last state, both of the reference.
     versions : dict
-        By package, the version that made the reference and the one in use, if they differ.
+        For each package whose version has changed, the version that made the reference, and the
+        version in use.
 
     """
 
@@ -76,13 +79,18 @@ class Differences:
         return self.first_ns is None
 
     def within(self, tolerance: float | None) -> bool:
-        """Return whether all bits agree, or all stamps, and attitudes within a tolerance, rad."""
+        """
+        Return whether all bits are equal or, with a tolerance, whether the attitudes are close.
+
+        The tolerance is an angle, rad. Attitudes may differ by at most this angle, and all stamps
+        must be equal.
+        """
         if self.equal or tolerance is None:
             return self.equal
         return not self.missing and self.attitude is not None and self.attitude <= tolerance
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the facts: names and texts."""
+        """Return the facts as pairs of a name and a text."""
         span = (self.end_ns - self.start_ns) * 1e-9
         found = [('compared', f'{self.torques} torques and {self.states} states over {span:.9g} '
                               's of the loop'),
@@ -110,7 +118,7 @@ class Differences:
         return f'the {log} at equal states, so the controller differs,'
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the numbers as JSON, with units in their names."""
+        """Return the numbers as JSON types; the keys include the units."""
         return {'torques': self.torques, 'states': self.states,
                 'first_difference_ns': self.first_ns,
                 'largest': {'torque_N_m': self.torque, 'attitude_rad': self.attitude,
@@ -124,7 +132,7 @@ def differences(reference: Loop, loop: Loop) -> Differences:
                              for one in (reference, loop)))
              for name in {**reference.torques, **loop.torques}}
     states = Pair.of(reference.states, loop.states.until(last_ns))
-    # A torque acts after its stamp, so a state at the same stamp is the cause.
+    # States come first, because a torque is a consequence of the state with the same stamp.
     every = {_STATE: states, **pairs}
     first = {name: pair.first_ns for name, pair in every.items() if pair.first_ns is not None}
     name = min(first, key=lambda one: first[one], default='')
@@ -150,7 +158,7 @@ def differences(reference: Loop, loop: Loop) -> Differences:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The values of two series at their common stamps, and the first stamp that differs."""
+    """The values of two series at common stamps, and the first stamp at which they differ."""
 
     times_ns: NDArray[np.int64]
     reference: Floats
@@ -161,12 +169,12 @@ class Pair:
 
     @classmethod
     def of(cls, reference: Signal, found: Signal) -> Pair:
-        """Return the pair of two series."""
+        """Return the values of two series as a pair."""
         times_ns, rows, others = np.intersect1d(
             reference.times_ns, found.times_ns, assume_unique=True, return_indices=True)
         values, other_values = (np.ascontiguousarray(samples.values[chosen]) for samples, chosen
                                 in ((reference, rows), (found, others)))
-        if not times_ns.size:  # of the two, `EMPTY` may have another number of columns
+        if not times_ns.size:  # `EMPTY` may have another number of columns
             other_values = values
         same = (values.view(np.int64) == other_values.view(np.int64)).all(axis=1) \
             & (reference.frames[rows] == found.frames[others])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A ROS domain of its own: nothing in it is seen or disturbed by others on this machine."""
+"""A private ROS domain, in which no other processes receive or send messages."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ import socket
 
 from rigid_body_ros.common.errors import InputError
 
-#: Domains whose ports are below those of outgoing connections on Linux. Most people choose low
-#: numbers, so the search begins with the high ones.
+#: Domains whose ports are below the ports that Linux uses for outgoing connections. The search
+#: begins with the highest number, because users tend to choose low numbers.
 _DOMAINS = range(100, 0, -1)
-#: The ports of a domain; participants take the lowest that are free.
+#: First port of domain 0, and number of ports per domain. Participants use the lowest free ports.
 _FIRST, _PORTS = 7400, 250
-#: Humble, and later releases: no packet leaves the machine.
+#: The environment variable that keeps all packets on this machine; Humble uses another variable
+#: than later releases.
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-#: These would lead to nodes elsewhere.
+#: Environment variables that would connect nodes with other machines.
 _ELSEWHERE = 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER'
 
 
 @contextmanager
 def private_domain() -> Iterator[int]:
     """
-    Reserve a free ROS domain, and set the environment so that processes and nodes use it.
+    Reserve a free ROS domain, and set the environment so that new nodes use this domain.
 
     Raises
     ------
@@ -61,14 +62,14 @@ def private_domain() -> Iterator[int]:
 
 
 def _reserved() -> tuple[int, socket.socket]:
-    """Return a domain without nodes, and the lock that keeps others like this one away."""
+    """Return a domain without nodes, and a socket that keeps others from reserving the domain."""
     ours = os.environ.get('ROS_DOMAIN_ID')
     for number in _DOMAINS:
         if str(number) == ours:
             continue
         lock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         with suppress(OSError):
-            # The last port of the domain; the system frees it however the process ends.
+            # The last port of a domain is its lock. The system frees it when this process ends.
             lock.bind(('127.0.0.1', _FIRST + _PORTS * (number + 1) - 1))
             if not _used(number):
                 return number, lock
@@ -78,10 +79,10 @@ def _reserved() -> tuple[int, socket.socket]:
 
 
 def _used(number: int) -> bool:
-    """Return whether a process of this machine has a port of a domain, except for the lock."""
+    """Return whether a process on this machine uses a port of a domain, except the lock port."""
     first = _FIRST + _PORTS * number
     for name in ('udp', 'udp6'):
-        with suppress(OSError):  # only Linux has the table
+        with suppress(OSError):  # only Linux has these tables
             for line in Path('/proc/net', name).read_text().splitlines()[1:]:
                 if first <= int(line.split()[1].rpartition(':')[2], 16) < first + _PORTS - 1:
                     return True

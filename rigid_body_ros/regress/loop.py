@@ -38,15 +38,16 @@ _TORQUE = 'accepted_'
 @dataclass(frozen=True, eq=False)
 class Signal:
     """
-    Torques of a topic, or states.
+    The torques of a topic, the states, or another series of samples.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
-        Ascending, each once.
+        Strictly ascending times.
     values : array, shape (n, d)
-        Torques, N m, (n, 3); states, x y z w and body rates, rad/s, (n, 7); inertias, (n, 6);
-        commands in force of wheels with names, N m, (n, wheels).
+        One row for each sample. A row contains a torque, N m (d = 3); a state, with attitude
+        x y z w and angular velocity, rad/s, body axes (d = 7); an inertia, kg m^2 (d = 6); or the
+        commands that named wheels follow, N m (one column for each wheel).
     frames : array of str, shape (n,)
         The frame of each sample.
 
@@ -77,12 +78,13 @@ class Loop:
     ----------
     start : State
     torques : dict
-        By the name of their log, such as 'accepted_torque'.
+        Torques by the name of the log, such as 'accepted_torque'.
     states : Signal
     made_by : dict
-        The metadata of the recording that determine its last bits.
+        The versions on which the last bits of the states depend, from the metadata of the
+        recording.
     node : str
-        The name of the node, which begins the names of its topics.
+        The name of the node. The names of its topics begin with this name.
     wheels : tuple of str
         The names of the wheels.
 
@@ -97,7 +99,7 @@ class Loop:
 
     @property
     def spans_ns(self) -> dict[str, int]:
-        """Return the time from the start to the last torque of each log that has torques, ns."""
+        """Return the time, ns, from the start to the last torque, for each log with torques."""
         return {name: int(samples.times_ns[-1]) - self.start.time_ns
                 for name, samples in self.torques.items() if len(samples) and name != INERTIA}
 
@@ -116,7 +118,8 @@ def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
     Raises
     ------
     InputError
-        The recording cannot be read, is not the whole log of one node, or has other wheels.
+        The recording cannot be read, is not the complete log of one node, or contains wheels other
+        than the given ones.
 
     """
     log = committed(path)
@@ -146,7 +149,7 @@ def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
 
 
 def committed(path: str | Path) -> str:
-    """Return the topic of the states; raise InputError if a recording is not of just one node."""
+    """Return the topic of the states; raise InputError unless exactly one node wrote a log."""
     logs = [topic for topic in recording.topics(path, [messages.ODOMETRY])
             if topic.rpartition('/')[2] == COMMITTED]
     if len(logs) != 1:
@@ -166,7 +169,7 @@ def _samples(found: Messages, kind: messages.MessageType) -> Signal:
                    found.values[:, messages.ANGULAR_VELOCITY]])
     order = np.argsort(found.stamps_ns, kind='stable')
     stamps_ns = found.stamps_ns[order]
-    # If torques have equal stamps, the later one acts.
+    # Of torques with equal stamps, the last one acts.
     order = order[np.append(np.diff(stamps_ns) != 0, True)[:len(order)]]
     frames = np.array(found.names, np.str_)[found.frames[order]] if len(order) else \
         np.empty(0, np.str_)

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-A node in a process of its own.
+Run a node in a separate process.
 
-A process can be killed even if threads of the middleware block each other for ever.
+A process can be killed even if threads of the middleware deadlock.
 """
 
 from __future__ import annotations
@@ -31,37 +31,37 @@ from typing import NamedTuple, Protocol
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 
-#: s; time that the node runs between two checks of the other side.
+#: s; time between two checks for a message from the parent process.
 _PERIOD = 0.02
 #: s; how long the node may take to end.
 _PATIENCE = 20.0
-#: Sent when the log is written.
+#: The message that the process of the node sends after it has written the log.
 _WRITTEN = 'written'
 
 
 class Node(Protocol):
-    """A node in lockstep that keeps its log."""
+    """A node in lockstep that keeps a log."""
 
     @property
     def elapsed_ns(self) -> dict[str, int]:
-        """Return the time from the start to the newest torque of each log with torques, ns."""
+        """Return the time, ns, from the start to the newest torque, for each log with torques."""
 
     @property
     def unpublished(self) -> list[str]:
-        """Return the topics of torques that no node publishes."""
+        """Return the torque topics to which no node publishes."""
 
     @property
     def has_rival(self) -> bool:
         """Return whether another node also publishes the states."""
 
     def spin(self, seconds: float) -> None:
-        """Run the node for this time, s."""
+        """Run the node for `seconds`."""
 
     def finish(self) -> None:
         """Commit the last states."""
 
     def write(self, path: str | Path, last_ns: int) -> None:
-        """Write the log, up to this time after the start, to a recording."""
+        """Write the log to a recording, up to `last_ns` after the start."""
 
 
 class Status(NamedTuple):
@@ -72,8 +72,9 @@ class Status(NamedTuple):
     has_rival: bool
 
 
-#: Returns a context with a node, in the process that is to run it; it takes the names of the logs
-#: whose topics are to have publishers first, none if these are not known.
+#: A function that is called in the process of the node, and returns a context manager that yields
+#: the node. Its argument contains the names of logs; it is empty if the names are unknown. Before
+#: it starts, the node waits until the topics of these logs have publishers.
 Start = Callable[[Collection[str]], AbstractContextManager[Node]]
 
 
@@ -84,26 +85,27 @@ class NodeProcess:
     Parameters
     ----------
     start : callable
-        It is called in the process, with `logs`.
+        A function that is called with `logs` in the process of the node.
     logs : collection of str
+        The names of the logs whose topics must have publishers before the node starts.
 
     Attributes
     ----------
     status : Status
-        What the node reported last.
+        The latest report of the node.
 
     """
 
     def __init__(self, start: Start, logs: Collection[str] = ()) -> None:
         self.status = Status({}, [], False)
-        # Spawn, because a fork would copy the locks of threads but not the threads.
+        # Use spawn: a fork would copy the locks of other threads, but not the threads themselves.
         context = multiprocessing.get_context('spawn')
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, start, [*logs]),
                                         daemon=True)
         with interrupts.blocked_in_children():
             self._process.start()
-        theirs.close()  # otherwise the end of the process would go unnoticed
+        theirs.close()  # otherwise, this process would not notice the end of the other process
 
     def __enter__(self) -> NodeProcess:
         return self
@@ -114,12 +116,12 @@ class NodeProcess:
         if kind:
             self._process.kill()
         self._process.join(_PATIENCE)
-        self._process.kill()  # in case it does not respond
+        self._process.kill()  # the process may hang
         self._process.join()
 
     def watch(self, seconds: float) -> None:
         """
-        Receive what the node reports, for a time, s, at the most.
+        Receive reports of the node; wait at most `seconds` for the first report.
 
         Raises
         ------
@@ -132,24 +134,24 @@ class NodeProcess:
 
     def write(self, path: str | Path, last_ns: int) -> None:
         """
-        End the node, and have it write its log up to this time after the start, ns.
+        Let the node write the log up to `last_ns` after the start, and end the node.
 
         Raises
         ------
         InputError
-            The node cannot write it, or does not end.
+            The node cannot write the log, or does not end.
 
         """
-        with suppress(OSError):  # it has ended, and its last message has the reason
+        with suppress(OSError):  # the process has ended; its last message contains the reason
             self._connection.send((path, last_ns))
         while isinstance(found := self._received(_PATIENCE), Status):
-            self.status = found  # sent before
+            self.status = found  # the node sent this report before it received the request
         if found != _WRITTEN:
             raise InputError(f'expected the node to end within {_PATIENCE:g} s, found that it '
                              'hangs')
 
     def _received(self, seconds: float) -> Status | str | None:
-        """Return the next message, or None if none arrives within a time, s."""
+        """Return the next message, or None if no message arrives within `seconds`."""
         try:
             found = self._connection.recv() if self._connection.poll(seconds) else None
         except (EOFError, OSError):
@@ -162,7 +164,7 @@ class NodeProcess:
 
 
 def _serve(connection: Connection, start: Start, logs: Collection[str]) -> None:
-    """Run a node, and report, until the other side asks for the log or has exited."""
+    """Run a node and report its status until the parent process asks for the log or exits."""
     with suppress(KeyboardInterrupt, EOFError, OSError), interrupts.deferred(until_exit=True):
         try:
             with start(logs) as node:

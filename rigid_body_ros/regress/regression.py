@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compare the loop of a controller with a reference, or make the reference."""
+"""Compare the closed loop of a controller with a reference, or create a reference."""
 
 from __future__ import annotations
 
@@ -31,20 +31,21 @@ _CAUSES = 'wall time, random numbers or the order in which its threads run'
 @dataclass(frozen=True, eq=False)
 class Regression:
     """
-    The loop of a controller, compared with a reference.
+    The closed loop of a controller, compared with a reference.
 
     Attributes
     ----------
     reference, loop : Loop
-        For a new reference, two runs of the controller.
+        The reference and the first run of the controller. For a new reference, the first and the
+        second run of the controller.
     path : Path
         The recording of the first run.
     found : Differences
-        Between the two.
+        The differences between `reference` and `loop`.
     again : Differences or None
-        Between two runs of the controller, if it ran twice.
+        The differences between two runs of the controller; None if the controller ran only once.
     tolerance : float or None, rad
-        If given, attitudes may differ by this angle.
+        The angle by which attitudes may differ. None if all bits must be equal.
 
     """
 
@@ -57,7 +58,7 @@ class Regression:
 
     @property
     def is_same(self) -> bool:
-        """Return whether the loop is the reference, up to the tolerance."""
+        """Return whether the loop equals the reference, within the tolerance if one is given."""
         return self.found.within(self.tolerance)
 
     @property
@@ -74,27 +75,29 @@ class Regression:
         return 'the loop differs from the reference'
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the facts: names and texts."""
+        """Return the facts as pairs of a name and a text."""
         found = [('result', self.verdict), *self.found.rows()]
         if self.again is not None and self.again.equal:
             found.append(('second run', 'has the same bits as the first'))
         return found
 
     def text(self) -> str:
-        """Return the facts, one line for each."""
+        """Return the facts, one line per fact."""
         return lines(f'{name:14}{text}' for name, text in self.rows())
 
     __str__ = text
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what --json writes."""
+        """Return the content of the file that --json writes."""
         return {'equal': self.is_same, **self.found.as_dict()}
 
 
 def compare(session: Session, path: str | Path, folder: Path,
             tolerance: float | None = None) -> Regression:
     """
-    Run a controller for the duration of a reference, again if they differ, and compare the loops.
+    Run a controller for the duration of a reference, and compare its loop with the reference.
+
+    If the loops differ, run the controller again to find out whether its loop is reproducible.
 
     Parameters
     ----------
@@ -103,14 +106,14 @@ def compare(session: Session, path: str | Path, folder: Path,
     path : str or Path
         The recording of the reference.
     folder : Path
-        For the recordings of the runs.
+        The folder for the recordings of the runs.
     tolerance : float, optional, rad
-        Attitudes may differ by this angle.
+        The angle by which attitudes may differ. Without a tolerance, all bits must be equal.
 
     Raises
     ------
     InputError
-        The reference cannot be read, or as for `Session.record`.
+        The reference cannot be read, or `Session.record` raises this error.
 
     """
     reference = read(path, session.wheels)
@@ -125,10 +128,11 @@ def compare(session: Session, path: str | Path, folder: Path,
 def update(session: Session, span: Span, folder: Path,
            tolerance: float | None = None) -> Regression:
     """
-    Run a controller twice, and compare the runs; the first may become a reference.
+    Run a controller twice, and compare the runs; the first run may become a reference.
 
-    Arguments and errors are those of `compare`. The loop is shorter than the span if the
-    controller ends by itself.
+    The arguments and the errors are those of `compare`, but `span` replaces the path of the
+    reference, and defines the duration of the loop. If the controller ends early without an error,
+    the loop is shorter.
     """
     first = folder / 'first.mcap'
     reference = _recorded(session, first, span, may_end=True)

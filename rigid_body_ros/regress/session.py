@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Let a controller and a node run as a closed loop, and record it."""
+"""Run a controller and a node as a closed loop, and record the loop."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from rigid_body_ros.regress.node_process import NodeProcess, Start, Status
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import report
 
-#: s; how often to look for signals and the end of the controller.
+#: s; time between checks for signals and for the end of the controller.
 _PERIOD = 0.05
-#: s; how long the last torque of a controller that has ended may take.
+#: s; maximum time from the end of the controller to the arrival of its last torque.
 _IN_TRANSIT = 1.0
 
 
@@ -45,7 +45,8 @@ class Span:
     last_ns : int
         The time from the start to the last torque.
     by_log : dict
-        The same for each log; without, all logs that have torques run to `last_ns`.
+        The time from the start to the last torque of each log, by name. If the dict is empty, all
+        logs with torques run to `last_ns`.
 
     """
 
@@ -58,7 +59,7 @@ class Span:
         return cls(max(loop.spans_ns.values()), loop.spans_ns)
 
     def is_over(self, elapsed_ns: Mapping[str, int]) -> bool:
-        """Return whether the loop has run to its end."""
+        """Return whether a loop is over, given the time from the start to the last torques, ns."""
         expected = self.by_log or dict.fromkeys(elapsed_ns, self.last_ns)
         return bool(elapsed_ns) and all(elapsed_ns.get(name, -1) >= last_ns
                                         for name, last_ns in expected.items())
@@ -67,15 +68,16 @@ class Span:
 @dataclass(frozen=True)
 class Session:
     """
-    A command, and a function that starts a node for it.
+    The command of a controller, and a function that starts a node for the controller.
 
     Attributes
     ----------
     command : list of str
     start : callable
-        Returns a context with a node, in a process of its own.
+        A function that is called in a separate process, and returns a context manager that yields
+        a node.
     timeout : float, s
-        The longest wall time of a loop.
+        The maximum duration of a loop, in wall time.
     wheels : tuple of str
         The names of the wheels of the scene.
 
@@ -97,13 +99,13 @@ class Session:
         span : Span
             How long the loop runs.
         may_end : bool
-            Whether the loop may be shorter, if the controller ends by itself without an error.
+            Whether to accept a shorter loop if the controller ends early without an error.
 
         Raises
         ------
         InputError
-            The command cannot be started, ends before the loop does, sends no torques, or takes
-            too long.
+            The command cannot be started, ends before the loop is over, sends no torques, takes
+            too long, or starts a second node that publishes odometry.
 
         """
         with NodeProcess(self.start, span.by_log) as node, \
@@ -114,7 +116,7 @@ class Session:
                 for line in controller.output:
                     report(f'    {line}')
                 raise
-            controller.end()  # it would go on
+            controller.end()  # the controller may wait for messages forever
             node.write(path, span.last_ns)
 
     def _run(self, node: NodeProcess, controller: ControllerProcess, span: Span,
