@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Measured motions, and what they say about the torque."""
+"""Read measured motions, infer the torque that acted, and check a model live."""

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Alarms of a live check: tests of the errors of windows, with a stated rate of false alarms.
+Alarms of a live check: tests of the errors of windows, with a given rate of false alarms.
 
-A window is tested by itself, and the residual torques of 4, 16 and 64 windows together, to find
-errors that are too small for one window. Each of the tests has the same share of the rate.
+One test applies to each single window. Three other tests apply to the residual torques of 4, 16
+and 64 windows together, to find errors that are too small for a single window. The rate of false
+alarms is divided equally among the four tests.
 """
 
 from __future__ import annotations
@@ -32,12 +33,14 @@ from rigid_body_ros.sensing.windows import SensorNoise, WindowError
 OK, WARN, ERROR = range(3)
 #: Numbers of windows that are tested together.
 _TOGETHER = 1, 4, 16, 64
-#: A test warns from this many times the probability of an alarm on.
+#: A test warns if its probability is less than this factor times the probability below which it
+#: raises an alarm.
 _WARNING = 10.0
-#: Windows after which the noise of earlier ones counts for 1/e; and samples of noise as correlated
-#: as an AR(1) process of 0.5 that count before the first: alarms are rarer at the beginning.
+#: Number of windows after which the noise of a window has the weight 1/e; number of fictitious
+#: samples before the first window; and AR(1) correlation of the fictitious samples. The fictitious
+#: samples make early alarms rarer.
 _MEMORY, _EARLIER, _CAUTION = 60.0, 1000.0, 0.5
-#: Largest correlation of one sample with the next.
+#: Largest correlation of adjacent samples.
 _MOST = 0.95
 
 
@@ -48,16 +51,20 @@ class Judgement(NamedTuple):
     Attributes
     ----------
     error : WindowError
+        The error of the model in the window.
     level : int
-        OK, WARN (ten times as many false alarms as stated) or ERROR.
+        OK, WARN or ERROR. ERROR is an alarm. For a correct model, WARN is about ten times as
+        frequent as ERROR.
     sigma : float
-        The least probable of the present tests, as a deviation of a normal distribution.
+        The probability of the most significant of the latest tests, expressed as a number of
+        standard deviations of a normal distribution.
     windows : int
-        How many windows that test is of.
+        The number of windows in the most significant test.
     axis : str
-        The component with the largest deviation, and this deviation in standard deviations.
+        The component with the largest deviation, and this deviation as a number of standard
+        deviations.
     since_ns : int
-        End of the first window of the present level.
+        End of the window with which the present level began.
 
     """
 
@@ -69,7 +76,7 @@ class Judgement(NamedTuple):
     since_ns: int
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as JSON types; units are in the names."""
+        """Return the judgement as JSON types; the names include the units."""
         error = self.error
         return {'end_ns': error.end_ns, 'level': ('OK', 'WARN', 'ERROR')[self.level],
                 'sigma': self.sigma, 'windows': self.windows, 'axis': self.axis,
@@ -81,20 +88,23 @@ class Judgement(NamedTuple):
 @dataclass
 class NoiseLevel:
     """
-    The actual noise of a value of a sensor, and its duration, from all windows so far.
+    The actual noise of one quantity of a sensor, and the correlation of this noise.
+
+    The noise and the correlation are estimated from all windows so far.
 
     Parameters
     ----------
     stated : float
-        Standard deviation of a component.
+        Standard deviation of a component according to the scene.
 
     """
 
     stated: float
-    #: Number of samples, sums of squares of their differences, and of products of successive ones.
-    #: Differences about a line, because an error of the model is smooth.
+    #: Three statistics of the differences of adjacent samples: the number of differences, the sum
+    #: of their squares, and the sum of the products of successive differences. A fitted line is
+    #: subtracted from the differences first, because errors of the model are smooth.
     _sums: Floats = field(init=False)
-    #: Whether the topic measures this.
+    #: Whether the sensor measures the quantity.
     is_measured: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
@@ -103,14 +113,14 @@ class NoiseLevel:
             1.0 / self.stated ** 2, 2.0 * change, -change ** 2])
 
     def add(self, errors: Floats | None) -> None:
-        """Add the errors of a window, shape (n, 3); None adds none."""
+        """Add the errors of a window, shape (n, 3); ignore None, and fewer than four errors."""
         if errors is None or len(errors) < 4:
             return
         self.is_measured = True
         steps = np.diff(errors, axis=0)
         columns = np.stack([np.ones(len(steps)), np.arange(len(steps))], axis=1)
         steps = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
-        # Neither outliers nor a jump are noise.
+        # Clip outliers and jumps, because they are not noise.
         limit = 6.0 * float(np.median(np.abs(steps))) / 0.6745
         steps = np.clip(steps, -limit, limit)
         self._sums *= np.exp(-1.0 / _MEMORY)
@@ -128,7 +138,7 @@ class NoiseLevel:
 
     @property
     def found(self) -> float:
-        """Return the standard deviation of a component."""
+        """Return the standard deviation of each component, estimated from the samples."""
         count, squares, _ = self._sums
         return float(np.sqrt(squares / count / 2.0 / (1.0 - self._correlation)))
 
@@ -143,7 +153,7 @@ class _Together:
     product: Floats = field(default_factory=lambda: np.zeros(3))
 
     def add(self, torque: Floats, covariance: Floats) -> float | None:
-        """Add the error of a window; if it is the last, return chi-square, and begin again."""
+        """Add a window's torque; after the last window, return the chi-square of all and reset."""
         weight = np.linalg.inv(covariance)
         self.count += 1
         self.weight, self.product = self.weight + weight, self.product + weight @ torque
@@ -156,29 +166,31 @@ class _Together:
 
 class Alarms:
     """
-    Judge windows, one after the other.
+    Judge windows one after the other.
 
     Parameters
     ----------
     window_s : float, s
+        Length of a window.
     hours : float, h
-        Time in which a right model gives one alarm.
+        Average time between false alarms, if the model is correct.
 
     """
 
     def __init__(self, window_s: float, hours: float) -> None:
-        #: Probability of an alarm of a test of one window.
+        #: Probability below which a test of one window raises an alarm.
         self._usual = window_s / (3600.0 * hours * len(_TOGETHER))
         self._sums = [_Together(count) for count in _TOGETHER[1:]]
-        #: By number of windows: the probability of the last test, divided by that of an alarm.
+        #: For each number of windows that are tested together, the probability of the latest
+        #: test, divided by the probability below which the test raises an alarm.
         self._ratios = dict.fromkeys(_TOGETHER, np.inf)
         self._level, self._since_ns = OK, 0
-        # Not when the first window is over: the import takes long.
+        # Import now, because a later import would delay the judgement of the first window.
         from scipy.special import chdtrc, ndtri
         self._tail, self._quantile = chdtrc, ndtri
 
     def judged(self, error: WindowError) -> Judgement:
-        """Return the judgement after another window."""
+        """Judge the next window."""
         first = 3 if np.isnan(error.attitude[0]) else 0
         change = np.concatenate([error.attitude, error.rate])[first:]
         covariance = error.covariance[first:, first:]
@@ -199,7 +211,7 @@ class Alarms:
 
 
 def _axis(change: Floats, covariance: Floats) -> str:
-    """Return the component of an error with the largest deviation."""
+    """Return the name of the component with the largest deviation, and this deviation."""
     deviations = np.abs(change) / np.sqrt(np.diag(covariance))
     names = [f'{what} about {axis}' for what in ('attitude', 'rate') for axis in 'xyz']
     row = int(np.argmax(deviations))
@@ -207,6 +219,6 @@ def _axis(change: Floats, covariance: Floats) -> str:
 
 
 def noises_of(levels: Sequence[tuple[NoiseLevel, NoiseLevel]]) -> list[SensorNoise]:
-    """Return the stated noises of sensors, attitude and rate, with the factors found so far."""
+    """Return each sensor's standard deviations from the scene and latest correlation factors."""
     return [SensorNoise(turned.stated, rate.stated, turned.factor, rate.factor)
             for turned, rate in levels]

@@ -25,16 +25,16 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants
 from rigid_body_ros.propagation.options import FASTEST
 
-#: Fewest samples that can be compared with a motion.
+#: Minimum number of samples that can be compared with a motion.
 FEWEST = 4
-#: Largest difference of the norm of a quaternion from 1.
+#: Largest accepted deviation of the norm of a quaternion from 1.
 _UNIT = 1e-6
 
 
 @dataclass(frozen=True)
 class Measured:
     """
-    The measurements of a sensor: one topic.
+    The measurements of one sensor, on one topic.
 
     Attributes
     ----------
@@ -42,19 +42,20 @@ class Measured:
     stamps_ns : array of int64, shape (n,)
         Time of each sample, ns, increasing.
     attitude : array, shape (n, 4), optional
-        Unit quaternions x y z w, from body to space axes; None if the topic has none.
+        Unit quaternions x y z w, from body to space axes; None if the topic contains none.
     angular_velocity : array, shape (n, 3), optional
-        rad/s, body axes; None if the topic has none.
+        rad/s, body axes; None if the topic contains none.
     attitude_covariance : array, shape (n, 3, 3), optional
-        Of the attitude error as a rotation vector in body axes, rad^2; None where unknown.
+        Covariance of the attitude error as a rotation vector in body axes, rad^2; None if unknown.
     rate_covariance : array, shape (n, 3, 3), optional
-        Of the angular velocity in body axes, rad^2/s^2; None where unknown.
+        Covariance of the angular velocity in body axes, rad^2/s^2; None if unknown.
     rejected : int
-        Number of messages without a finite value, or faster than 1e9 rad/s.
+        Number of messages that `read_measured` rejected.
     damage : str
-        Which part of the recording was lost; '' if none.
+        Text that says which part of the recording was lost; empty if no part was lost.
     frames : str
-        How the frames of the messages differ from those of the scene; '' if they do not.
+        Text that says how the frames of the messages differ from the frames of the scene; empty if
+        the frames agree.
 
     """
 
@@ -73,18 +74,18 @@ class Measured:
 
     @property
     def is_attitude(self) -> bool:
-        """Return whether the topic has attitudes."""
+        """Return whether the topic contains attitudes."""
         return self.attitude is not None
 
     @property
     def values(self) -> Floats:
-        """Return the attitudes, or, of a topic without attitudes, the angular velocities."""
+        """Return the attitudes, or the angular velocities if there are no attitudes."""
         values = self.angular_velocity if self.attitude is None else self.attitude
         assert values is not None
         return values
 
     def channels(self) -> Iterator[Measured]:
-        """Generate the attitudes without the angular velocities, and the reverse."""
+        """Generate the measured quantities as separate sensors, the attitudes first."""
         stamps_ns = np.asarray(self.stamps_ns, np.int64)
         if self.attitude is not None:
             yield Measured(self.topic, stamps_ns, np.asarray(self.attitude, float), None)
@@ -93,14 +94,14 @@ class Measured:
 
     def check(self) -> None:
         """
-        Check what the attributes promise.
+        Check that the attributes are valid.
 
         Raises
         ------
         ValueError
             There are fewer than four samples, stamps do not increase, neither attitudes nor
-            angular velocities are given, a shape does not match, a value is not finite, or an
-            angular velocity is above 1e9 rad/s.
+            angular velocities are given, a shape does not match, a value is not finite, an
+            angular velocity is above 1e9 rad/s, or an attitude is not a unit quaternion.
 
         """
         count = len(instants(self.stamps_ns, f'{self.topic}: stamps'))
@@ -130,7 +131,7 @@ class Measured:
                                  f'from {norms.min():.6g} to {norms.max():.6g}')
 
     def between(self, begin_ns: int, end_ns: int) -> Measured:
-        """Return the samples from a time on, and before another, ns."""
+        """Return the samples with begin_ns <= stamp < end_ns."""
         return self.rows(slice(*np.searchsorted(self.stamps_ns, [begin_ns, end_ns]).tolist()))
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Measured:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A live check of a model: torques and measurements in any order, a judgement of each window."""
+"""A live check of a model: receive torques and measurements, and judge the model in windows."""
 
 from __future__ import annotations
 
@@ -34,39 +34,40 @@ from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel, noises_
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.windows import window_error
 
-#: Why a window is not judged.
+#: Reasons why a window is not judged.
 FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'
 BEGINS, SILENT = 'torque not known yet', 'no torque for longer than stale_after'
-#: Number of columns: of a torque with its axes, and of an attitude with an angular velocity.
+#: Numbers of columns. A row of torques contains the torque, and whether it is in space axes. A row
+#: of measurements contains the attitude and the angular velocity.
 _TORQUE, _MEASUREMENT = 4, 7
-#: ns; length of the pieces in which a recording is read, and the earliest time.
+#: ns; length of the pieces in which a recording is processed, and earliest time that fits int64.
 _PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
 
 
 class Settings(NamedTuple):
     """The settings of a live check."""
 
-    #: s; length of a window, and how late a message may be.
+    #: s; length of a window, and maximum delay of a message.
     window: float
     history: float
-    #: rad, rad/s; standard deviations of a component.
+    #: rad, rad/s; standard deviations of each component of measured attitudes and rates.
     attitude_noise: float
     rate_noise: float
-    #: h; time in which a right model gives one alarm.
+    #: h; average time between false alarms, if the model is correct.
     false_alarms: float
-    #: s; a torque counts as unknown if no other follows for so long. 0 for no limit.
+    #: s; a torque counts as unknown if no other torque follows within this time. 0 means no limit.
     stale_after: float = 0.0
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """Return the settings among the parameters of a scene."""
+    """Return the settings of the live check from the parameters of a scene."""
     names = ('monitor.window', 'history', 'monitor.attitude_noise', 'monitor.rate_noise',
              'monitor.false_alarms', 'stale_after')
     return Settings(*(values[name] for name in names))
 
 
 def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
-    """Return whether a live check would accept a problem, and its scene states the noise."""
+    """Return whether the scene sets the noise and a live check accepts the problem."""
     others = problem.named_wheels or problem.changes
     is_held = all(log.interpolation == 'hold' for log in problem.sources)
     is_stated = values['monitor.attitude_noise'] and values['monitor.rate_noise']
@@ -75,34 +76,38 @@ def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
 
 class Monitor:
     """
-    Judge a model window by window, as torques and measurements come.
+    Judge a model window by window, as torques and measurements arrive.
 
-    Windows begin at multiples of their length. One is judged as soon as a message is newer than
-    its end by `history`, so the order of arrival within that time changes nothing. A window in
-    which the torque is not known says nothing of the model, and is skipped.
+    Windows begin at multiples of their length. A window is judged when a message arrives whose
+    stamp is later than the end of the window plus `history`. Before that, messages may arrive in
+    any order. A window in which the torque is unknown is skipped, because it says nothing about
+    the model.
 
     Parameters
     ----------
     problem : Problem
-        Its body, fields, options, and the momentum of its rotors; its torques do not matter.
+        The model: body, fields, options, and initial momentum of the rotors. The torques of the
+        problem are ignored.
     settings : Settings
     actuators : sequence of Actuator or None
-        Of the sources of torque, in the order of their numbers from 0 on; empty if there are none.
+        The actuators of the sources of torque, in the order of the sources; empty if there are no
+        actuators.
 
     Attributes
     ----------
     newest_ns : int
-        The newest stamp, 0 before the first.
+        The newest stamp; 0 before the first message.
     noises : dict of tuple of NoiseLevel
-        How noisy attitude and angular velocity of each topic really are.
+        The actual noise of attitude and angular velocity, by topic.
     skipped : Counter of str
-        Numbers of windows that were not judged, by reason.
+        Number of windows that were not judged, by reason.
     last_skipped : str
-        The reason, if the last window was not judged; else ''.
+        Why the last window was not judged; empty if it was judged.
     last : Judgement or None
-        That of the last window that was judged.
+        The latest judgement.
     awaited : set of int
-        Sources whose torque before the first one is not zero, but unknown.
+        Sources whose torque before the first message is unknown. The torque of any other source
+        before the first message is zero.
 
     """
 
@@ -113,15 +118,15 @@ class Monitor:
         self._history_ns = duration_ns(settings.history, 'history')
         self._stale_ns = duration_ns(settings.stale_after, 'stale_after') or NEVER_NS
         self._actuators = dict(enumerate(actuators))
-        #: ns; time for which a command acts.
+        #: ns; longest delay plus lag of an actuator: how long a replaced command may still act.
         self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
         self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE))
         self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT))
         self.noises: dict[str, tuple[NoiseLevel, NoiseLevel]] = {}
         self._alarms = Alarms(settings.window, settings.false_alarms)
-        #: The next window begins here, and the momentum of the rotors then.
+        #: Beginning of the next window, ns, and the momentum of the rotors at this time.
         self._begin_ns, self._momentum = 0, problem.start.rotor_momentum
-        #: Spans of time, ns, that are not judged, and the reasons.
+        #: Spans of time, ns, in which no window is judged, and the reasons.
         self._spans: list[tuple[int, int, str]] = []
         self.newest_ns, self.skipped, self.last_skipped = 0, Counter[str](), ''
         self.last: Judgement | None = None
@@ -130,9 +135,10 @@ class Monitor:
     def apply(self, times_ns: ArrayLike, torques: Floats, in_space: ArrayLike = False,
               source: int = 0) -> NDArray[np.bool_]:
         """
-        Add torques of a source, N m, shape (n, 3); WHEELS is the source on the rotors.
+        Add torques of a source, N m, shape (n, 3); the source of torques on rotors is WHEELS.
 
-        Return which of them are of windows that have not been judged, shape (n,).
+        Return which torques were accepted, shape (n,). A torque is accepted if its window has not
+        been judged yet.
         """
         values = np.empty((len(torques), _TORQUE))
         values[:, :3], values[:, 3] = torques, in_space
@@ -141,16 +147,17 @@ class Monitor:
     def measure(self, topic: str, times_ns: ArrayLike, attitude: Floats,
                 angular_velocity: Floats) -> NDArray[np.bool_]:
         """
-        Add what a topic measured: unit quaternions x y z w, shape (n, 4), and rad/s, shape (n, 3).
+        Add measured attitudes, shape (n, 4), and angular velocities, rad/s, shape (n, 3).
 
-        What it does not measure is NaN. Return which of them are of windows that have not been
-        judged, shape (n,).
+        The attitudes are unit quaternions x y z w. A quantity that the topic does not measure is
+        NaN. Return which samples were accepted, shape (n,). A sample is accepted if its window has
+        not been judged yet.
         """
         return self._put(self._sensors[topic], np.asarray(times_ns),
                          np.concatenate([attitude, angular_velocity], axis=1))
 
     def skip(self, begin_ns: int, end_ns: int, reason: str) -> None:
-        """Judge no window that has a part between two times, because messages of it are lost."""
+        """Skip all windows that overlap a span with lost messages or ambiguous stamps."""
         self._spans.append((begin_ns, end_ns, reason))
 
     def _put(self, rows: _Rows, times_ns: NDArray[np.int64], values: Floats) -> NDArray[np.bool_]:
@@ -161,9 +168,10 @@ class Monitor:
 
     def judgements(self, complete_ns: int | None = None) -> Iterator[Judgement]:
         """
-        Judge the windows that are over, and forget them; those without samples are skipped.
+        Generate the judgements of all windows that are over, and discard their measurements.
 
-        With `complete_ns`, only windows that end by then: messages from after it may still wait.
+        Windows without samples are skipped. If `complete_ns` is given, only windows that end by
+        this time are judged, because later messages may not have been added yet.
         """
         until_ns = self.newest_ns - self._history_ns
         if complete_ns is not None:
@@ -197,7 +205,7 @@ class Monitor:
                     level.add(errors)
 
     def _forget(self, before_ns: int) -> None:
-        """Discard data before a time, except torques that act later."""
+        """Discard data before a time, except torques that still act after that time."""
         for torques in self._torques.values():
             torques.forget(before_ns - self._reach_ns)
         for measured in self._sensors.values():
@@ -205,7 +213,7 @@ class Monitor:
         self._spans = [span for span in self._spans if span[1] > before_ns]
 
     def _unknown(self, begin_ns: int, end_ns: int) -> str:
-        """Return why the torque between two times is not known; '' if it is."""
+        """Return why the torque between two times is unknown; empty if the torque is known."""
         for first_ns, last_ns, reason in self._spans:
             if first_ns < end_ns and last_ns > begin_ns:
                 return reason
@@ -219,15 +227,20 @@ class Monitor:
 
     def _held(self, rows: _Rows, begin_ns: int, end_ns: int
               ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the stamps of the torques in force between two times, and their durations."""
+        """Return the stamps and the durations, ns, of the torques in force between two times."""
         times_ns, values = rows.between(begin_ns, end_ns, 1)
         held_ns = np.diff(np.append(times_ns, rows.first_ns(end_ns)))
-        # A torque that times out is known again.
+        # After its timeout, a torque is known to be zero.
         timeout_ns = self._problem.options.timeout_ns or NEVER_NS
         return times_ns, np.minimum(held_ns, timeout_ns) * values[:, :3].any(axis=1)
 
     def _is_decided(self, begin_ns: int, end_ns: int, until_ns: int) -> bool:
-        """Return whether it is known by a time whether torques in force at an end were stale."""
+        """
+        Return whether enough data has arrived to tell if the last torque of a window is stale.
+
+        A torque is stale if no other torque follows within `stale_after`. If this time ends after
+        `until_ns`, another torque may still follow.
+        """
         for rows in self._torques.values():
             times_ns, held_ns = self._held(rows, begin_ns, end_ns)
             if len(times_ns) and held_ns[-1] > self._stale_ns > until_ns - times_ns[-1]:
@@ -235,7 +248,7 @@ class Monitor:
         return True
 
     def _next_ns(self, until_ns: int) -> int | None:
-        """Return the begin of the next window with measurements; None if it ends after a time."""
+        """Return when the next window with samples begins; None if it ends after `until_ns`."""
         last_ns = until_ns - self._window_ns
         if last_ns < self._begin_ns:
             return None
@@ -245,8 +258,8 @@ class Monitor:
         return begin_ns if begin_ns <= last_ns else None
 
     def _between(self, begin_ns: int, end_ns: int) -> Problem:
-        """Return the problem of a window."""
-        # The momentum of the rotors is the one at the end of the previous window.
+        """Return the problem of a window, with the torques that act in it."""
+        # Start at the end of the previous window, where the momentum of the rotors is known.
         start_ns = self._begin_ns or begin_ns
         start = State(start_ns, self._problem.start.attitude, np.zeros(3), self._momentum)
         logs = {}
@@ -254,7 +267,7 @@ class Monitor:
             times_ns, values = rows.between(start_ns - self._reach_ns, end_ns, 1)
             logs[source] = TorqueLog(times_ns, values[:, :3], values[:, 3] > 0.0)
         wheels = logs.pop(WHEELS, None)
-        # Torques that lag are zero before the first command that matters.
+        # Actuators with a lag are at rest before the first command in the logs.
         rest_ns = min([start_ns, *(int(log.times_ns[0]) for log in logs.values() if log)])
         problem = self._problem.replaced(
             start=replace(start, time_ns=rest_ns), wheels=wheels, log=[*logs.values()],
@@ -269,16 +282,16 @@ class Monitor:
 def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
               ) -> Iterator[Judgement]:
     """
-    Judge a recorded motion as a live check of its torques and measurements does.
+    Judge a recorded motion as a live check would have judged it.
 
     Parameters
     ----------
     problem : Problem
-        Its torques are held between samples.
+        The model and the torques, which are held between samples.
     sensors : sequence of Measured
-        In the axes of the body and the time of the torques.
+        The measurements, converted to body axes and to the clock of the torques.
     settings : Settings
-        Its window and its noise.
+        The settings of the check, such as the length of a window and the noise.
 
     """
     monitor, begin_ns = Monitor(problem, settings, problem.actuators), _EARLIEST_NS
@@ -299,7 +312,7 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
 
 
 class _Rows:
-    """Values by stamp; one that comes later replaces one with the same stamp."""
+    """Values by stamp; a value that is added later replaces a value with the same stamp."""
 
     def __init__(self, columns: int) -> None:
         self._new: list[tuple[NDArray[np.int64], Floats]] = []
@@ -309,7 +322,7 @@ class _Rows:
         self._new.append((stamps_ns, values))
 
     def _all(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return all stamps and values, in the order of the stamps."""
+        """Return all stamps and values, sorted by stamp."""
         if self._new:
             stamps_ns, values = map(np.concatenate, zip(self._sorted, *self._new))
             order = np.argsort(stamps_ns, kind='stable')
@@ -318,20 +331,20 @@ class _Rows:
         return self._sorted
 
     def forget(self, before_ns: int) -> None:
-        """Discard values before a time, except the newest of them."""
+        """Discard the values before a time, except the newest of these values."""
         stamps_ns, values = self._all()
         row = max(int(stamps_ns.searchsorted(before_ns)) - 1, 0)
         self._sorted = stamps_ns[row:].copy(), values[row:].copy()
 
     def first_ns(self, since_ns: int) -> int:
-        """Return the first stamp from a time on; NEVER_NS if there is none."""
+        """Return the first stamp at or after a time; NEVER_NS if there is no such stamp."""
         stamps_ns, _ = self._all()
         row = stamps_ns.searchsorted(since_ns)
         return int(stamps_ns[row]) if row < len(stamps_ns) else NEVER_NS
 
     def between(self, begin_ns: int, end_ns: int,
                 earlier: int = 0) -> tuple[NDArray[np.int64], Floats]:
-        """Return stamps and values between two times, and a number of earlier ones."""
+        """Return stamps and values between two times, and at most `earlier` preceding values."""
         stamps_ns, values = self._all()
         first, stop = stamps_ns.searchsorted([begin_ns, end_ns]).tolist()
         rows = slice(max(first - earlier, 0), stop)
@@ -339,7 +352,7 @@ class _Rows:
 
 
 def _measured(topic: str, rows: _Rows, begin_ns: int, end_ns: int) -> Measured | None:
-    """Return what a topic measured between two times; None if nothing."""
+    """Return the measurements of a topic between two times; None if there are no samples."""
     stamps_ns, values = rows.between(begin_ns, end_ns)
     if not len(stamps_ns):
         return None

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The noise of a channel: its size on each axis, and the number of samples that it lasts."""
+"""The noise of a channel: the size on each axis, and how long the noise persists."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Probability of a false alarm of a test.
+#: Probability that a test raises a false alarm.
 ALARM = 1e-4
-#: Fewest samples of a batch, and fewest outliers that can come together.
+#: Minimum number of samples in a batch, and minimum number of outliers that can form clusters.
 FEWEST = 10
-#: Largest number of previous samples on which a sample depends.
+#: Maximum number of previous samples on which a sample depends.
 _ORDER = 3
-#: No sensor has noise that lasts longer; it is an autoregression with a coefficient of 0.92.
+#: Largest `Noise.lasting` of a sensor: the value for an autoregression with the single coefficient
+#: 0.92.
 LONGEST = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
     """
-    Noise whose samples depend on a few samples before them.
+    Noise in which each sample depends on a few samples before it.
 
     Attributes
     ----------
@@ -45,11 +46,12 @@ class Noise:
     coefficients : array, shape (p,)
         x[t] = c[0] x[t-1] + ... + c[p-1] x[t-p] + innovation.
     lasting : float
-        Scatter of the mean of many samples, relative to independent samples: the root
-        of the long-run variance over the variance, at least 1 and at most `LONGEST`.
+        Ratio of the standard deviation of the mean of many samples to the same standard deviation
+        for independent samples. It is the square root of the ratio of the long-run variance to the
+        variance, at least 1 and at most `LONGEST`.
     overlap : float
-        Scatter of the mean of squares, relative to independent samples: 1 + 2 sum of squared
-        correlations.
+        Ratio of the variance of the mean of squares to the same variance for independent samples.
+        It is 1 plus twice the sum of the squared correlations.
 
     """
 
@@ -60,9 +62,9 @@ class Noise:
 
     def innovations(self, errors: Floats) -> Floats:
         """
-        Return errors of consecutive samples, shape (n, 3), less what those before predict.
+        Return errors of consecutive samples, shape (n, 3), minus predictions from earlier errors.
 
-        Errors that last longer than the noise of a sensor are only scaled.
+        If `lasting` equals `LONGEST`, return the errors divided by `LONGEST` instead.
         """
         if self.lasting >= LONGEST:
             return errors / LONGEST
@@ -74,7 +76,7 @@ class Noise:
 
 
 def batches_of(left: Floats, size: int) -> Floats:
-    """Return squares of sums, and sums of squares, of samples in batches, over their numbers."""
+    """Return the squared sum and the sum of squares of each batch, both per finite sample."""
     count = len(left) // size
     batches = left[:count * size].reshape(count, size, 3)
     known = np.maximum(np.isfinite(batches).sum(axis=1), 1)
@@ -84,19 +86,19 @@ def batches_of(left: Floats, size: int) -> Floats:
 
 def chance(noise: Noise, batches: Floats) -> float:
     """
-    Return the probability that innovations scatter in batches as they do if they are independent.
+    Return the probability that batches of independent innovations scatter at least this much.
 
     Parameters
     ----------
     noise : Noise
-        Of the errors.
+        The noise of the errors.
     batches : array, shape (2, n, 3)
-        As `batches_of` returns them, of innovations.
+        The result of `batches_of` for the innovations.
 
     Returns
     -------
     float
-        Of the axis with the smallest.
+        The smallest of the probabilities of the three axes.
 
     """
     from scipy.special import chdtrc
@@ -106,12 +108,12 @@ def chance(noise: Noise, batches: Floats) -> float:
 
 
 def come_together(bad: NDArray[np.bool_]) -> bool:
-    """Return whether outliers come in clusters, by the number of their runs."""
+    """Return whether outliers cluster, which means that there are too few runs of outliers."""
     from scipy.special import ndtr
     count, share = int(bad.sum()), float(np.mean(bad))
     if count < FEWEST:
         return False
-    # Wald and Wolfowitz (1940)
+    # This is the runs test of Wald and Wolfowitz (1940).
     runs = int(bad[0]) + int(np.sum(bad[1:] & ~bad[:-1]))
     mean = count * (1.0 - share)
     spread = max(np.sqrt(mean * share * (1.0 - share)), 1e-9)
@@ -120,12 +122,12 @@ def come_together(bad: NDArray[np.bool_]) -> bool:
 
 def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     """
-    Return the noise of a channel, the autoregression with the best information criterion.
+    Return the noise of a channel: the autoregression with the best information criterion.
 
     Parameters
     ----------
     parts : sequence of array, shape (n, 3)
-        Errors of consecutive samples, NaN for those that do not count.
+        Errors of consecutive samples; NaN for samples that are ignored.
     share : float
         Number of errors divided by the number of degrees of freedom, at least 1.
 
@@ -162,6 +164,6 @@ def _with_memory(sizes: Floats, coefficients: Floats, correlations: Floats) -> N
 
 
 def _lagged(parts: Sequence[Floats], lag: int) -> float:
-    """Return the mean product of samples some samples apart."""
+    """Return the mean product of samples that are `lag` samples apart."""
     products = [part[lag:] * part[:len(part) - lag] for part in parts if len(part) > lag]
     return float(np.nanmean(np.concatenate(products))) if products else 0.0

@@ -25,9 +25,9 @@ from rigid_body_ros.sensing.measured import Measured
 
 def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
     """
-    Return the angular velocities of a sensor; from its attitudes if it measures none.
+    Return the angular velocities of a sensor: measured or, if missing, computed from attitudes.
 
-    Rates from attitudes are means between two samples, at the middle of the interval.
+    A computed angular velocity is the mean between two samples, at the middle of their stamps.
 
     Returns
     -------

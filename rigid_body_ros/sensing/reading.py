@@ -34,12 +34,12 @@ from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import FEWEST, Measured
 from rigid_body_ros.sensing.text_files import is_text_file, read_text_file
 
-#: Variances, rad^2 or rad^2/s^2, above which a value counts as not measured.
+#: A value with at least this variance, rad^2 or rad^2/s^2, counts as not measured.
 _MEANINGLESS = 1e3
 
 
 class _Values(NamedTuple):
-    """The doubles of a type: where its values and their covariances are."""
+    """The positions of the values and the covariances among the doubles of a message."""
 
     attitude: slice | None = None
     attitude_covariance: slice | None = None
@@ -58,9 +58,9 @@ _LAYOUTS: dict[MessageType, _Values] = {
     messages.IMU: _Values(slice(0, 4), slice(4, 13), slice(13, 16), slice(16, 25)),
     messages.VECTOR3: _Values(rate=slice(0, 3)),
 }
-#: The message types that can be measured.
+#: The message types of measured topics.
 KINDS = tuple(_LAYOUTS)
-#: Types that are certainly measurements of an attitude or an angular velocity.
+#: Types that always contain a measured attitude or angular velocity.
 _CERTAIN = tuple(kind for kind in KINDS if kind is not messages.VECTOR3)
 #: Types whose frames can be chosen.
 _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
@@ -73,10 +73,10 @@ def read_measured(path: str | Path, topic: str | None = None, *,
     """
     Read a measured topic: attitudes, angular velocities, or both.
 
-    A message without a finite quaternion other than zero, or without a finite angular velocity
-    up to 1e9 rad/s, is rejected. An Imu whose covariance begins with -1 has no such value, and
-    neither has a message with a variance of 1000 or more. A covariance that is zero or not
-    positive definite is unknown.
+    A message is rejected if its quaternion is zero or not finite, or if its angular velocity is
+    not finite or above 1e9 rad/s. A value counts as not measured if its covariance in an Imu
+    begins with -1, or if one of its variances is 1000 rad^2 or rad^2/s^2 or more. A covariance
+    that is zero or not positive definite counts as unknown.
 
     Parameters
     ----------
@@ -84,29 +84,34 @@ def read_measured(path: str | Path, topic: str | None = None, *,
         A recording, as for `recording.read`.
     topic : str, optional
         A topic of type QuaternionStamped, PoseStamped, PoseWithCovarianceStamped,
-        TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped (an angular velocity). Can be
-        omitted if only one topic has one of the types but the last.
+        TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped (an angular velocity). If
+        `topic` is not given, the recording must contain exactly one topic of these types, not
+        counting Vector3Stamped.
     frames : tuple of str, optional
-        The two frames of the transforms or of the Odometry to read. By default those of the
-        space and of the body from a TFMessage, and those that all messages have from the others.
+        The parent frame and the child frame of the messages to read, for a topic of transforms or
+        Odometry. By default, the transforms of a TFMessage from the space frame to the body frame
+        are read. Without `frames`, all messages of a TransformStamped or Odometry topic must have
+        the same pair of frames.
     body_frame, space_frame : str
         The frames of the scene.
     time_source : str
-        'header', 'log' (time of recording) or 'publish' (time of publishing).
+        The source of the stamps: 'header', 'log' (time of recording) or 'publish' (time of
+        publishing).
     track : callable, optional
         Wraps the iteration over blocks of messages, to show progress.
 
     Returns
     -------
     Measured
-        Sorted by stamp. If messages have equal stamps, the last in the recording is kept.
+        The samples, sorted by stamp. Of several messages with the same stamp, the last message in
+        the recording is used.
 
     Raises
     ------
     InputError
-        The recording cannot be read; the topic is missing, ambiguous or of another type; it has
-        several pairs of frames, or none that can be chosen; or it has fewer than four messages
-        with finite values and stamps.
+        The recording cannot be read; the topic is missing, ambiguous or of another type; the
+        messages have several pairs of frames, or lack the requested pair; or the topic contains
+        fewer than four usable messages with different stamps.
 
     """
     topic = topic or _only_topic(path)
@@ -132,14 +137,14 @@ def read_measured(path: str | Path, topic: str | None = None, *,
 
 def samples(kind: MessageType, values: Floats) -> tuple[Floats, Floats]:
     """
-    Return measured attitudes and angular velocities from messages, NaN where there are none.
+    Return the attitudes and angular velocities in messages; values that are not measured are NaN.
 
     Parameters
     ----------
     kind : MessageType
         One of `KINDS`.
     values : array, shape (n, doubles)
-        Their doubles.
+        The doubles of the messages.
 
     Returns
     -------
@@ -186,7 +191,7 @@ def _check_axes(where: str, recorded: Messages, space_frame: str) -> None:
 
 def _other_frames(where: str, recorded: Messages, kind: MessageType,
                   expected: tuple[str, str]) -> str:
-    """Return how frames differ from the space and body frames; '' if they do not, or are empty."""
+    """Return a text about frames other than the space and body frames; empty if there are none."""
     if kind.has_child_frame:
         pairs = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
         if len(pairs) > 1:
@@ -229,7 +234,7 @@ def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
 
 def _given(values: Floats, where: slice | None, covariance: slice | None, kind: MessageType,
            usable: Callable[[Floats], NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-    """Return a mask of the messages that have a value; None if the type has none."""
+    """Return a mask of the messages with a usable value; None if the type lacks this value."""
     if where is None:
         return None
     found = values[:, where]
@@ -243,14 +248,14 @@ def _given(values: Floats, where: slice | None, covariance: slice | None, kind: 
 
 
 def _block(covariances: Floats) -> Floats:
-    """Return the rotational parts, shape (n, 3, 3), of rows of 9 or 36 covariances."""
+    """Return the rotational part of each covariance, shape (n, 3, 3), from rows of 9 or 36."""
     size = 3 if covariances.shape[1] == 9 else 6
     return covariances.reshape(-1, size, size)[:, size - 3:, size - 3:]
 
 
 def _covariance(values: Floats, where: slice | None, to_body: Floats | None = None
                 ) -> Floats | None:
-    """Return covariances in body axes; None unless all are known, and positive definite."""
+    """Return covariances in body axes; None if any is unknown or not positive definite."""
     if where is None:
         return None
     found = _block(values[:, where])
@@ -264,7 +269,7 @@ def _covariance(values: Floats, where: slice | None, to_body: Floats | None = No
 
 
 def _ordered(where: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return rows in ascending order of their stamps, each stamp once."""
+    """Return the rows sorted by stamp; of rows with equal stamps, keep only the last row."""
     without = int(np.sum(stamps_ns[rows] == 0))
     if without > 1:
         raise InputError(f'{where}: expected stamps in the headers, found 0 in {without} of '
@@ -280,14 +285,14 @@ def _ordered(where: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.intp]) -
 
 def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Measured]:
     """
-    Read measured topics, with the arguments and errors of `read_measured`.
+    Read measured topics, with the options of `read_measured`.
 
-    A topic that is the name of a text file is read by `read_text_file`.
+    If a topic is the name of a text file, `read_text_file` reads this file.
 
     Raises
     ------
     InputError
-        Also if a topic is given twice.
+        `read_measured` or `read_text_file` raises this error, or a topic is given twice.
 
     """
     frames: tuple[str, str] | None = options.pop('frames', None)
@@ -295,7 +300,8 @@ def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Me
     for name in names:
         if names.count(name) > 1:
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
-    # With several topics, the frames choose the transforms.
+    # The frames apply to the given topics whose types have two frames, or to all topics if no
+    # given topic has such a type.
     chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if frames else set()
     return [read_text_file(name) if name and is_text_file(name) else
             read_measured(path, name, frames=frames if name in chosen or not chosen else None,

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the torques of a recording and the measurements under them."""
+"""Read the torques of a recording, and the measurements during the motion."""
 
 from __future__ import annotations
 
@@ -41,15 +41,16 @@ class Reading:
     Attributes
     ----------
     measured : tuple of str
-        Measured topics; empty if the recording has one, as for `read_measured`.
+        Measured topics. May be empty if the recording has only one measured topic, which
+        `read_measured` then finds.
     topics : Topics
         The topics of the torques.
     interpolation : str, optional
-        Interpolation of the torques between samples; otherwise the scene's.
+        Interpolation of the torques between samples; by default, as in the scene.
     time_source : str
-        Of torques and measurements, as for `recording.read`.
+        The source of stamps of torques and measurements, as for `recording.read`.
     frames : tuple of str, optional
-        As for `read_measured`.
+        The parent frame and the child frame to read, as for `read_measured`.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
 
@@ -63,7 +64,7 @@ class Reading:
     track: Track = no_progress
 
     def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
-        """Return the measurements; errors are those of `read_all`."""
+        """Read the measurements; raise the same errors as `read_all`."""
         return read_all(path, self.measured, frames=self.frames, body_frame=scene.body_frame,
                         space_frame=scene.space_frame, time_source=self.time_source,
                         track=self.track)
@@ -77,9 +78,9 @@ class Measurements:
     Attributes
     ----------
     sensors : list of Measured
-        With all samples of the recording.
+        The measurements, with all samples of the recording.
     end_ns : int
-        Where the motion ends, and the next epoch of a node begins.
+        The time at which the motion ends because the next epoch of the node begins.
 
     """
 
@@ -93,12 +94,15 @@ class Measurements:
 
     def until_end(self, offsets: Sequence[float] = ()) -> list[Measured]:
         """
-        Return the samples before the end, given an offset to add to the clock of each sensor, s.
+        Return the samples before the end of the motion.
+
+        If `offsets` are given, the offset of each sensor, s, is added to the stamps before the
+        comparison with the end. The returned stamps are without the offsets.
 
         Raises
         ------
         InputError
-            A sensor has none.
+            A sensor has no samples before the end of the motion.
 
         """
         ends = [self.end_ns - round(1e9 * one)
@@ -115,29 +119,29 @@ class Measurements:
 def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offset: float = 0.0,
                   may_command: bool = False) -> tuple[Problem, Measurements]:
     """
-    Read the torques of a recording, and the measurements under them.
+    Read the torques of a recording, and the measurements during the motion.
 
-    Without torques in the recording, the body is free. If a node has several epochs, the
-    start_time of the scene chooses one.
+    If the recording contains no torques, the body is free. If the recording contains several
+    epochs of a node, the start_time of the scene selects an epoch.
 
     Parameters
     ----------
     path : str or Path
         The recording.
     scene : Scene
-        If its start_time is 0, the motion starts at the earliest stamp of the torques or, without
-        torques, of the measurements.
+        The scene. If the start_time of the scene is 0, the motion starts at the earliest stamp of
+        the torques or, without torques, of the measurements.
     reading : Reading
         What to read.
     largest_offset : float, s
-        How far apart the clocks of torques and measurements may be.
+        Largest possible offset between the clocks of torques and measurements.
     may_command : bool
-        As for `recording.chosen`.
+        Whether a scene with named wheels is accepted, as for `recording.chosen`.
 
     Raises
     ------
     InputError
-        The recording cannot be read, does not fit the scene, or torques and measurements do not
+        The recording cannot be read or does not fit the scene, or torques and measurements do not
         overlap in time.
 
     """
@@ -160,7 +164,7 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
 
 def _check_overlap(path: str | Path, problem: Problem, measurements: Measurements,
                    margin_ns: int) -> None:
-    """Raise InputError if the measurements end before the torques begin, or the reverse."""
+    """Raise InputError if torques and measurements do not overlap in time."""
     first = problem.start.time_ns
     torque = max((int(log.times_ns[-1]) for log in problem.logs), default=NEVER_NS)
     last = min(torque, measurements.end_ns - 1)

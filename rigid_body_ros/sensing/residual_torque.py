@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The torque that must have acted in addition to the logged one.
+The torque that must have acted in addition to the torques of the model.
 
-The change of the angular momentum that was measured, less the impulse of everything that the
-model knows, is the impulse of what it does not know. Its slope over a short window is the residual
-torque. Logged torques enter as exact impulses, so a step between two measurements is not an error.
+The measured change of the angular momentum, minus the impulse of all torques in the model, is the
+impulse of torques that the model lacks. The slope of this impulse over a short window is the
+residual torque. The impulses of logged torques are exact, so a step of the torque between two
+measurements causes no error.
 """
 
 from __future__ import annotations
@@ -38,19 +39,21 @@ from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: Length of a window, s, and its fewest samples; a window of more than twice the length has a gap.
+#: Length of a window, s, and minimum number of samples in a window. If the samples of a window
+#: span more than twice the usual time, the window contains a gap and is skipped.
 WINDOW, FEWEST = 0.25, 11
-#: The nodes of Gauss's formula with two points, exact for a cubic.
+#: The nodes of two-point Gauss quadrature, which is exact for a cubic.
 _NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
 _BLOCK = 2 ** 15
-#: Distance from the median around a sample, in usual distances, above which it is an outlier.
+#: A sample is an outlier only if its distance from the median of five samples exceeds this factor
+#: times the usual distance.
 _OUTLIER = 10.0
-#: Tensors with one of the six entries.
+#: Six symmetric tensors: in each, one of ixx, iyy, izz, ixy, ixz and iyz is 1, the others are 0.
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
 
 
 class Slopes(NamedTuple):
-    """Slopes in windows: rows of the samples at their middles, slopes and standard deviations."""
+    """The slope in each window, its standard deviation, and the row of the middle sample."""
 
     rows: NDArray[np.intp]
     values: Floats
@@ -60,19 +63,22 @@ class Slopes(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class ResidualTorque:
     """
-    The torque that must have acted in addition to the logged one, smoothed over a window.
+    The torque that must have acted in addition to the torques of the model.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
+        Stamp of the middle sample of each window.
     torques : array, shape (n, 3), N m, body axes
+        The mean residual torque in each window.
     noise : array, shape (3,), N m
         Standard deviation of each component, estimated from the scatter within the windows.
     window_s : float, s
+        Length of a window.
     logged : array, shape (n, 3), N m, body axes
-        The logged torque, smoothed in the same way.
+        The logged torque, averaged over each window.
     of_inertia : array, shape (n, 3, 6)
-        Torque that the measured motion needs for a unit of each of ixx, iyy, izz, ixy, ixz, iyz.
+        Torque that the measured motion requires per unit of ixx, iyy, izz, ixy, ixz and iyz.
 
     """
 
@@ -84,7 +90,7 @@ class ResidualTorque:
     of_inertia: Floats
 
     def in_space(self, sensor: Measured) -> tuple[Floats, Floats]:
-        """Return torques and noise, shape (n, 3), in space axes, by attitudes of a sensor."""
+        """Convert torques and noise to space axes, shape (n, 3), with attitudes of a sensor."""
         assert sensor.attitude is not None
         attitude = interpolated(sensor.stamps_ns, sensor.attitude, self.times_ns)
         axes = so3.rotate(attitude[:, None], np.eye(3))
@@ -93,7 +99,11 @@ class ResidualTorque:
 
 
 def with_attitude(rates: Measured, attitudes: Measured) -> Measured:
-    """Return the angular velocities between attitudes of another sensor, with these."""
+    """
+    Return the angular velocities of one sensor, with attitudes interpolated from another sensor.
+
+    The result contains only the samples between the first and the last attitude.
+    """
     assert attitudes.attitude is not None
     first_ns, last_ns = attitudes.stamps_ns[[0, -1]]
     inside = rates.rows((rates.stamps_ns >= first_ns) & (rates.stamps_ns <= last_ns))
@@ -103,17 +113,18 @@ def with_attitude(rates: Measured, attitudes: Measured) -> Measured:
 
 def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None:
     """
-    Return the torque that explains the measurements, in addition to the torques of a problem.
+    Return the torque that must have acted in addition to the torques of a problem.
 
-    J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured w, each term averaged over
-    the window. tau has the torques of the fields, at the measured attitude.
+    This torque is J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured angular
+    velocity w. Each term is averaged over a window. The torque tau includes the torques of the
+    fields at the measured attitude.
 
     Parameters
     ----------
     problem : Problem
-        What is known.
+        The model with the known torques.
     sensor : Measured
-        In the time and the axes of the problem.
+        The measurements, converted to the clock and the axes of the problem.
 
     Returns
     -------
@@ -151,7 +162,7 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
 
 def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
                sensor: Measured) -> tuple[Floats, Floats]:
-    """Return the torque of uniform fields, and the gravity gradient on a unit of each entry."""
+    """Return the torque of uniform fields, and that of gravity gradients per unit of inertia."""
     uniform, gradients = np.zeros((len(stamps_ns), 3)), np.zeros((6, len(stamps_ns), 3))
     if not problem.fields:
         return uniform, gradients
@@ -167,10 +178,10 @@ def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
 
 def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -> Floats:
     """
-    Return the impulses of the logged torques since the first of some times.
+    Return the impulses of the logged torques from the first of the given times to each time.
 
-    Torques in space axes are converted with the measured attitude, or if there is none, with the
-    attitude of the motion.
+    Torques in space axes are converted to body axes with the measured attitude or, if there is
+    none, with the computed attitude.
 
     Returns
     -------
@@ -194,7 +205,7 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
 
 def _lag_impulses(problem: Problem, lagging: LaggingSources, stamps_ns: NDArray[np.int64],
                   sensor: Measured) -> Floats:
-    """Return what the lags of actuators add, as `impulses` does."""
+    """Return the impulses of actuators with lags; `impulses` adds them to the other impulses."""
     changes = np.concatenate([lagging.marks_ns, *(
         log.segments(problem.options.timeout_ns)[0] for log in problem.acting_logs)])
     ends = np.union1d(stamps_ns, changes[(changes > stamps_ns[0]) & (changes < stamps_ns[-1])])
@@ -217,7 +228,7 @@ def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
 
 
 def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -> Floats:
-    """Return the measured attitude at times, or the computed one if none is measured."""
+    """Return attitudes at times: measured or, if the sensor measures no attitudes, computed."""
     if sensor.attitude is None:
         return problem.propagate(at=times_ns).attitude
     return interpolated(sensor.stamps_ns, sensor.attitude, times_ns)
@@ -225,7 +236,7 @@ def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -
 
 def interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
                  times_ns: NDArray[np.int64]) -> Floats:
-    """Return attitudes at times, shape (m, 4), from those at ascending stamps, shape (n, 4)."""
+    """Interpolate attitudes, shape (n, 4), at ascending stamps, to shape (m, 4) at `times_ns`."""
     rows = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0, len(stamps_ns) - 2)
     part = (times_ns - stamps_ns[rows]) / np.diff(stamps_ns)[rows]
     step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))
@@ -237,16 +248,17 @@ def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
     """
     Return angular velocities without gross outliers.
 
-    An outlier differs from the median of the five samples around it by more than ten times the
-    usual difference, and by more than samples usually change. The angular velocity of a body
-    cannot jump and come back.
+    An outlier is a jump to a value and back, which is impossible for a body. For each sample, the
+    function computes the distance from the median of five samples: the sample and two neighbours
+    on each side. The sample is an outlier if this distance exceeds ten times the usual distance
+    plus three times the usual change from one sample to the next.
 
     Parameters
     ----------
     stamps_ns : array of int64, shape (n,), ns
-        Ascending.
+        Ascending stamps.
     rates : array, shape (n, 3), rad/s
-        In any axes.
+        Angular velocities in any axes.
 
     """
     from scipy.ndimage import median_filter
@@ -257,8 +269,8 @@ def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
 
 
 def _integral(seconds: Floats, values: Floats) -> Floats:
-    """Return integrals of a cubic spline through samples, from the first sample on."""
-    from scipy.interpolate import CubicSpline  # takes as long to import as the engine
+    """Return the integrals of a cubic spline through samples, from the first to each sample."""
+    from scipy.interpolate import CubicSpline  # slow to import
     return np.asarray(CubicSpline(seconds, values).antiderivative()(seconds))
 
 
@@ -268,7 +280,7 @@ def _half_window(seconds: Floats) -> int:
 
 
 def _slopes(seconds: Floats, values: Floats, half: int) -> Slopes:
-    """Return the slopes of straight lines through the samples in each window without a gap."""
+    """Fit a line to the samples in each window without a gap, and return the slopes."""
     size = 2 * half + 1
     middles = np.arange(half, len(seconds) - half)
     usual = float(np.median(np.diff(seconds)))

@@ -22,15 +22,17 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
-#: s; longer residual torques are divided into segments of this length that overlap by half.
+#: s; a residual torque that lasts longer is divided into segments of this length. Adjacent
+#: segments overlap by half their length.
 SEGMENT = 60.0
-#: Probability that white noise exceeds its limit at one frequency.
+#: Probability that white noise exceeds the limit of a spectrum at one frequency.
 _EXCEEDS = 0.01
-#: Half the phase of a window, rad, at which it halves an amplitude.
+#: Value of pi f T, rad, at which a window of length T halves the amplitude at the frequency f.
 _FLATTENED = 2.5
-#: Frequencies for each period in a segment, so that none is far from the peak of a sine.
+#: The spectrum contains this many times more frequencies than a segment has cycles, so that the
+#: frequency of any sine is close to one of these frequencies.
 _FINER = 4
-#: Fewest samples of a spectrum.
+#: Minimum number of samples from which a spectrum is computed.
 _FEWEST = 16
 
 
@@ -42,8 +44,8 @@ class Spectrum(NamedTuple):
     ----------
     hertz : array, shape (m,)
     amplitudes, limits : array, shape (m, 3), N m, body axes
-        Of a sine of that frequency, and what white noise of the angular velocity exceeds at one
-        frequency in a hundred.
+        The amplitude of a sine at each frequency, and a limit for this amplitude. White noise of
+        the angular velocity exceeds the limit at one frequency in a hundred.
 
     """
 
@@ -54,11 +56,12 @@ class Spectrum(NamedTuple):
 
 def spectrum(torque: ResidualTorque) -> Spectrum | None:
     """
-    Return the spectrum of a residual torque, None if that is too short.
+    Return the spectrum of a residual torque; None if the residual torque is too short.
 
-    The residual torque is the slope of a momentum over a window of T seconds, which multiplies
-    amplitudes by 3 (sin x - x cos x) / x^3 with x = pi f T if samples are dense. They are divided
-    by that, and end where it is a half.
+    The residual torque is the slope of an angular momentum over a window of T seconds. With dense
+    samples, taking the slope multiplies amplitudes at the frequency f by the factor
+    3 (sin x - x cos x) / x^3 with x = pi f T. The spectrum is divided by this factor, and ends at
+    the frequency at which the factor is one half.
     """
     seconds = 1e-9 * (torque.times_ns - torque.times_ns[0])
     if len(seconds) < _FEWEST:
@@ -79,12 +82,12 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
     smoothed = np.sin(np.outer(turn, times)) @ times / turn / np.sum(times ** 2)
     amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
-    # The momentum has white noise, and the torque is a slope fitted to it.
+    # The limit applies to the slope of a line that is fitted to a momentum with white noise.
     noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
     return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
 
 
 def _exceeded(count: int) -> float:
-    """Return the limit of the mean of powers of noise, as an amplitude over the mean one."""
+    """Return the limit of the noise, divided by its rms, for an average of `count` segments."""
     from scipy.special import chdtri
     return float(np.sqrt(chdtri(2 * count, _EXCEEDS) / (2 * count)))

@@ -35,30 +35,31 @@ from rigid_body_ros.recording.csv_columns import splits, time_scale
 from rigid_body_ros.runtime.limits import open_file
 from rigid_body_ros.sensing.measured import FEWEST, Measured
 
-#: Suffixes of CSV files, and of trajectories: time (s), x, y, z, qx, qy, qz, qw, without names.
+#: Suffixes of CSV files, and suffixes of TUM trajectories.
 _CSV, _TUM = ('.csv',), ('.tum', '.txt')
-#: Column names without a unit, such as qx, orientation.x, angular_velocity/x, and those of EuRoC.
+#: Column names without the unit, such as qx, orientation.x or angular_velocity/x, and the names in
+#: EuRoC files.
 _ATTITUDE = re.compile(r'(?:.*[/.])?(?:q|quat|quaternion|orientation|attitude|q_rs)[/._ ]?'
                        r'([xyzw])')
 _RATE = re.compile(r'(?:.*[/.])?(?:w|omega|gyro|angular_velocity|w_rs_s)[/._ ]?([xyz])')
-#: Units of angular velocity in rad/s.
+#: Units of angular velocity, and the size of each unit in rad/s.
 _RATE_UNITS = {**dict.fromkeys(('', 'rad/s', 'rad s^-1', 'rads'), 1.0),
                **dict.fromkeys(('deg/s', 'deg s^-1', 'degs'), math.radians(1.0))}
 _QUANTITIES = tuple(f'q{axis}' for axis in 'xyzw'), tuple(f'w{axis}' for axis in 'xyz')
 _ACCEPTED = ('expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (rad/s, deg/s), with '
              'units as in "wx (deg/s)" or "time_ms"')
-#: Limit on the length of a line, in characters.
+#: Maximum length of a line, in characters.
 _LONGEST = 2 ** 16
 
 
-#: By name of a quantity, its position in a line, and its unit.
+#: For each quantity, keyed by its name: its position in a line, and the factor of its unit.
 _Columns = dict[str, tuple[int, float]]
 _TRAJECTORY: _Columns = {'time': (0, 1e9),
                          **{name: (4 + k, 1.0) for k, name in enumerate(_QUANTITIES[0])}}
 
 
 def is_text_file(name: str) -> bool:
-    """Return whether a measured topic is the name of a text file: topics contain no dot."""
+    """Return whether the name of a measured topic has the suffix of a text file."""
     return Path(name).suffix.lower() in (*_CSV, *_TUM)
 
 
@@ -69,19 +70,21 @@ def read_text_file(path: str) -> Measured:
     Parameters
     ----------
     path : str
-        A CSV file, whose first line names its columns, or a trajectory (.tum, .txt): time (s), x,
-        y, z, qx, qy, qz, qw in each line, separated by spaces. Lines that begin with # are
-        ignored. Angular velocities are in body axes.
+        A CSV file or a trajectory. The first line of a CSV file contains the names of the columns.
+        Each line of a trajectory (.tum, .txt) contains time (s), x, y, z, qx, qy, qz and qw,
+        separated by spaces. All other lines that begin with # are ignored. Angular velocities are
+        in body axes.
 
     Returns
     -------
     Measured
-        Sorted by stamp; its topic is the name of the file. If stamps are equal, the last is kept.
+        The samples, sorted by stamp. Of several samples with the same stamp, the last sample is
+        used. The topic is the name of the file.
 
     Raises
     ------
     InputError
-        The file cannot be read, a line is not valid, or fewer than four samples are finite.
+        The file cannot be read, a line is invalid, or fewer than four samples are finite.
 
     """
     try:
@@ -137,7 +140,7 @@ def _sorted(path: str, stamps_ns: NDArray[np.int64], values: Floats,
 
 def _stamp_ns(line: Sequence[str], found: _Columns) -> int:
     position, scale = found['time']
-    # Decimal, because a double does not resolve nanoseconds at today's epoch.
+    # Use Decimal, because a double does not resolve nanoseconds in a time since 1970.
     time_ns = (Decimal(line[position]) * int(scale)).to_integral_value()
     if not 0 <= time_ns <= messages.LAST_NS:
         raise ValueError
@@ -145,7 +148,7 @@ def _stamp_ns(line: Sequence[str], found: _Columns) -> int:
 
 
 def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
-    """Generate the lines that are not empty, in columns, with their numbers."""
+    """Generate the numbers and the columns of all lines that are not empty."""
     is_csv = Path(path).suffix.lower() in _CSV
     for number, line in enumerate(iter(lambda: text.readline(_LONGEST), ''), 1):
         if len(line) == _LONGEST:
@@ -157,7 +160,7 @@ def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
 
 
 def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
-    """Return the columns that a heading names; other columns are ignored."""
+    """Return the columns of a heading that have known names; ignore other columns."""
     found: _Columns = {}
     for position, text in enumerate(heading):
         name, scale = _meaning(where, text.lstrip('#').strip())
@@ -176,7 +179,7 @@ def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
 
 
 def _meaning(where: str, text: str) -> tuple[str, float]:
-    """Return the quantity in a column, '' if it can be ignored, and its unit."""
+    """Return the quantity in a column ('' if unknown), and the factor of the unit."""
     for name, unit in splits(text.replace('[]', '').strip()):
         attitude, rate = _ATTITUDE.fullmatch(name.lower()), _RATE.fullmatch(name.lower())
         if attitude and not unit:

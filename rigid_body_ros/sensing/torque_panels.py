@@ -35,11 +35,11 @@ def residual_panels(torque: ResidualTorque, sensors: Sequence[Measured],
     Parameters
     ----------
     torque : ResidualTorque
-        With its noise.
+        The residual torque with its noise.
     sensors : sequence of Measured
-        In the axes of the body. Without attitudes there is no panel in space axes.
+        Measurements in body axes. Without attitudes, there is no panel in space axes.
     start_ns : int
-        Where the abscissa begins.
+        The time at which the time axis begins.
 
     """
     noise = np.stack([torque.noise, torque.noise])

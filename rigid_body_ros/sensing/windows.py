@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-The prediction of a model over a window of a measured motion, and the measurement at its end.
+The error of a model over a window: the measured minus the predicted state at the window's end.
 
-The measurements in the first fifth of the window give the state at its begin, which is propagated
-under the logged torques. The samples in the last fifth correct it. The correction at the end of
-the window is the error. Its covariance is that of both estimates; the constant torque that
-explains it best is the residual torque.
+The state at the beginning of the window is estimated from the samples in the first fifth of the
+window, and propagated under the logged torques. The samples in the last fifth correct the
+predicted state. The correction at the end of the window is the error. The covariance of the error
+includes the covariances of the estimated state and of the correction. The constant torque that
+explains the error best is the residual torque.
 """
 
 from __future__ import annotations
@@ -36,27 +37,27 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: The part of a window from whose samples a state is estimated, and the fewest samples.
+#: A state is estimated from one fifth of a window, with at least this many samples of a sensor.
 _PART, FEWEST = 5, 3
-#: A sample is an outlier if it is off by this many standard deviations, and by this many times the
-#: error of most samples.
+#: A sample is an outlier if its error exceeds both of two limits: the first number times the
+#: standard deviation, and the second number times the median error.
 _OUTLIER, _UNUSUAL = 6.0, 4.0
-#: Largest number of corrections of an estimated start, and the chi-square below which another one
-#: is not worthwhile.
+#: Maximum number of corrections of an estimated state, and the chi-square of a correction below
+#: which the corrections end.
 _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
-#: Samples that the first guess of the rates is from.
+#: Number of samples from which the rates are guessed.
 _GUESSED = 5
-#: rad, rad/s; the change of a start for a derivative.
+#: Change of an initial value, for finite differences, rad or rad/s.
 _CHANGE = 1e-6
 
 
 class SensorNoise(NamedTuple):
-    """The noise of a sensor: standard deviations of a component, and the effect of correlation."""
+    """The noise of a sensor: standard deviation of each component, and effect of correlation."""
 
-    #: rad, of the attitude as a rotation vector; rad/s.
+    #: Standard deviations: of the attitude as a rotation vector, rad, and of the rate, rad/s.
     attitude: float
     rate: float
-    #: Factor by which correlation multiplies the variance of a mean, for both.
+    #: Factors by which correlation multiplies the variance of a mean.
     attitude_factor: float = 1.0
     rate_factor: float = 1.0
 
@@ -70,18 +71,19 @@ class WindowError:
     ----------
     begin_ns, end_ns : int
     attitude : array, shape (3,), rad, body axes
-        Rotation vector from the computed attitude to the measured one, at the end; NaN if no
-        attitude is measured.
+        Rotation vector from the computed to the measured attitude at the end of the window; NaN if
+        no attitude is measured.
     rate : array, shape (3,), rad/s, body axes
+        Measured minus computed angular velocity at the end of the window.
     covariance : array, shape (6, 6)
-        Covariance of attitude and angular velocity, attitude first.
+        Covariance of `attitude` and `rate`, in this order.
     torque : array, shape (3,), N m, body axes
-        The constant torque over the window that explains the error best.
+        The torque, constant over the window, that explains the error best.
     torque_covariance : array, shape (3, 3), N^2 m^2
     outliers : int
-        Number of samples left out.
+        Number of samples that were ignored as outliers.
     residuals : tuple of (array or None, array or None)
-        Of each sensor: measured minus computed attitudes and angular velocities over the window.
+        For each sensor, measured minus computed attitudes and angular velocities in the window.
 
     """
 
@@ -97,31 +99,33 @@ class WindowError:
 
 
 class _Motions(NamedTuple):
-    """A motion, and its derivatives by its start: attitude and angular velocity, body axes."""
+    """A motion, and its derivatives with respect to the initial attitude and rates, body axes."""
 
     attitude: Floats
     rates: Floats
-    #: Shape (m, 6, p) for p parameters: rotation vector and rates.
+    #: Shape (m, 6, p). For each time, there is a row for each component of the rotation vector and
+    #: the rates, and a column for each of the p initial values.
     derivatives: Floats
 
     def change_to(self, attitude: Floats, rates: Floats) -> Floats:
-        """Return the differences of other states, or of one, shape (m, 6)."""
+        """Return the differences from this motion to other states, shape (m, 6)."""
         turned = so3.log(so3.multiply(so3.conjugate(self.attitude), attitude))
         return np.concatenate([turned, rates - self.rates], axis=1)
 
 
 class _Estimate(NamedTuple):
-    """A correction of a start, its covariance, and the number of samples left out."""
+    """A correction of a start state, its covariance, and the number of outliers."""
 
     change: Floats
     covariance: Floats
     outliers: int
-    #: The times of the samples, ns, shape (m,), and the change by an error at each, (p, m, 6).
+    #: The times of the samples, ns, shape (m,), and the correction for a unit error at each time,
+    #: shape (p, m, 6).
     times_ns: NDArray[np.int64]
     gain: Floats
 
     def by(self, errors: Floats) -> Floats:
-        """Return the change by errors at the times, shape (m, 6, k)."""
+        """Return the corrections, shape (p, k), for errors, shape (m, 6, k)."""
         return np.einsum('pmi,mik->pk', self.gain, errors)
 
 
@@ -133,18 +137,18 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     Parameters
     ----------
     problem : Problem
-        Its torques; of its start, only the momentum of the rotors matters.
+        The model and the torques. Of the start state, only the momentum of the rotors is used.
     sensors : sequence of Measured
-        In the time and the axes of the problem.
+        The measurements, converted to the clock and the axes of the problem.
     noises : sequence of SensorNoise
-        Of each sensor.
+        The noise of each sensor.
     begin_ns, end_ns : int
-        The window.
+        Start and end of the window.
 
     Returns
     -------
     WindowError or None
-        None if there are too few samples at the beginning or at the end.
+        None if there are too few samples in the first or the last fifth of the window.
 
     """
     turn_ns = end_ns - (end_ns - begin_ns) // _PART
@@ -181,18 +185,18 @@ def _momentum(problem: Problem, time_ns: int) -> Floats:
 
 
 def _count(sensors: Sequence[Measured], name: str) -> int:
-    """Return the largest number of samples of a sensor that measures 'attitude' or the rates."""
+    """Return the largest number of samples of any sensor that measures the named quantity."""
     return max((len(sensor) for sensor in sensors if getattr(sensor, name) is not None), default=0)
 
 
 def _needs_attitude(problem: Problem) -> bool:
-    """Return whether a torque depends on the attitude."""
+    """Return whether a torque or a field of the problem depends on the attitude."""
     return bool(problem.fields) or any(log.in_space.any() for log in problem.logs)
 
 
 def _guess(sensors: Sequence[Measured], begin_ns: int,
            has_attitude: bool) -> tuple[Floats, Floats]:
-    """Return an approximate attitude and angular velocity at the beginning of samples."""
+    """Return an approximate attitude and angular velocity at `begin_ns`."""
     name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
     rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
     if not has_attitude:
@@ -215,7 +219,7 @@ def _corrected(start: State, change: Floats) -> State:
 
 
 def _motions(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _Motions:
-    """Return a motion, and its derivatives by the attitude, if it is estimated, and the rates."""
+    """Return a motion and its derivatives with respect to the estimated initial values."""
     changes = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
     starts = [problem.start, *(_corrected(problem.start, change) for change in changes)]
     found = [problem.replaced(start=start).propagate(at=times_ns) for start in starts]
@@ -237,16 +241,16 @@ def _residuals(sensor: Measured, motions: _Motions, rows: NDArray[np.intp]
 
 
 class _Samples(NamedTuple):
-    """Samples that a state is estimated from, and their noises."""
+    """Samples from which a state is estimated, and the noise of each sensor."""
 
     sensors: Sequence[Measured]
     noises: Sequence[SensorNoise]
-    #: Whether the attitude is estimated, not the rates alone.
+    #: Whether the attitude is estimated, in addition to the angular velocity.
     has_attitude: bool
 
     def estimated(self, problem: Problem, start: State,
                   until_ns: int) -> tuple[State, _Estimate, _Motions]:
-        """Return the start that fits best, its last correction, and the motion before that."""
+        """Return the best start state, the last correction, and the motion before it."""
         times_ns = np.unique(np.concatenate(
             [*(sensor.stamps_ns for sensor in self.sensors), [until_ns]]))
         for _ in range(_CORRECTIONS):
@@ -292,22 +296,22 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
 
 def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
                first: _Estimate, last: _Estimate) -> Floats:
-    """Return the derivative of the second of two estimates by a constant torque, shape (p, 3)."""
-    # The torque that changes the rate by _CHANGE.
+    """Return the change of the last estimate per N m of constant torque, shape (p, 3)."""
+    # Use a torque that changes the angular velocity by about _CHANGE.
     end_ns = int(times_ns[-1])
     seconds = 1e-9 * (end_ns - problem.start.time_ns)
     size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds
     others = [problem.biased(torque, end_ns).propagate(at=times_ns) for torque in size * np.eye(3)]
     moved = np.stack([motions.change_to(other.attitude, other.angular_velocity)
                       for other in others], axis=-1) / size
-    # The torque also moves the first estimate, and with it the prediction.
+    # The torque also changes the first estimate and, as a consequence, the prediction.
     moved -= motions.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
     return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 
 
 def _explained(change: Floats, covariance: Floats, by_torque: Floats, has_attitude: bool
                ) -> tuple[Floats, Floats]:
-    """Return the torque that explains a change of the end best, and its covariance."""
+    """Return the torque that best explains a change of the final state, and its covariance."""
     first = 0 if has_attitude else 3
     weight = np.linalg.solve(covariance[first:, first:], by_torque[first:])
     spread = np.linalg.inv(by_torque[first:].T @ weight)
