@@ -15,7 +15,8 @@
 """
 Charts of a page: panels with curves, as data for charts.js.
 
-Our own script draws them; docs/report.md says why no library does.
+The script charts.js in this package draws the charts. docs/report.md explains why the script uses
+no library.
 """
 
 from __future__ import annotations
@@ -30,32 +31,34 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.report.thinning import Extremes
 
-#: A gap between samples, in usual intervals.
+#: A curve is interrupted between two samples if the interval exceeds this many median intervals.
 _GAP = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
     """
-    Curves that share their abscissas.
+    Curves that share their x values.
 
     Attributes
     ----------
     x : array, shape (n,)
     low, high : array, shape (n, k)
-        Smallest and largest values from an abscissa to the next; equal for single samples.
+        Smallest and largest values from each x to the next x. `low` equals `high`
+        where an interval contains only one sample.
     names : sequence of str
-        Of the k curves.
+        The names of the k curves.
     step : bool
-        Whether a value holds to the next abscissa.
+        Whether the value at each x holds until the next x.
     style : str
-        'line', 'broad' (what the lines of other curves are compared with), 'front' (a broad line
-        behind the points that stand out), 'band' (filled from the smallest value to the largest;
-        with steps, the bars of a histogram), 'marks' (single values, which do not widen the range
-        of the ordinate) or 'limits' (the smallest and the largest value as two dashed lines).
-        Broad curves, marks and limits have the colours of the first lines.
+        How the curves are drawn. 'line' draws lines. 'broad' draws broad lines, with which other
+        lines are compared. 'front' draws a broad line behind the points that it connects. 'band'
+        fills the area from `low` to `high` or, with `step`, draws the bars of a histogram. 'marks'
+        draws single points, which do not extend the range of the y axis. 'limits' draws `low` and
+        `high` as two dashed lines. Column k of broad lines, of marks or of limits has the colour
+        of line k. A single limit is black, or white on a dark page.
     gap : float, optional
-        Neighbours that are further apart are not joined.
+        Points are not joined if their x values differ by more than this number.
 
     """
 
@@ -70,7 +73,7 @@ class Curves:
     @classmethod
     def thinned(cls, times_ns: NDArray[np.int64], values: Floats, names: Sequence[str],
                 start_ns: int, style: str = 'line') -> Curves:
-        """Return the curves of any number of samples over the seconds from the start."""
+        """Thin any number of samples, and return curves over the time since the start, s."""
         extremes = Extremes(values.shape[1])
         extremes.add(times_ns, values)
         found = cls.of(extremes, names, start_ns, style=style)
@@ -80,17 +83,17 @@ class Curves:
     @classmethod
     def of(cls, extremes: Extremes, names: Sequence[str], start_ns: int, step: bool = False,
            style: str = 'line') -> Curves:
-        """Return the curves of a series that has been thinned."""
+        """Return the curves of a thinned series."""
         times, low, high = extremes.result()
         seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
         return cls(seconds, low, high, names, step, style)
 
     def times(self, factor: float) -> Curves:
-        """Return the curves with values in another unit."""
+        """Return the curves with their values multiplied by a factor."""
         return replace(self, low=factor * self.low, high=factor * self.high)
 
     def as_data(self) -> dict[str, Any]:
-        """Return data for the page; the values are 32-bit differences from an offset."""
+        """Return data for the page, with the values as 32-bit differences from an offset."""
         offsets = _offsets(self.low, self.high)
         single = np.array_equal(self.low, self.high)
         return {'x': packed(self.x), 'names': [*self.names], 'step': self.step,
@@ -107,16 +110,18 @@ class Panel:
     Attributes
     ----------
     label, unit : str
-        Of the ordinate; the unit is '' for numbers.
+        Label and unit of the y axis. The unit of plain numbers is empty.
     curves : sequence of Curves
     x_label : str
-        With its unit. Panels with the same label share range and cursor.
+        Label of the x axis, including the unit. Panels with the same `x_label` share the range of
+        the x axis and the cursor.
     kind : str
-        'linear', 'angle' (jumps by a turn are not drawn), 'log', 'logx' or 'loglog'.
+        The kind of the axes: 'linear', 'angle' (jumps by a full turn are not drawn), 'log', 'logx'
+        or 'loglog'.
     lines : dict
-        By description, abscissas to mark.
+        x values to mark; the keys describe them.
     texts : sequence of sequence of str
-        For each curve, a description of each point, which is then drawn with a marker.
+        For each curve, a description of each point. Points with descriptions have markers.
 
     """
 
@@ -136,7 +141,7 @@ class Panel:
 
 
 def _offsets(low: Floats, high: Floats) -> Floats:
-    """Return the middle of each column whose values are close to each other, otherwise 0."""
+    """Return the middle of each column's range, or 0 if the range is wider than |middle|."""
     if not len(low):
         return np.zeros(low.shape[1])
     lowest, highest = low.min(axis=0), high.max(axis=0)
@@ -145,6 +150,6 @@ def _offsets(low: Floats, high: Floats) -> Floats:
 
 
 def packed(values: ArrayLike, kind: type = np.float64) -> str:
-    """Return an array as little-endian bytes in base64, which the scripts turn into an array."""
+    """Encode an array as little-endian bytes in base64, which the scripts decode."""
     found = np.ascontiguousarray(values, np.dtype(kind).newbyteorder('<'))
     return base64.b64encode(found.tobytes()).decode()

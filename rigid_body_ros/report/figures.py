@@ -44,7 +44,7 @@ from rigid_body_ros.report.style import (
 )
 
 _GREYS = ('#333333', '#999999')
-#: Largest number of points in a curve; more would not be visible.
+#: Maximum number of points in a curve. More points would not be visible.
 _POINTS = 20_000
 
 
@@ -54,22 +54,22 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     """
     Draw Euler angles, quaternion, angular velocity and torque over time into a PNG file.
 
-    If the rotors have a momentum, it is drawn as well.
+    If the rotors have momentum, draw the momentum as well.
 
     Parameters
     ----------
     path : str or Path
-        The PNG file, with any suffix; an existing file is overwritten.
+        The PNG file. Its name may have any suffix, and an existing file is overwritten.
     trajectory : Trajectory
-        In ascending order of time.
+        The motion, in ascending order of time.
     log : TorqueLog or sequence of TorqueLog
-        Drawn in the axes of its samples. Each of several logs has a panel.
+        The torques, drawn in the axes of their samples. Each log has a separate panel.
     sequence : str
         Sequence of the Euler angles.
     title : str
-        Drawn literally: a $ does not start a formula.
+        The title. It is drawn literally: a $ does not start a formula.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        The maximum time for which a sample acts, ns, as for `TorqueLog.segments`.
     fields : array, shape (m, 3), N m, body axes, optional
         The torque of the fields at the times of the trajectory.
 
@@ -116,14 +116,14 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     Parameters
     ----------
     path : str or Path
-        The PNG file, with any suffix; an existing file is overwritten.
+        The PNG file. Its name may have any suffix, and an existing file is overwritten.
     curves : dict
-        By solver, attitude errors in rad and costs in seconds of wall time per simulated second,
-        both in the order of the settings.
+        For each solver, a list of attitude errors, rad, and a list of costs, s of wall time per
+        simulated second. Both lists are in the order of the settings of the solver.
     title : str
-        Drawn literally: a $ does not start a formula.
+        The title. It is drawn literally: a $ does not start a formula.
     lines : dict
-        Attitude errors, rad, to draw as vertical lines, by their description.
+        Attitude errors, rad, drawn as vertical lines; the keys describe them.
 
     Raises
     ------
@@ -166,24 +166,24 @@ def errors(path: str | Path, panels: Sequence[Series], others: Sequence[Series],
            logs: Sequence[TorqueLog], horizons: Mapping[float, Floats], title: str,
            timeout_ns: int = 0) -> None:
     """
-    Draw errors over time on logarithmic axes, with the torque below, into a PNG file.
+    Draw errors over time on logarithmic axes, with the torques below, into a PNG file.
 
     Parameters
     ----------
     path : str or Path
-        The PNG file, with any suffix; an existing file is overwritten.
+        The PNG file. Its name may have any suffix, and an existing file is overwritten.
     panels : sequence of Series
         Errors in body axes, at least one.
     others : sequence of Series
         Other torques in body axes, drawn on linear axes below the torques of the logs.
     logs : sequence of TorqueLog
-        Drawn as by `motion`.
+        The torques, drawn as in `motion`.
     horizons : dict
-        By horizon, s, the median and the 95th percentile of the attitude error, rad.
+        The median and the 95th percentile of the attitude error, rad, by horizon, s.
     title : str
-        Drawn literally: a $ does not start a formula.
+        The title. It is drawn literally: a $ does not start a formula.
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        The maximum time for which a sample acts, ns, as for `TorqueLog.segments`.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]
 
 
 def _without_jumps(angles: Floats) -> Floats:
-    # A line from 2 pi back to 0 would suggest a motion that does not happen.
+    # A line from 2 pi back to 0 would suggest a rotation that does not happen.
     broken = angles.copy()
     broken[1:][np.abs(np.diff(angles, axis=0)) > np.pi] = np.nan
     return broken
@@ -281,8 +281,8 @@ def _without_jumps(angles: Floats) -> Floats:
 
 def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
                   timeout_ns: int) -> NDArray[np.int64]:
-    # Return a grid and, unless there are too many, the times on both sides of each change, so that
-    # steps are vertical.
+    # Sample the torque on a grid and, unless there are too many changes, just before and after
+    # each change, so that steps are vertical.
     changes, _ = log.segments(timeout_ns)
     grid = start_ns + np.linspace(0, end_ns - start_ns, _POINTS // 4).astype(np.int64)
     if 2 * len(changes) <= _POINTS:

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 
-"""A picture of a matrix of correlations."""
+"""Draw a matrix of correlations."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ import math
 
 from rigid_body_ros.common.arrays import Floats
 
-#: Width of a cell, and of a character of a name, px.
+#: Width of a cell, and width of a character of a name, px.
 _CELL, _CHARACTER = 30, 6.6
-#: Largest number of rows; if there are more parameters, the first are shown.
+#: Maximum number of rows. If there are more parameters, only the first parameters are shown.
 _MOST = 40
-#: Smallest correlation with a number in its cell.
+#: A cell shows a number if the magnitude of its correlation is at least this large.
 _NUMBERED = 0.1
 
 
 def picture(title: str, names: Sequence[str], values: Floats) -> str:
     """
-    Return a heading and a picture as HTML.
+    Return a heading and a picture of a matrix as HTML.
 
     Parameters
     ----------
     title : str
         The heading.
     names : sequence of str
-        Of the n rows.
+        Names of the n rows and columns.
     values : array, shape (n, n)
-        From -1 to 1; NaN for unknown ones.
+        Correlations from -1 to 1; NaN for unknown correlations.
 
     """
     shown = names[:_MOST]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A motion as data for the moving body of a page."""
+"""The data of a motion for the animated body of a page."""
 
 from __future__ import annotations
 
@@ -26,31 +26,32 @@ from rigid_body_ros.mechanics.body import RigidBody, uniform_box
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.charts import packed
 
-#: Columns of the rows: attitude, angular velocity, torque and rotor momentum in body axes.
+#: Columns of the data: attitude, and angular velocity, torque and rotor momentum in body axes.
 ATTITUDE, RATE, TORQUE, ROTORS = slice(4), slice(4, 7), slice(7, 10), slice(10, 13)
 COLUMNS = 13
-#: Largest number of attitudes of a page.
+#: Maximum number of attitudes on a page.
 MOST = 2 ** 14
-#: rad; where an interpolated attitude would be worse, the page shows exact attitudes only.
+#: Where the error of interpolation exceeds this, rad, the page shows only computed attitudes.
 _WORST = 1e-7
-#: Shortest edge of the box, so that a thin plate stays visible.
+#: Minimum length of an edge of the drawn box, whose longest edge is 1, so that a thin plate
+#: stays visible.
 _THINNEST = 0.05
-#: Relative change of energy and momentum up to which a motion is nearly torque-free.
+#: Relative change of energy and momentum up to which a motion counts as nearly torque-free.
 _NEARLY = 0.05
 
 
 def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[str, Any]:
     """
-    Return data for the page.
+    Return the data of a motion for the page.
 
     Parameters
     ----------
     body : RigidBody
         The body.
     times_ns : array of int64, shape (n,)
-        Ascending.
+        Ascending times.
     rows : array, shape (n, 13)
-        With the columns named above.
+        Values, in the columns `ATTITUDE`, `RATE`, `TORQUE` and `ROTORS`.
 
     """
     seconds = (times_ns - times_ns[0]) * 1e-9
@@ -65,7 +66,7 @@ def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[
 
 
 def of_motion(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """Return data of the motion of a problem, at some of many ascending times."""
+    """Compute a motion at some of the given ascending times; return the data for the page."""
     step = -(-len(stamps_ns) // MOST)
     times_ns = np.union1d(stamps_ns[::step], stamps_ns[-1:])
     motion = problem.propagate(at=times_ns)
@@ -76,14 +77,16 @@ def of_motion(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
 
 def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[str, Any]:
     """
-    Return data for a second body, drawn as an outline at its nearest sample.
+    Return the data of a second body for the page.
+
+    The page draws the outline of this body, with the attitude of the sample nearest in time.
 
     Parameters
     ----------
     start_ns : int
-        When the motion of the page begins.
+        Time at which the motion of the page begins, ns.
     times_ns : array of int64, shape (n,)
-        Ascending.
+        Ascending times.
     attitude : array, shape (n, 4)
         Quaternions x y z w.
 
@@ -97,9 +100,10 @@ def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[
 
 def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:
     """
-    Return between which neighbours, shape (n - 1,), the page may interpolate.
+    Return whether the page may interpolate in each interval between samples, shape (n - 1,).
 
-    An interpolation between the two neighbours of a sample must meet the sample.
+    To check a sample, its attitude is also interpolated between the two neighbouring samples. Both
+    attitudes must agree at each end of an interval.
     """
     states = rows[:, ATTITUDE], rows[:, RATE]
     if len(seconds) < 3:
@@ -108,7 +112,7 @@ def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:
     spans = seconds[2:] - seconds[:-2]
     attitude, _ = hermite.between(first, last, spans, (seconds[1:-1] - seconds[:-2]) / spans)
     good = so3.angle_between(attitude, states[0][1:-1]) < _WORST
-    good &= np.linalg.norm(states[1][1:-1], axis=1) * spans < 1.0  # no turn goes unseen
+    good &= np.linalg.norm(states[1][1:-1], axis=1) * spans < 1.0  # 1 rad: no turn is missed
     return np.append(good[:1], good) & np.append(good, good[-1:])
 
 

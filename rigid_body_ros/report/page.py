@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Put a page together: one HTML file that needs no network, no ROS and no installation.
+Assemble a page: one HTML file that needs no network, no ROS and no installation.
 
-Everything from recordings and scenes is escaped. The page's policy allows the scripts and the
-style of this package alone, by their hashes, and no request to anywhere.
+All text from recordings and scenes is escaped. The content security policy of the page allows only
+the scripts and the style of this package, by their hashes, and no network requests.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from rigid_body_ros.runtime.fingerprint import fingerprint
 from rigid_body_ros.scene import Scene
 
 _WEB = Path(__file__).with_name('web')
-#: Characters that could end a script or a line of one inside a JSON text.
+#: Characters inside a JSON text that could end a script or a line of a script.
 _UNSAFE = {ord(char): f'\\u{ord(char):04x}' for char in '<>&\u2028\u2029'}
-#: Number of characters of a parameter that is shown, such as a URDF.
+#: Number of characters after which a parameter, such as a URDF, is cut.
 _LONGEST = 200
 
-#: Facts as names and texts; an empty name continues the fact before.
+#: Facts as names and texts; an empty name continues the previous fact.
 Rows = Sequence[tuple[str, object]]
 
 
@@ -55,21 +55,21 @@ class Page:
     Attributes
     ----------
     title : str
-        What the page is of.
+        The subject of the page.
     headline : str
-        What happened, in one sentence without its full stop; it may begin in lower case.
+        The result in one sentence without a full stop. It may begin in lower case.
     story : sequence of (str, object)
-        The facts in words.
+        The facts as names and texts. An empty name continues the previous fact.
     panels : sequence of Panel
     body : dict, optional
-        The motion to show, from `moving_body.as_data`.
+        The motion to animate, from `moving_body.as_data`.
     warnings : sequence of str
     copied : sequence of str
-        Texts, each with a button to copy it.
+        Texts that are shown with a button to copy them.
     table : str
-        From `table`, '' for none.
+        HTML from `table`; empty if there is no table.
     picture : str
-        HTML below the charts, '' for none.
+        HTML of a picture below the charts; empty if there is no picture.
 
     """
 
@@ -87,7 +87,7 @@ class Page:
 
 
 class Markup(str):
-    """HTML in a cell of a `table`; other cells are texts."""
+    """HTML in a cell of a `table`. Strings of other types are plain text."""
 
 
 def write(path: str | Path, page: Page) -> None:
@@ -105,7 +105,7 @@ def write(path: str | Path, page: Page) -> None:
 
 
 def html(page: Page) -> str:
-    """Return the text of a page."""
+    """Return a page as HTML."""
     style, charts, body = (
         ''.join(f'\n{(_WEB / name).read_text(encoding="utf-8")}' for name in names)
         for names in (['page.css'], ['tools.js', 'charts.js'], ['body.js']))
@@ -123,7 +123,7 @@ def html(page: Page) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table of texts, and of `Markup`, as HTML."""
+    """Return a table as HTML; cells are plain text or `Markup`."""
     head, *body = (''.join(f'<{tag}>{_cell(cell)}</{tag}>' for cell in row)
                    for tag, row in [('th', header), *(('td', row) for row in rows)])
     lines = ''.join(f'<tr>{row}</tr>' for row in body)
@@ -136,17 +136,17 @@ def _cell(cell: str) -> str:
 
 
 def _shown(text: str) -> str:
-    """Return a text as HTML, with the unit of inertia as a person writes it."""
+    """Return a text as HTML, with the unit of inertia as kg m²."""
     return escape(text).replace('kg m^2', 'kg m²')
 
 
 def _layout(page: Page) -> str:
-    """Return whether the body or the charts are beside the facts on a wide screen."""
+    """Return the name of the layout, which depends on whether the page has a motion or charts."""
     return 'moving' if page.body else 'charted' if page.panels else 'listed'
 
 
 def embedded(data: object) -> str:
-    """Return data as JSON that contains no characters with a meaning in HTML or scripts."""
+    """Return data as JSON without characters that have a meaning in HTML or scripts."""
     return json.dumps(data, allow_nan=False).translate(_UNSAFE)
 
 

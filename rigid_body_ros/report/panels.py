@@ -30,21 +30,21 @@ from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.text import scaled
 from rigid_body_ros.report.thinning import Extremes
 
-#: The label of an abscissa that begins at the first measurement.
+#: The label of a time axis that begins at the first measurement.
 SINCE_FIRST = 'time from the first measurement (s)'
-#: Number of times at which a torque on a curve is sampled.
+#: Number of times at which the curve of a torque is sampled.
 _SAMPLES = 5000
 
 
 class Drawn(NamedTuple):
     """
-    Measured and computed values, or the errors, at some times.
+    The times of drawn samples, and whether each sample is an outlier.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
     inliers : array of bool, shape (n,)
-        Which samples are not outliers, which are drawn as marks.
+        Which samples are not outliers. Outliers are drawn as marks.
 
     """
 
@@ -53,7 +53,7 @@ class Drawn(NamedTuple):
 
     def curves(self, values: Floats, names: Sequence[str], start_ns: int,
                style: str = 'line') -> Iterator[Curves]:
-        """Generate the curves of the inliers, and marks at outliers if there are any."""
+        """Generate curves through the inliers, and marks at outliers (if there are outliers)."""
         kept = self.inliers
         if kept.any():
             yield Curves.thinned(self.times_ns[kept], values[kept], names, start_ns, style)
@@ -65,18 +65,19 @@ class Drawn(NamedTuple):
 def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, computed: Floats,
                   start_ns: int) -> Panel:
     """
-    Return a panel with computed curves over measured ones.
+    Return a panel with computed curves drawn over measured curves.
 
     Parameters
     ----------
     label, unit : str
-        Of the ordinate.
+        Label and unit of the y axis.
     samples : Drawn
-        Their times, and which are outliers.
+        The times of the samples, and whether each sample is an outlier.
     measured, computed : array, shape (n, 4) or (n, 3)
-        Quaternions x y z w, whose signs are chosen so that the curves have no jumps, or vectors.
+        Quaternions x y z w, or vectors. The signs of quaternions are chosen so that the curves do
+        not jump.
     start_ns : int
-        Where the abscissa begins.
+        The time at which the time axis begins.
 
     """
     names: Sequence[str] = style.QUATERNION if measured.shape[1] == 4 else style.RATES
@@ -91,7 +92,7 @@ def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, compu
 
 
 def _without_jumps(attitude: Floats, chosen: NDArray[np.bool_] | None = None) -> Floats:
-    """Return quaternions, the chosen ones with the sign that is closest to the previous one."""
+    """Choose the sign of each `chosen` quaternion, so that it is close to the previous one."""
     found = attitude.copy()
     rows = slice(None) if chosen is None else np.flatnonzero(chosen)
     part = attitude[rows]
@@ -102,7 +103,7 @@ def _without_jumps(attitude: Floats, chosen: NDArray[np.bool_] | None = None) ->
 
 def error_panel(label: str, unit: str, samples: Drawn, errors: Floats,
                 band: tuple[str, float], start_ns: int) -> Panel:
-    """Return a panel with errors, shape (n, 3), and a band: its name, and half of its width."""
+    """Return a panel with errors, shape (n, 3), and a band, given by its name and half width."""
     name, size = band
     curves = [*samples.curves(errors, style.SIGNED, start_ns)]
     if size:
@@ -111,7 +112,7 @@ def error_panel(label: str, unit: str, samples: Drawn, errors: Floats,
 
 
 def limits(times_ns: NDArray[np.int64], sizes: Floats, name: str, start_ns: int) -> Curves:
-    """Return curves with plus and minus some sizes, shape (n, k), or (2, k) for constant ones."""
+    """Return curves at plus and minus `sizes`, shape (n, k); for constant limits, (2, k)."""
     times_ns = times_ns[[0, -1]] if len(sizes) == 2 else times_ns
     extremes = Extremes(sizes.shape[1])
     extremes.add(times_ns, sizes)
@@ -120,7 +121,7 @@ def limits(times_ns: NDArray[np.int64], sizes: Floats, name: str, start_ns: int)
 
 
 def in_degrees(panel: Panel) -> Panel:
-    """Return a panel with angles in degrees."""
+    """Return a copy of a panel with angles in degrees."""
     factor, unit = scaled(panel.unit, True)
     return replace(panel, unit=unit, curves=[each.times(factor) for each in panel.curves])
 
@@ -138,7 +139,7 @@ def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
 
 def field_panels(problem: Problem, times_ns: NDArray[np.int64],
                  start_ns: int) -> Iterator[Panel]:
-    """Generate a panel with the torque of the fields at ascending times, if there are any."""
+    """Generate a panel with the torque of the fields at ascending times, if there are fields."""
     if problem.fields:
         times_ns = times_ns[::-(-len(times_ns) // _SAMPLES)]
         torques = problem.field_torque(times_ns, problem.propagate(at=times_ns).attitude)
@@ -148,12 +149,12 @@ def field_panels(problem: Problem, times_ns: NDArray[np.int64],
 
 class ThinnedTorque:
     """
-    The torque of one log over the time of a motion, thinned while it is added.
+    The torque of one log during a motion, which is thinned as parts of the log are added.
 
     Parameters
     ----------
     timeout_ns : int
-        As for `TorqueLog.segments`.
+        The maximum time for which a sample acts, ns, as for `TorqueLog.segments`.
 
     """
 
@@ -164,7 +165,7 @@ class ThinnedTorque:
         self._step = True
 
     def add(self, log: TorqueLog, times: NDArray[np.int64]) -> None:
-        """Add the torque up to the last of these times."""
+        """Add the torque of a log up to the last time in `times`."""
         end_ns = int(times[-1])
         changes, _ = log.segments(self._timeout_ns)
         known = changes[(changes > (times[0] if self._taken_ns is None else self._taken_ns))
@@ -178,7 +179,7 @@ class ThinnedTorque:
         self._taken_ns, self._step = end_ns, log.interpolation == 'hold'
 
     def panel(self, name: str, start_ns: int, x_label: str = Panel.x_label) -> Panel:
-        """Return the panel."""
+        """Return a panel with the torque that `add` has collected."""
         axes = style.axes_name(np.array([*self._frames], np.bool_))
         return Panel(f'{name}, {axes}', 'N m', [Curves.of(
             self._extremes, style.TORQUES, start_ns, self._step)], x_label)

@@ -19,31 +19,32 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: The palette of Okabe and Ito, safe for colour-blind readers; line styles serve greyscale prints.
+#: The palette of Okabe and Ito, whose colours colour-blind readers can distinguish. In greyscale,
+#: readers distinguish curves by line styles.
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
 STYLES = ('-', '--', '-.', ':')
 MARKERS = ('o', 's', '^', 'D', 'v', 'x')
-#: Percentiles that are marked in the histogram of an ensemble, and their names.
+#: Percentiles that the histogram of an ensemble marks, and their names.
 MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
 QUATERNION = ('x', 'y', 'z', 'w')
 RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'), ('τ₁', 'τ₂', 'τ₃')
-#: The label of the torques that depend on the attitude.
+#: The label of the torque of the fields, which depends on the attitude.
 FIELDS = 'torque of the fields'
 ERRORS = ('|e|', '|e₁|', '|e₂|', '|e₃|')
 SIGNED = ('e₁', 'e₂', 'e₃')
 
 
 def euler_names(sequence: str) -> tuple[str, ...]:
-    """Return the names of the three angles of a sequence."""
+    """Return the names of the three Euler angles of a sequence."""
     return ('φ', 'θ', 'ψ') if sequence == 'ZXZ' else \
         tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1))
 
 
 def torque_names(count: int) -> list[str]:
-    """Return the names of a number of torques; a single torque has no number."""
+    """Return names for `count` torques; a single torque has no number."""
     return ['torque'] if count == 1 else [f'torque {number}' for number in range(1, count + 1)]
 
 
 def axes_name(in_space: NDArray[np.bool_]) -> str:
-    """Return the name of the axes that torques are given in."""
+    """Return the name of the axes of some torques: body, space or mixed axes."""
     return 'body axes' if not in_space.any() else 'space axes' if in_space.all() else 'mixed axes'

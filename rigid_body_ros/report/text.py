@@ -22,32 +22,34 @@ import math
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import printable
 
-#: Units of angles: number of units per radian, and names.
+#: Factors from units in radians to units in degrees, and the names of the units in degrees.
 _ANGLES = {'rad': (math.degrees(1.0), 'deg'), 'rad/s': (math.degrees(1.0), 'deg/s')}
-#: Largest number of digits of a value, and the exponents between which it is written without one.
+#: Maximum number of digits of a value, and the powers of ten of the numbers that are written
+#: without an exponent.
 _DIGITS, _PLAIN = 15, range(-4, 7)
 
 
 def scaled(unit: str, degrees: bool) -> tuple[float, str]:
-    """Return the factor to the unit that is shown, and its name; angles may be in degrees."""
+    """Return the factor that converts to the displayed unit, and the name of this unit."""
     return _ANGLES.get(unit, (1.0, unit)) if degrees else (1.0, unit)
 
 
 def numbers(values: Floats, digits: int, between: str = ' ') -> str:
-    """Return the numbers of an array as text, rounded to some significant digits."""
+    """Return the numbers of an array as text, rounded to `digits` significant digits."""
     return between.join(f'{value:.{digits}g}' for value in values)
 
 
 def rounded(value: float, sigma: float) -> str:
     """
-    Return a value to the place of the second digit of its standard deviation.
+    Return a value as text, rounded to the second digit of its standard deviation.
 
-    See JCGM 100 (GUM), 7.2.6. Without a finite positive deviation there are seven digits.
+    See JCGM 100 (GUM), 7.2.6. If the standard deviation is not finite and positive, the text
+    contains seven digits.
     """
     if not (0.0 < sigma < math.inf):
         return f'{value:.7g}'
     place = int(f'{sigma:.1e}'.partition('e')[2]) - 1
-    value = round(value, -place) + 0.0  # without negative zeros
+    value = round(value, -place) + 0.0  # + 0.0 removes negative zeros
     if place > 0 and abs(value) < 10.0 ** _PLAIN.stop:
         return f'{value:.0f}'
     first = int(f'{value:.{_DIGITS}e}'.partition('e')[2]) if value else place
@@ -58,21 +60,21 @@ def rounded(value: float, sigma: float) -> str:
 
 
 def lines(texts: Iterable[str]) -> str:
-    """Return texts as one line each; a line break within one, as in a name, is escaped."""
+    """Join texts, one per line; escape line breaks in a text, which a name may contain."""
     return '\n'.join(map(printable, texts))
 
 
 def interpolation_row(interpolation: str, differences: Mapping[str, float | None]) -> str:
     """
-    Return a line with the interpolation, and the changes of the final attitude with the others.
+    Describe the interpolation, and how far each alternative would move the final attitude.
 
     Parameters
     ----------
     interpolation : str
         The interpolation in use.
     differences : dict
-        By interpolation, the angle between the final attitudes, rad; None if the body spins too
-        fast to compute its motion.
+        For each other interpolation, the angle between the final attitudes, rad. None if the body
+        would spin too fast to compute its motion.
 
     """
     others = [f'{name} would spin the body too fast' if angle is None else

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Thin long series for a page while they are computed, so that they are never in memory."""
+"""Thin long series while they are computed, so that they need not fit into memory."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Largest number of intervals of a series: ten for each pixel column of a chart.
+#: Maximum number of intervals of a series, about ten per pixel column of a chart.
 _INTERVALS = 2 ** 13
 
 
 class Extremes:
     """
-    Minimum and maximum of columns in intervals of equally many samples.
+    Minimum and maximum of columns in intervals with equal numbers of samples.
 
-    The intervals hold 2^k samples; if there are too many intervals, neighbours are merged. So a
-    spike of one sample stays visible, however long the series.
+    Each interval contains 2^k samples. When there are too many intervals, pairs of neighbouring
+    intervals are merged. Therefore, a spike of one sample is visible in a series of any length.
 
     Parameters
     ----------
     columns : int
     most : int
-        Largest number of intervals, even.
+        Maximum number of intervals; an even number.
 
     """
 
@@ -43,11 +43,11 @@ class Extremes:
         self._most, self._size = most, 1
         self._times = np.empty(0, np.int64)
         self._low = self._high = np.empty((0, columns))
-        #: Samples of the last interval, which is not complete yet.
+        #: The samples in the last, incomplete interval.
         self._rest = np.empty(0, np.int64), np.empty((0, columns))
 
     def add(self, times_ns: NDArray[np.int64], values: Floats) -> None:
-        """Add samples: later times, shape (n,), and their values, shape (n, columns)."""
+        """Add later samples: times, shape (n,), and values, shape (n, columns)."""
         times = np.concatenate([self._rest[0], times_ns])
         values = np.concatenate([self._rest[1], values])
         count = len(times) // self._size
@@ -59,7 +59,7 @@ class Extremes:
             self._merge()
 
     def result(self) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Return the first times, shape (n,), minima and maxima, shape (n, columns)."""
+        """Return the start times, shape (n,), and the minima and maxima, shape (n, columns)."""
         times, values = self._rest
         if not len(times):
             return self._times, self._low, self._high
@@ -72,8 +72,8 @@ class Extremes:
         self._high = np.concatenate([self._high, high])
 
     def _merge(self) -> None:
-        # An interval without a partner would have half the size of the others: its extremes go
-        # back to the rest, as two samples if they differ.
+        # Intervals are merged in pairs. If the last interval has no partner, turn its extremes
+        # back into samples of the incomplete interval.
         odd = len(self._times) % 2
         if odd:
             time, low, high = self._times[-1:], self._low[-1:], self._high[-1:]
@@ -92,12 +92,12 @@ class Extremes:
 
 class EveryNth:
     """
-    Rows of a series at equal distances, among them the first and the last.
+    Evenly spaced rows of a series, including the first and the last row.
 
     Parameters
     ----------
     most : int
-        Largest number of rows but the last.
+        Maximum number of rows, not counting the last row.
 
     """
 
@@ -107,12 +107,12 @@ class EveryNth:
         self._last: tuple[NDArray[np.int64], Floats] | None = None
 
     def chosen(self, count: int) -> NDArray[np.intp]:
-        """Return which of the next rows to `add`, the last of them included."""
+        """Return which of the next `count` rows to pass to `add`, including the last row."""
         rows = np.arange(-self._count % self._step, count, self._step)
         return np.union1d(rows, [count - 1]) if count else rows
 
     def add(self, count: int, times_ns: NDArray[np.int64], values: Floats) -> None:
-        """Add the chosen ones of the next rows: times, shape (n,), and values, shape (n, k)."""
+        """Add the `chosen` rows of `count` rows: times, shape (n,), and values, shape (n, k)."""
         regular = len(times_ns) - ((self._count + count - 1) % self._step != 0)
         self._parts.append((times_ns[:regular], values[:regular]))
         self._last = times_ns[-1:], values[-1:]
