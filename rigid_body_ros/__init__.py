@@ -42,8 +42,9 @@ if TYPE_CHECKING:
     from rigid_body_ros.runtime.deprecated import warm_up
     from rigid_body_ros.runtime.fingerprint import build_info
 else:
-    # Importing the engine takes a while, and commands must handle signals before.
-    #: The module of each public name; for a module, its own name.
+    # Importing the engine takes a while, and commands must handle signals before the engine is
+    # loaded. So each name is imported when it is first used.
+    #: The module that defines each public name. A public module is listed under its own name.
     _HOMES = {'RigidBodies': 'mechanics.bodies', 'RigidBody': 'mechanics.body',
               'Actuator': 'mechanics.actuator', 'BodyLog': 'mechanics.changes',
               'State': 'mechanics.state', 'States': 'mechanics.states',
