@@ -17,10 +17,11 @@ Compare the results of this machine with those of a 64-bit ARM machine, bit for 
 
     python benchmarks/arm.py [--count N]        (or: make arm)
 
-The same motions are computed here, here as on an older x86-64 processor, and on ARM, which QEMU
-emulates (`arm_machine.py`): random ones through every solver, those of `test/scenes.py` and those
-of `test/recordings`. A recording that was replayed on ARM is verified here, too, and ARM compares
-its results with the committed vectors (`vectors.py`). The exit status is 1 if a bit differs.
+The same motions are computed three times: on this machine, on this machine as on an older x86-64
+processor, and on ARM, which QEMU emulates (`arm_machine.py`). The motions are random ones through
+every solver, those of `test/scenes.py` and those of `test/recordings`. A recording that is
+replayed on ARM is also verified here, and ARM compares its results with the committed vectors
+(`vectors.py`). The exit status is 1 if a bit differs.
 """
 
 import argparse
@@ -42,16 +43,16 @@ from conftest import chord, Reference  # noqa: E402, I100
 from scenes import SCENES  # noqa: E402
 from test_reference import AMPLIFYING, cases  # noqa: E402
 
-#: rad; what a solver by steps is asked for of a scene that lasts longer.
+#: rad; solvers with steps compute only this much of a longer scene.
 LONGEST = 1000.0
 MOTIONS = FOLDER / 'motions.json'
 ARM = 'arm64'
 HERE = 'here'
 OLD = 'x86-64-v2'
-#: Names of the columns, and the environment that makes of this processor an older one.
+#: Names of the columns, and the environment in which this processor acts like an older one.
 MACHINES = {
     HERE: {},
-    # The kernels call the C library for fused products; numpy and BLAS do without.
+    # For fused multiply-add, the kernels call the C library; numpy and BLAS do without it.
     OLD: {'RIGID_BODY_ROS_KERNELS': OLD, 'OPENBLAS_CORETYPE': 'Prescott'},
 }
 
@@ -69,7 +70,7 @@ def motions(count):
 
 
 def plain_scene(scene):
-    """Return a scene of the tests, with its end and times before it in ever shorter steps."""
+    """Return a scene of the tests, with its end and with times that halve repeatedly."""
     end = int(scene.times_ns[-1])
     at = np.unique([*scene.times_ns, *(end >> np.arange(40))])
     steps_end = int(end * min(1.0, LONGEST / max(scene.phase, 1.0)))
@@ -90,7 +91,7 @@ def plain_reference(name, solvers):
 
 
 def environment(machine):
-    """Return the environment that makes of this processor an older one."""
+    """Return the environment in which this processor acts like an older one."""
     found = {**os.environ, **MACHINES[machine], 'PYTHONPATH': str(ROOT)}
     if machine == OLD:
         from numpy._core import _multiarray_umath as numpy_core
@@ -115,10 +116,10 @@ def computed(machine):
 
 def differences(there, here):
     """
-    Return how many of two arrays' numbers differ in a bit, and by how many ulps at most.
+    Return how many numbers of two arrays differ in a bit, and by how many ulps at most.
 
-    Zeros of two signs differ, by 0 ulps. If a solver accepted the motion on one machine only, all
-    numbers differ.
+    Zeros with different signs differ by 0 ulps. If a solver accepts the motion on only one of the
+    machines, all numbers differ.
     """
     if there.shape != here.shape:
         return max(there.size, here.size), np.inf
@@ -129,13 +130,13 @@ def differences(there, here):
 
 
 def ordinal(values):
-    """Return the place of each double among all doubles."""
+    """Return the rank of each double among all doubles."""
     places = values.view(np.int64)
     return np.where(places < 0, np.iinfo(np.int64).min - places, places)
 
 
 def compared(there, here):
-    """Return by group the number of differences, the largest in ulps, and its motion."""
+    """Return for each group the number of differences, the largest in ulps, and its motion."""
     found = {}
     for name in here:
         group, motion = name.split('/', 1)
@@ -163,7 +164,7 @@ def table(here, others):
 
 
 def truth_errors(results):
-    """Return the largest error against fifty digits, and relative to the bound of the tests."""
+    """Return the largest error against 50-digit references, and relative to the tests' bound."""
     worst, part = 0.0, 0.0
     for name, solver in cases():
         reference = Reference(name)

@@ -15,9 +15,10 @@
 """
 A 64-bit ARM machine in a folder, for `arm.py`.
 
-Python and its libraries come from Debian's arm64 packages, unpacked beside apt's own lists and
-cache. The system's packages do not change, and root is not needed. numpy and the other
-dependencies come as wheels, in the versions that are installed here. QEMU runs them.
+Python and its libraries come from Debian's arm64 packages, which are unpacked into the folder with
+separate lists and cache of apt. The packages of the system do not change, and root is not needed.
+numpy and the other dependencies come as wheels, in the versions that are installed here. QEMU runs
+the programs.
 """
 
 import hashlib
@@ -36,22 +37,22 @@ FOLDER = ROOT / '.arm'
 SYSTEM, WHEELS = FOLDER / 'system', FOLDER / 'wheels'
 PYTHON = f'python{sys.version_info.major}.{sys.version_info.minor}'
 QEMU, COMPILER = 'qemu-aarch64-static', 'aarch64-linux-gnu-gcc'
-#: Commands, and the Debian package of each.
+#: Required commands, and the Debian package of each.
 COMMANDS = {QEMU: 'qemu-user-static', COMPILER: 'gcc-aarch64-linux-gnu', 'apt-get': 'apt',
             'dpkg-deb': 'dpkg'}
-#: What `install_requires` lists without matplotlib and SciPy, which `arm.py` does not need there.
+#: The entries of `install_requires` except matplotlib and SciPy, which `arm.py` does not need.
 REQUIRED = ('PyYAML', 'lz4', 'mcap', 'numpy', 'tqdm', 'zstandard')
-#: The C library of Debian 12 is 2.36.
+#: Platforms of wheels up to glibc 2.36, the C library of Debian 12.
 PLATFORMS = ('manylinux2014_aarch64', *(f'manylinux_2_{minor}_aarch64' for minor in range(17, 37)))
 
 
 class UnavailableError(Exception):
-    """The machine cannot be built; the text says what is missing and how to get it."""
+    """The machine cannot be built. The text says what is missing and how to get it."""
 
 
 def install() -> None:
     """
-    Make the folder unless it has the same versions already.
+    Create the folder unless it already contains the same versions.
 
     Raises
     ------
@@ -79,12 +80,12 @@ def install() -> None:
 
 def run(program: Path, *arguments: object) -> None:
     """
-    Run a Python program of the checkout on the machine.
+    Run a Python program of the checkout on the ARM machine.
 
     Raises
     ------
     subprocess.CalledProcessError
-        Its exit status is not 0.
+        The exit status is not 0.
 
     """
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(WHEELS)])}
@@ -93,7 +94,7 @@ def run(program: Path, *arguments: object) -> None:
 
 
 def _link_kernels() -> None:
-    # Link the kernels for the machine, beside those for this one.
+    # Link the kernels for ARM, beside those for this machine.
     folder = extension.generated('aarch64')
     if not folder.is_dir():
         raise UnavailableError('expected the generated code for aarch64: make release')
@@ -107,7 +108,7 @@ def _link_kernels() -> None:
 
 
 def _once(folder: Path, content: list[str], install_into) -> None:
-    # A file beside the folder names what was installed completely.
+    # A file beside the folder marks what was installed completely.
     done = folder.with_suffix('.' + hashlib.sha256(' '.join(content).encode()).hexdigest()[:16])
     if done.exists():
         return
@@ -122,7 +123,7 @@ def _install_system(folder: Path, packages: list[str]) -> None:
     apt = FOLDER / 'apt'
     for name in ('state/lists/partial', 'cache/archives/partial'):
         (apt / name).mkdir(parents=True, exist_ok=True)
-    (apt / 'status').touch()  # nothing is installed: apt finds all that the packages need
+    (apt / 'status').touch()  # empty, so apt downloads all dependencies
     command = ['apt-get', '--quiet=2', '-o', f'Dir::State={apt / "state"}',
                '-o', f'Dir::State::status={apt / "status"}', '-o', f'Dir::Cache={apt / "cache"}',
                '-o', 'APT::Architecture=arm64', '-o', 'APT::Architectures=arm64']

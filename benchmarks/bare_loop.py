@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Two bare rclpy nodes for comparison: a loop of the messages of `attitude_node` and its controller.
+Two bare rclpy nodes for comparison: they send the messages of `attitude_node` and a controller.
 
-`benchmarks/loop.py` runs the controller; this file is the command of the other node.
+`benchmarks/loop.py` runs the controller. As a command, this file runs the other node.
 """
 
 from geometry_msgs.msg import WrenchStamped
@@ -52,7 +52,7 @@ class BareNode(Node):
 
 
 class BareController(Node):
-    """Responds to every state with the same torque; sends one each second until a state comes."""
+    """Responds to every state with the same torque; until the first, sends it every second."""
 
     def __init__(self):
         super().__init__('attitude_controller')

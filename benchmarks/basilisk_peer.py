@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Basilisk: a spacecraft of one rigid hub, integrated by its RK4 in Rodrigues parameters."""
+"""Basilisk: a spacecraft with one rigid hub, integrated by RK4 in Rodrigues parameters (MRP)."""
 
 from importlib.metadata import version
 
@@ -23,19 +23,19 @@ from Basilisk.utilities import SimulationBaseClass
 import numpy as np
 
 NAME = f"Basilisk {version('bsk')}"
-# Its clock counts nanoseconds, so a step must be a whole number of them.
+# A step must be a whole number of nanoseconds, because the clock of Basilisk counts these.
 LADDER = [{'steps': steps} for steps in (
     200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000)]
 STREAM_LADDER = [{}, {'substeps': 2}]
 
-bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # it warns at every start but the first
+bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # or it warns at every restart
 
 
 class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps have the same length."""
+        """Divide the time into steps of equal length."""
         self.label = f'RK4, {steps} steps'
         self._prepare(problem, problem.end_ns // steps)
         if len(problem.torques):
@@ -66,7 +66,7 @@ class Final:
         self._simulation.ExecuteSimulation()
 
     def attitude(self):
-        """Return x y z w, with either sign, which the parameters do not determine."""
+        """Return x y z w; the parameters do not determine the sign."""
         sigma = np.array(self._spacecraft.scStateOutMsg.read().sigma_BN)
         square = sigma @ sigma
         return np.append(2.0 * sigma, 1.0 - square) / (1.0 + square)
@@ -76,14 +76,14 @@ class Stream(Final):
     """The state at the end, under torques that a compiled module sends."""
 
     def __init__(self, problem, substeps=1):
-        """With one step for each torque the error is at rounding level already."""
+        """Take one step per torque by default, which reaches the level of rounding errors."""
         self.label = 'RK4, ' + (
             'one step per sample' if substeps == 1 else f'{substeps} steps per sample')
         self._prepare(problem, problem.hold_ns // substeps)
         self._sender = Sender(np.repeat(problem.torques, substeps, axis=0))
         self._effector.cmdTorqueInMsg.subscribeTo(self._sender.torqueOutMsg)
-        # After the spacecraft, which goes from the sample before to this one when its turn comes:
-        # the other order would give it each torque a sample early.
+        # Run these after the spacecraft, which advances from the previous sample to this one. In
+        # the other order, each torque would act one sample early.
         for model in (self._sender, self._effector):
             self._simulation.AddModelToTask('task', model)
 

@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Print a hash of what the engine computes, to show that a change leaves every bit as it was.
+Print a hash of the results of the engine, to show that a change preserves every bit.
 
     python benchmarks/bits.py [--count N]
 
-Random motions with a fixed seed go through every solver, the Euler angles, the Propagator and the
-Integration, and again under fields. Each group has a SHA-256 of its own, so that a difference can
-be located; the last line is the hash of them all. Compare runs on one machine with the same
-versions of Python's packages.
+Random motions with a fixed seed are computed by every solver, as Euler angles, by a Propagator and
+by an Integration, and again under fields. Each group of results has its own SHA-256, so that a
+difference can be located. The last line is the hash of all groups. Compare only runs on one
+machine with the same versions of Python packages.
 """
 
 import argparse
@@ -48,7 +48,7 @@ INTERPOLATIONS = ('hold', 'linear', 'cubic')
 #: Solvers that accept torques.
 SOLVERS = ('auto', 'taylor', 'rk4', 'strang', 'explicit_euler')
 SEQUENCES = ('ZXZ', 'XYX', 'YZY', 'ZYZ', 'XZX', 'YXY', 'XYZ', 'YZX', 'ZXY', 'XZY', 'ZYX', 'YXZ')
-#: Samples on each side that the cubics of a piece, and of the sample after it, need.
+#: Number of samples on each side that the cubics of a piece, and of the next sample, need.
 _BESIDE = 3
 
 
@@ -60,9 +60,9 @@ class Motion(NamedTuple):
     log: TorqueLog
     at: np.ndarray
     options: dict
-    #: s, for the solvers that need it.
+    #: s; for solvers with a fixed step.
     max_step: float
-    #: Those of the last group; the others go without.
+    #: The fields, which only the last group of results includes.
     fields: tuple = ()
 
     def solver_options(self, solver):
@@ -72,7 +72,7 @@ class Motion(NamedTuple):
 
 
 def random_body(random):
-    """Return a full tensor, a rod, a plate, a symmetric top or a sphere, along its axes or not."""
+    """Return any body, a rod, a plate, a symmetric top or a sphere, in principal axes or not."""
     a, b, c = 10.0 ** random.uniform(-1.5, 1.5, 3)
     second_moments = np.array([(a, b, c), (1.0, 1e-3 * a, 1e-3 * b), (a, b, 0.0), (a, a, b),
                                (a, a, a)][random.integers(5)])
@@ -95,13 +95,13 @@ def random_log(random, body, start):
     """Return torques with coasts, irregular and repeated stamps, in body, space or both axes."""
     interpolation = INTERPOLATIONS[random.integers(3)]
     stream = random.random() < 0.4
-    # A cubic through samples of very different spacing overshoots.
+    # A cubic through samples with very different spacing overshoots.
     shortest = -3.0 if interpolation == 'hold' else -1.0
     spans = np.full(300, 1e-3) if stream else 10.0 ** random.uniform(shortest, 0.5, 40)
     rates = random.normal(size=(len(spans), 3)) * (0.1 + np.linalg.norm(start.angular_velocity))
     rates[np.repeat(random.random(len(spans) // 10) < 0.4, 10)] = 0.0
     torques = 0.2 * body.angular_momentum(rates) / spans.max()
-    if interpolation == 'hold':  # otherwise a torque would grow all through the gap
+    if interpolation == 'hold':  # otherwise a torque would ramp up during the gap
         spans[(rates == 0.0).all(axis=1) & (random.random(len(spans)) < 0.05)] *= 1e3
     stamps = start.time_ns - SECOND // 50 + np.cumsum(np.round(spans * 1e9).astype(np.int64))
     stamps[7::9] = stamps[6::9][:len(stamps[7::9])]
@@ -112,7 +112,7 @@ def random_log(random, body, start):
 
 
 def random_motion(number):
-    """Return the motion with a number, the same one in every run."""
+    """Return the motion with a number; it is the same in every run."""
     random = np.random.default_rng((SEED, number))
     body = random_body(random)
     start = random_start(random, body)
@@ -129,7 +129,7 @@ def random_motion(number):
 
 
 def random_fields(number, body, start):
-    """Return up to five uniform fields, an orbit or both, about as strong as the body turns."""
+    """Return up to five uniform fields, an orbit or both, with torques that suit the rotation."""
     random = np.random.default_rng((SEED, number, 3))
     speed = 0.1 + np.linalg.norm(start.angular_velocity)
     size = np.sqrt(0.1 * body.principal_moments[0]) * speed
@@ -153,9 +153,9 @@ def solved(motion, solver):
 
 
 def coasted(motion, solver):
-    """Yield attitude and rates without torques, for an hour, or a day in closed form."""
+    """Yield attitude and rates without torques, over an hour, or over a day in closed form."""
     span_ns = (86400 if solver == 'exact' else 3600) * SECOND
-    # Halved times, because the last bit of a power depends on the machine.
+    # Times by halving, because the last bit of a power depends on the machine.
     at = motion.start.time_ns + (span_ns >> np.arange(39, -1, -1))
     free = propagate(motion.body, motion.start, at=at, **motion.solver_options(solver))
     yield free.attitude
@@ -173,7 +173,7 @@ def euler_angles(motion):
 
 
 def asked_in_any_order(motion, solver, number):
-    """Yield states of a Propagator at times in any order, under torques that arrive late."""
+    """Yield states of a Propagator at times in random order, under torques that arrive late."""
     random = np.random.default_rng((SEED, number, 1))
     options = motion.solver_options(solver)
     stamps = motion.log.times_ns
@@ -196,7 +196,7 @@ def states(propagator, times_ns):
 
 
 def streamed(motion, solver, number):
-    """Yield attitude and rates of an Integration that takes its log in pieces."""
+    """Yield attitude and rates of an Integration that receives its log in pieces."""
     random = np.random.default_rng((SEED, number, 2))
     log, at = motion.log, np.unique(motion.at)
     cuts = np.unique(random.integers(4, len(log) - 4, 4)).tolist()
@@ -245,7 +245,7 @@ def groups(motion, number):
 
 
 def add(digest, arrays):
-    """Add arrays, or a mark if the motion is refused, to a hash; return whether it is refused."""
+    """Add arrays to a hash, or a mark if the motion is rejected; return whether it is rejected."""
     try:
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -256,7 +256,7 @@ def add(digest, arrays):
 
 
 def main():
-    """Print the hash of every group and of all."""
+    """Print the hash of every group, and of all groups."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--count', type=int, default=COUNT, help=f'motions; {COUNT} by default')
     digests, refused = {}, {}

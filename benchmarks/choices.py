@@ -17,11 +17,11 @@ Measure the cost of calls and of bodies, and compare elliptic functions and rota
 
     python benchmarks/choices.py [SECTION ...]
 
-The sections are `calls` (from Python to a kernel), `bodies` (the constants of many bodies, and of
-one), `elliptic` and `so3` (this package and SciPy). Times are processor times, the shortest of
-several. Errors are the largest differences from mpmath: relative for `elliptic`, of components for
-`so3`. Only kernels call the functions of `elliptic`, so here they run as plain Python and have no
-times.
+The sections are `calls` (from Python to a kernel), `bodies` (the constants of one body and of
+many), `elliptic` and `so3` (this package and SciPy). Times are processor times, the shortest of
+several. Errors are the largest differences from mpmath: relative ones for `elliptic`, and those of
+components for `so3`. Outside of kernels, the functions of `elliptic` run as plain Python, so they
+are not timed.
 """
 
 import argparse
@@ -34,7 +34,7 @@ import numpy as np
 from scipy import special
 from scipy.spatial.transform import Rotation
 
-#: Arguments of each function.
+#: Number of arguments for each function.
 COUNT = 1000
 RANDOM = np.random.default_rng(3)
 
@@ -48,7 +48,7 @@ def seconds(function):
 
 
 def calls():
-    """Print the time of a call from Python to a kernel that does next to nothing."""
+    """Print the time of a call from Python to a kernel that does almost nothing."""
     from rigid_body_ros import RigidBody
     from rigid_body_ros.engine import kernels, layout, state_layout
     stamps, flags, state = np.zeros(1, np.int64), np.zeros(1, bool), np.zeros(state_layout.SIZE)
@@ -62,7 +62,7 @@ def calls():
 
 
 def bodies():
-    """Print the time of the constants of a body, in 10 000 bodies and alone."""
+    """Print the time per body for computing its constants, among 10 000 bodies and alone."""
     from rigid_body_ros import RigidBodies, RigidBody
     squares = RANDOM.uniform(0.02, 1.0, (10_000, 3))
     moments = squares.sum(axis=1, keepdims=True) - squares
@@ -134,7 +134,7 @@ def exact_log(q):
 
 
 def mapped(function, *columns):
-    """Return a function of doubles, one call for each row, in mpmath numbers."""
+    """Call a function of doubles for each row, and return its results as mpmath numbers."""
     return np.array([function(*map(mp.mpf, row)) for row in np.broadcast(*columns)])
 
 

@@ -17,11 +17,11 @@ Compare two worker processes of Dask with one, for runs of the demo under its re
 
     python benchmarks/cluster.py [--runs N] [--rounds N]
 
-Each ensemble is computed into a new folder by one or two worker processes with one thread each,
-in turns. The workers have loaded the kernels before; the time includes what the command does with
-the runs, but not the start of the cluster. The table has the medians, and the processor time of
-scheduler, workers and command for a million runs. The ratio needs an otherwise idle machine; the
-processor time depends less on other processes.
+Clusters of one and two worker processes, with one thread each, alternate. Each computes the
+ensemble into a new folder. The workers have already loaded the kernels. The time includes what the
+command does with the runs, but not the start of the cluster. The table contains the medians, and
+the processor time of scheduler, workers and command for a million runs. The ratio requires an
+otherwise idle machine; the processor time depends less on other processes.
 """
 
 import argparse
@@ -46,19 +46,19 @@ RECORDING = HERE.parent / 'test' / 'recordings' / 'tumbler.mcap'
 VARY = (Dispersion('inertia', 'relative', (0.05,)),
         Dispersion('initial_attitude', 'tilt', (0.02,)),
         Dispersion('torque_gain', 'normal', (0.03,)))
-#: The rate of two worker processes, divided by that of one, at least.
+#: Minimum ratio of the rate of two worker processes to the rate of one.
 BAR = 1.7
 
 
 def ensemble():
-    """Return the motions to compute."""
+    """Return the ensemble to compute."""
     problem = read_problem(RECORDING, SCENE)
     return Ensemble(problem, int(problem.logs[0].times_ns[-1]), VARY, 0)
 
 
 def seconds(motions, runs, workers):
-    """Return how long some worker processes take, and the processor time of all processes, s."""
-    # Without these addresses the metrics would be served on all interfaces.
+    """Return wall time, s, with some worker processes, and processor time, s, of all processes."""
+    # Without these addresses, the metrics would be served on all network interfaces.
     with LocalCluster(n_workers=workers, threads_per_worker=1, host='127.0.0.1',
                       dashboard_address='127.0.0.1:0',
                       worker_dashboard_address='127.0.0.1:0') as started, \
@@ -71,7 +71,7 @@ def seconds(motions, runs, workers):
 
 
 def processor_time():
-    """Return the processor time of this process and of those that it started, s."""
+    """Return the processor time, s, of this process and of the processes that it started."""
     this = psutil.Process()
     return sum(sum(process.cpu_times()[:2]) for process in (
         this, *this.children(recursive=True)))

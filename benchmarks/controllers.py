@@ -17,9 +17,9 @@ Measure ensembles with a controller: processor time of a run, and of its parts.
 
     python benchmarks/controllers.py [--runs 100] [--step 0.01]
 
-It runs the example of docs/ensemble.md for a minute in one process, without the command. The time
-of the controller is that of its calls alone, and the time of a replay that of `propagate` under
-the torques of the last run: the arithmetic of the same motion.
+Each run is the example of docs/ensemble.md over a minute, in this process, without the command.
+The time of the controller includes only its calls. The time of a replay is that of `propagate`
+under the torques of the last run, which computes the same motion without the controller.
 """
 
 import argparse

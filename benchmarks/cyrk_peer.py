@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""CyRK: compiled Runge-Kutta pairs with adaptive steps, called from numba."""
+"""CyRK: compiled Runge-Kutta pairs with adaptive steps, for equations that numba compiles."""
 
 from CyRK import __version__, cyjit, nbsolve2_ivp, nbsolve_ivp
 import numba
@@ -29,7 +29,7 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, method, rtol):
-        """`rtol` is also the absolute tolerance."""
+        """Use `rtol` as the absolute tolerance as well."""
         self.label = f'{method} rtol={rtol:.0e}'
         self._equations = cyjit(_equations(problem))
         self._arguments = (self._equations.address, float(problem.seconds), method, rtol)
@@ -48,7 +48,7 @@ class Final:
 
 
 class Stream(Final):
-    """The state at the end, under torques; each begins a new problem."""
+    """The state at the end, under torques, each of which begins a new problem."""
 
     def __init__(self, problem):
         """Compile the loop over the torques."""
@@ -76,7 +76,7 @@ def _derivative(problem):
 
 
 def _equations(problem):
-    # The same for the interface of `nbsolve2_ivp`, which the compiled solvers are behind.
+    # The same equations for the interface of the compiled solvers, `nbsolve2_ivp`.
     k1, k2, k3 = problem.coupling
     t1, t2, t3 = problem.accelerations[0] if len(problem.torques) else (0.0, 0.0, 0.0)
 
@@ -102,8 +102,8 @@ def _solve(address, end, method, rtol, start, state):
 
 
 def _stream_solver(derivative):
-    # For a thousand short problems a second the solver written in numba is the faster one, and
-    # knowing the first step saves it from looking for one.
+    # For a thousand short problems per second, the solver written in numba is faster, and a given
+    # first step saves the search for one.
     @numba.njit
     def solve(accelerations, hold, start, state):
         state[:] = start

@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Measure runs of ensembles with rotors, several sources and logs of their own, on one core.
+Measure runs of ensembles on one core: with rotors, several sources, and their own logs.
 
     python benchmarks/dispersed.py [--before FOLDER] [--rounds 3]
 
 All runs are a minute long, with dispersed inertia and attitude. The time is the shortest processor
-time of the rounds, without files. With --before, those of another checkout are measured in turns;
-`git archive REVISION | tar -x -C FOLDER` makes one.
+time of the rounds, without files. With --before, this checkout and another one alternate;
+`git archive REVISION | tar -x -C FOLDER` creates one.
 """
 
 import argparse
@@ -49,7 +49,7 @@ GAIN, MOMENTUM, BIAS, NOISE, OFFSET = (Dispersion(key, 'normal', (sigma,)) for k
 
 
 def log(rate, size, phase=0.0):
-    """Return a minute of torques of some size, N m, at a rate, Hz."""
+    """Return a minute of torques with an amplitude, N m, at a rate, Hz."""
     times = np.arange(60 * rate) / rate
     return TorqueLog(np.rint(times * SECOND).astype(np.int64),
                      size * np.sin(times[:, None] * [2.0, 3.0, 5.0] + phase))
@@ -60,7 +60,8 @@ HELD = TorqueLog([0], [[1e-3, 2e-3, -1e-3]])
 SLOW, FAST, OTHER, WHEELS = log(50, 0.01), log(1000, 0.01), log(1000, 0.003, 1.0), log(1000, 0.001)
 #: Number of measurements in a process.
 REPEATS = 4
-#: Values of the scene, torques on the body, torque on the rotors, dispersions, number of runs.
+#: For each case: values of the scene, torques on the body, torque on the rotors, dispersions, and
+#: number of runs.
 CASES = {
     'plain, free': ({}, (), None, (), 4000),
     'held torque': ({}, (HELD,), None, (), 2000),
@@ -84,7 +85,7 @@ CASES = {
 
 
 def measured():
-    """Return processor time per run, us, of each case; the first runs load the kernels."""
+    """Return the processor time per run, us, of each case; the first runs load the kernels."""
     found = {}
     for name, (values, logs, wheels, vary, count) in CASES.items():
         problem = Scene.from_values({**BODY, **values}).problem().replaced(
@@ -100,7 +101,7 @@ def measured():
 
 
 def once(folder):
-    """Return `measured` of a new process that imports from a folder."""
+    """Return the result of `measured` in a new process that imports from a folder."""
     done = subprocess.run([sys.executable, __file__, '--once'], check=True, stdout=subprocess.PIPE,
                           env={**os.environ, 'PYTHONPATH': str(folder)}, cwd=folder)
     return json.loads(done.stdout)

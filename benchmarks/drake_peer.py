@@ -26,7 +26,7 @@ from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource, Z
 from pydrake.trajectories import PiecewisePolynomial
 
 NAME = f"Drake {version('drake')}"
-# At equal cost, fixed steps are more accurate than those of its error control.
+# At equal cost, fixed steps are more accurate than Drake's error control.
 LADDER = [{'steps': steps} for steps in (
     200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000)]
 STREAM_LADDER = [{}]
@@ -36,7 +36,7 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps have the same length."""
+        """Divide the time into steps of equal length."""
         self.label = f'RK5, {steps} steps'
         self._prepare(problem, problem.seconds / steps)
 
@@ -70,7 +70,7 @@ class Stream(Final):
     """The state at the end, under torques that a block of the diagram holds."""
 
     def __init__(self, problem):
-        """With one step for each torque the error is at rounding level already."""
+        """Take one step per torque, which reaches the level of rounding errors."""
         self.label = 'RK5, zero-order hold, one step per sample'
         self._prepare(problem, problem.hold_ns * 1e-9)
 
@@ -82,8 +82,8 @@ def _body(builder, problem):
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     plant.Finalize()
     if len(problem.torques):
-        # Applied forces are about space axes. What turns with the body without Python in the
-        # loop is a propeller, here one per axis that has a moment and no thrust.
+        # Applied torques are about space axes. A propeller turns with the body without Python in
+        # the loop, so each axis gets a propeller with a moment and no thrust.
         propeller = builder.AddSystem(Propeller([
             PropellerInfo(body.index(), RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2)),
                           thrust_ratio=0.0, moment_ratio=1.0) for axis in np.eye(3)]))
@@ -99,7 +99,8 @@ def _torques(builder, problem):
     if len(problem.torques) == 1:
         return builder.AddSystem(ConstantVectorSource(problem.torques[0])).get_output_port()
     hold = problem.hold_ns * 1e-9
-    # The hold samples in the middle of a piece, where rounding of time cannot mistake it.
+    # The hold block samples in the middle of each piece, so that rounding of the time does not
+    # select another piece.
     breaks = (np.arange(len(problem.torques) + 1) - 0.5) * hold
     pieces = PiecewisePolynomial.ZeroOrderHold(
         breaks, np.vstack([problem.torques, problem.torques[-1]]).T)

@@ -13,15 +13,16 @@
 # limitations under the License.
 
 """
-Measure how what must be conserved under fields drifts with time.
+Measure how conserved quantities drift with time under fields.
 
     python benchmarks/drift.py [--turns N] [--seeds N]
 
-The energy with the potential of the fields and the momentum about their direction, Kovalevskaya's
-integral, and Jacobi's integral in orbit. A drift is the largest difference from the value at the
-start so far, relative to the size of what adds up to it; the median over motions from random
-starts. The last column is the power of time with which it grows: rounding errors of random signs
-add up to a power of 0.5, those of one sign to 1.
+The quantities are the energy including the potential of the fields, the momentum about their
+direction, Kovalevskaya's integral, and Jacobi's integral in orbit. A drift is the largest
+difference from the value at the start up to a time, relative to the size of the terms of the
+quantity. The table contains medians over motions from random starts. The last column is the power
+of time with which the drift grows: 0.5 for rounding errors with random signs, and 1 for rounding
+errors with one sign.
 """
 
 import argparse
@@ -40,7 +41,7 @@ ROWS = (('asymmetric top', fields.energy), ('asymmetric top', fields.momentum_al
         ('gyrostat', fields.energy), ('gyrostat', fields.momentum_along),
         ('satellite', fields.jacobi_integral),
         ('satellite with a wheel', fields.jacobi_integral))
-#: Times up to each power of ten at which a quantity is computed.
+#: Number of times, up to each power of ten, at which a quantity is computed.
 TIMES = 100
 
 

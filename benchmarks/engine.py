@@ -17,10 +17,10 @@ Measure the speed and accuracy of the engine, and compare them with required val
 
     python benchmarks/engine.py [--json FILE] [SECTION ...]
 
-Errors are angles, rad, between the final attitude and a reference of 30 digits. A ratio is the
-time of the peer divided by that of this package: the ratio of the median times, and a 95 %
-confidence interval from the ratios of single rounds. The package and the peer run in turns. The
-lower end of the interval must reach the required ratio. All runs use one thread; first calls,
+Errors are angles, rad, between the final attitude and a reference with 30 digits. A ratio is the
+time of the peer divided by that of this package. It comes from the median times, with a 95 %
+confidence interval from the ratios of single rounds, in which the package and the peer alternate.
+The lower end of the interval must reach the required ratio. All runs use one thread. First calls,
 in which some peers compile, are timed separately.
 """
 
@@ -48,7 +48,7 @@ PACKAGES = ('rigid_body_ros', 'numpy', 'scipy', 'numba', 'mpmath', 'heyoka', 'cy
 
 @dataclass(frozen=True)
 class Bar:
-    """Required values of a problem: the error, rad, and the speed relative to the peer."""
+    """Required values for a problem: the error, rad, and the speed relative to a peer."""
 
     problem: str
     peer: str
@@ -80,11 +80,11 @@ class Ours:
     """The package itself, through its public interface."""
 
     def __init__(self, problem, **options):
-        """`options` are those of `propagate`."""
+        """Take the options of `propagate`."""
         self._scene, self._options = problem.scene, {'at': problem.at, **options}
 
     def reset(self):
-        """Do nothing: a motion is a function of its scene."""
+        """Do nothing: each run begins at the start."""
 
     def run(self):
         """Propagate."""
@@ -96,7 +96,7 @@ class Ours:
 
 
 def bars(name, peers):
-    """Compare one problem with its required values; return a row for each."""
+    """Compare one problem with its required values; return a row for each peer."""
     problem, rows = PROBLEMS[name], []
     for bar in BARS:
         if bar.problem != name or bar.peer not in peers:
@@ -132,7 +132,7 @@ def loose(peers):
 
 
 def ladder(name, peer_name, module):
-    """Return error, time, name and contender of each setting of a peer."""
+    """Return the error, time, name and contender for each setting of a peer."""
     rungs = []
     for options in module.LADDER:
         peer, _ = first_run(module.Final, PROBLEMS[name], **options)
@@ -150,7 +150,7 @@ def cheapest(name, ours, rungs):
 
 
 def growth(_):
-    """Print time and memory by length of the log, for both outputs."""
+    """Print time and memory by length of the log, for both kinds of output."""
     rows = []
     for output, samples in itertools.product(('end', 'each'), SAMPLES):
         row = json.loads(child('growth.py', str(samples), output))
@@ -163,7 +163,7 @@ def growth(_):
 
 
 def start(_):
-    """Print the time from import to first result."""
+    """Print the time from import to the first result."""
     times = [float(child('start.py')) for _ in range(STARTS)]
     met = bool(np.median(times) <= START_BAR)
     print(f'import to first result: {np.median(times):5.2f} s bar {START_BAR}  {verdict(met)}')
@@ -171,7 +171,7 @@ def start(_):
 
 
 def first_run(make, problem, **options):
-    """Run a contender once; return it and the time, s, in which a peer may compile."""
+    """Create and run a contender; return it and the time, s, which may include compilation."""
     began = time.perf_counter()
     contender = make(problem, **options)
     contender.reset()
@@ -212,7 +212,7 @@ def child(script, *arguments):
 
 
 def installed_peers():
-    """Return the modules of the peers by name; print which are not installed."""
+    """Return the modules of the installed peers by name; print which are missing."""
     peers = {}
     for name in ('heyoka', 'cyrk', 'rk4'):
         try:

@@ -18,12 +18,11 @@ Measure attitude_ensemble: runs per second with one worker and with two, and the
     python benchmarks/ensemble.py [--runs 20000] [--free 200000] [--pairs 5]
     python benchmarks/ensemble.py --once [--free] --runs 1000000 --workers 2
 
-The scene is the CubeSat of the demo, for a minute: under its recording (3001 torques), and without
-torque. One worker and two take turns, each in a process of its own that has loaded the kernels
-before; the ratio is the median of the pairs. The time is that of the whole command with its files,
-without the start of Python. Time in which the workers wait for a processor that other processes
-use does not count; the load average is printed. With --once, a single measurement is printed as
-JSON. Linux only.
+The scene is the CubeSat of the demo over a minute: under its recording (3001 torques), and without
+torque. One worker and two alternate, each in a new process that first loads the kernels. The ratio
+is the median over the pairs. The time is that of the whole command with its files, without the
+start of Python. It excludes time in which the workers wait for a processor that other processes
+use. The load average is printed. With --once, a single measurement is printed as JSON. Linux only.
 """
 
 import argparse
@@ -51,7 +50,7 @@ GAIN = 'torque_gain: {normal: 0.03}\n'
 
 
 class Watch(threading.Thread):
-    """Record the time in which the threads of this process ran, and waited for a processor."""
+    """Record how long the threads of this process run, and how long they wait for a processor."""
 
     def __init__(self):
         super().__init__(daemon=True)
@@ -77,10 +76,10 @@ class Watch(threading.Thread):
 
 def once(free, runs, workers):
     """
-    Return what a run of the command takes in this process.
+    Run the command in this process, and return what it takes.
 
-    They are the rate, 1/s, and the time, s, without waiting for a processor; the time that the
-    workers waited, s; processor time per run, us; and peak memory, MB.
+    The results are the rate, 1/s, and the time, s, both without waiting for a processor; the time
+    that the workers waited, s; the processor time per run, us; and the peak memory, MB.
     """
     with tempfile.TemporaryDirectory() as folder:
         vary = Path(folder) / 'vary.yaml'
@@ -100,7 +99,7 @@ def once(free, runs, workers):
 
 
 def compute(given):
-    """Run the command, without its text."""
+    """Run the command without printing its text."""
     text = os.dup(1)
     os.dup2(2, 1)
     status = attitude_ensemble([*map(str, given)])
@@ -111,7 +110,7 @@ def compute(given):
 
 
 def alone(free, runs, workers):
-    """Return `once` of a new process."""
+    """Return the result of `once` in a new process."""
     command = [sys.executable, __file__, '--once', '--runs', str(runs), '--workers', str(workers)]
     done = subprocess.run([*command, *(['--free'] if free else [])], check=True,
                           stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
@@ -138,7 +137,7 @@ def main():
 
 
 def compare(name, free, runs, count):
-    """Measure one worker and two in turns, and print their rates."""
+    """Measure one worker and two alternately, and print their rates."""
     pairs = [(alone(free, runs, 1), alone(free, runs, 2)) for _ in range(count)]
     one, two = (statistics.median(pair[k]['rate'] for pair in pairs) for k in (0, 1))
     ratio = statistics.median(pair[1]['rate'] / pair[0]['rate'] for pair in pairs)

@@ -17,8 +17,9 @@ Measure a fleet: eight nodes, each publishing at 100 Hz, first idle, then with t
 
     python benchmarks/fleet.py [--nodes 8] [--seconds 10]
 
-Processor time is that of each node's process, as a share of one processor. Memory is resident
-(RSS), as a share of what all nodes use together (PSS), and without what is shared (USS).
+Processor time is that of each node's process, as a fraction of one processor. Memory is resident
+memory (RSS), the same with shared pages divided among the processes (PSS), and without shared
+pages (USS).
 """
 
 import argparse
@@ -40,7 +41,7 @@ RATE = 100
 
 
 class Body:
-    """A node in its namespace, its torques and its states."""
+    """A node in its own namespace, with a publisher of torques and a subscription to states."""
 
     def __init__(self, observer, number):
         namespace = f'/body_{number}'
@@ -70,7 +71,7 @@ class Body:
 
 
 def measure(executor, bodies, seconds, with_torques):
-    """Return the share of a processor and the rate of states of each node."""
+    """Return the fraction of a processor and the rate of states of each node."""
     before = [(body.used(), body.states) for body in bodies]
     began = due = time.perf_counter()
     while (now := time.perf_counter()) < began + seconds:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A minimal rclpy node for comparison: receives a WrenchStamped, publishes three messages."""
+"""A minimal rclpy node for comparison: it publishes three messages for each WrenchStamped."""
 
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 import rclpy
@@ -21,7 +21,7 @@ from rclpy.node import Node
 
 
 class FloorNode(Node):
-    """Responds to every torque with the same numbers."""
+    """Responds to every torque with messages that contain the same numbers."""
 
     def __init__(self):
         super().__init__('floor_node')

@@ -13,14 +13,15 @@
 # limitations under the License.
 
 """
-Measure how long the outputs of the node stop under torques at 1, 1.5 and 2 kHz.
+Measure for how long the outputs of the node stop under torques at 1, 1.5 and 2 kHz.
 
     python benchmarks/gaps.py
 
 The node and a bare rclpy node with the same executor (`timer_node.py`) alternate; each round
-starts one of them. A single process sends the torques and receives the outputs, because two would
-take more processor time from the node on two processors. It needs no executor: between two torques
-it takes what has arrived, and the middleware has recorded the time of arrival.
+starts one of them. A single process sends the torques and receives the outputs, because on two
+processors, two processes would take more processor time from the node. This process needs no
+executor: between two torques, it takes the messages that have arrived, and the middleware has
+recorded their times of arrival.
 
 The columns are:
 
@@ -31,7 +32,7 @@ The columns are:
 - age, 99 %: the time from the stamp of an output to its arrival, median and 99th percentile.
 - applied: torques per second.
 - us each: the processor time of the node per applied torque.
-- late: how late a torque was sent at worst. If this is long, the machine has other load.
+- late: the largest delay in sending a torque. If this is long, the machine has other load.
 
 All values but `worst` and `late` are medians over the rounds.
 """
@@ -56,9 +57,9 @@ from rigid_body_ros import messages
 from rigid_body_ros.node.diagnostics import APPLIED
 
 HERE = Path(__file__).resolve().parent
-#: Hz; number of rounds; s, duration of the torques in a round.
+#: Rates of torques, Hz, number of rounds, and duration of the torques in a round, s.
 RATES, ROUNDS, SECONDS = (1000, 1500, 2000), 3, 5.0
-#: s; for a node to start, to publish again after the torques, and to end.
+#: s; how long a node may take to start, to publish again after the torques, and to end.
 PATIENCE = 60.0
 OURS, BARE = 'ours', 'bare'
 COMMANDS = {
@@ -66,7 +67,7 @@ COMMANDS = {
            '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'),
            '-p', 'publish_rate:=100.0'],
     BARE: [str(HERE / 'timer_node.py')]}
-#: s: the longest gap may be this long, or this many times as long as that of the bare node.
+#: The longest gap may be this long, s, or this many times as long as that of the bare node.
 GAP, TIMES = 0.1, 3.0
 
 
@@ -83,8 +84,9 @@ class Round(NamedTuple):
         Time from the stamp of an output to its arrival: median and 99th percentile.
     applied : float, Hz
     processor : float, s
-        Per applied torque.
+        Processor time of the node per applied torque.
     late : float, s
+        Largest delay in sending a torque.
 
     """
 
@@ -99,7 +101,7 @@ class Round(NamedTuple):
 
 
 class Client:
-    """Sends torques to a node, and takes its outputs and diagnostics."""
+    """Sends torques to a node, and receives its outputs and diagnostics."""
 
     def __init__(self, process):
         self._usage = psutil.Process(process.pid)
@@ -110,9 +112,9 @@ class Client:
             self._node.create_subscription(kind, topic, lambda data: None, 1000, raw=True)
             for kind, topic in ((QuaternionStamped, 'attitude'),
                                 (DiagnosticArray, '/diagnostics')))
-        #: Arrival, ns, and data of each output.
+        #: Time of arrival, ns, and data of each output.
         self._outputs = []
-        #: Arrival, ns, data, and processor time of the node until then, s, of each diagnosis.
+        #: For each diagnosis: time of arrival, ns, data, and processor time of the node so far, s.
         self._diagnoses = []
 
     def destroy(self):
@@ -127,7 +129,7 @@ class Client:
             self.send(100, 0.1)
 
     def send(self, rate, seconds):
-        """Send torques at equal intervals; return how late the latest was, s."""
+        """Send torques at equal intervals; return the largest delay, s."""
         late, began = 0.0, time.monotonic()
         for number in range(round(rate * seconds)):
             self._take()
@@ -174,7 +176,7 @@ class Client:
 
 
 def _taken(subscription):
-    """Yield arrival, ns, and data of each message that waits in a subscription."""
+    """Yield the time of arrival, ns, and the data of each message waiting in a subscription."""
     with subscription.handle:
         while found := subscription.handle.take_message(subscription.msg_type, subscription.raw):
             data, info = found
@@ -203,7 +205,7 @@ def connected(name):
 
 
 def measure(domain):
-    """Return the rounds in a ROS domain by rate and node, each as an array."""
+    """Measure in a ROS domain; return the rounds by rate and node, each as an array."""
     os.environ |= {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
     rclpy.init()
     rounds = {(rate, name): [] for rate in RATES for name in COMMANDS}

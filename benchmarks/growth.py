@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Measure time and memory of one long motion, in a process of its own.
+Measure the time and the memory of one long motion, in a new process.
 
     python benchmarks/growth.py SAMPLES {end,each}
 
-The torques are sampled at 1 kHz and held; the output is the state at the end, or at each sample.
-The script prints JSON: the time per sample, and the peak memory, MiB, of building the log and of
-computing the motion, without their inputs and results. Linux only.
+The torques are sampled at 1 kHz and held. The output is the state at the end, or at each sample.
+The script prints JSON: the time per sample, and the peak memory, MiB, for building the log and for
+computing the motion, both without inputs and results. Linux only.
 """
 
 import ctypes
@@ -33,12 +33,12 @@ from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 
 BODY = RigidBody.from_moments(1.0, 2.0, 3.0)
 START = State(0, angular_velocity=(0.3, -0.2, 0.5))
-#: A run shorter than this, s, is repeated to be timed.
+#: s; a shorter run is repeated for timing.
 LEAST = 0.5
 
 
 def samples(count):
-    """Return stamps and torques, computed without temporary arrays."""
+    """Return stamps and torques; compute them without temporary arrays."""
     times_ns = np.arange(count) * 1_000_000
     torques = np.empty((count, 3))
     for column, frequency in zip(torques.T, (0.7, 1.1, 1.9)):
@@ -50,14 +50,14 @@ def samples(count):
 
 def memory(field):
     """Return a field of /proc/self/status, MiB."""
-    # Not ru_maxrss: a process inherits it from its parent.
+    # Not ru_maxrss, which a process inherits from its parent.
     lines = Path('/proc/self/status').read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(field))
 
 
 def peak(function, *arguments, **options):
     """Return the result of a function, and the peak growth of memory during the call, MiB."""
-    ctypes.CDLL(None).malloc_trim(0)  # return freed memory, or it would hide growth
+    ctypes.CDLL(None).malloc_trim(0)  # return freed memory, which would hide growth
     Path('/proc/self/clear_refs').write_text('5')  # reset the peak to the present use
     before = memory('VmRSS')
     result = function(*arguments, **options)
@@ -83,7 +83,7 @@ def main():
         start = time.process_time()
         motion = propagate(BODY, START, log, at=at)
         runs.append(time.process_time() - start)
-        # A view of the given times takes no memory.
+        # A view of the given times takes no additional memory.
         new_times = [] if np.shares_memory(motion.times_ns, at) else [motion.times_ns]
         return array_size(motion.attitude, motion.angular_velocity, *new_times)
 

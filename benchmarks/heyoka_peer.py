@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""heyoka: Taylor series of any system of equations, compiled for this one."""
+"""heyoka: a Taylor integrator for any system of equations, compiled for this one."""
 
 import heyoka as hy
 import numpy as np
@@ -20,7 +20,7 @@ from rigid_body_ros.mechanics import so3
 
 NAME = f'heyoka {hy.__version__}'
 LADDER = [{'tol': 10.0 ** -k} for k in range(3, 16)] + [{}]
-#: With it, steps of 1 ms have errors at rounding level, at the lowest cost.
+#: With this tolerance, steps of 1 ms have errors at the level of rounding, at the lowest cost.
 STREAM_TOLERANCE = 1e-6
 STREAM_LADDER = [{}]
 
@@ -29,7 +29,7 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, tol=None):
-        """`tol` is that of heyoka; None: its default, eps."""
+        """Take heyoka's tolerance; None means its default, eps."""
         self.label = f'tol={tol or "default"}'
         acceleration = problem.accelerations[0] if len(problem.torques) else (0.0, 0.0, 0.0)
         self._integrator = _integrator(problem, acceleration, tol)
@@ -50,7 +50,7 @@ class Final:
 
 
 class Stream(Final):
-    """The state at the end, under torques that are parameters of the equations."""
+    """The state at the end, under torques as parameters of the equations."""
 
     def __init__(self, problem):
         """Compile the equations once for all torques."""
@@ -85,14 +85,14 @@ def _turn(rates, q):
 
 class Top:
     """
-    A top at the end: a body under its weight.
+    The state of a top, a body under its weight, at the end.
 
-    The field in body axes is expressed by the attitude, or is part of the state (`carried`), for
-    which its equation v' = v x w is integrated, too.
+    The field in body axes is computed from the attitude or, if `carried`, is part of the state. In
+    that case its equation v' = v x w is integrated as well.
     """
 
     def __init__(self, moments, start, moment, field, seconds, carried):
-        """Take principal moments, a State, the moment and the field, and the time, s."""
+        """Take the principal moments, a State, the moment, the field, and the time, s."""
         a, b, c, x, y, z, w, *v = hy.make_vars('a', 'b', 'c', 'x', 'y', 'z', 'w', 'f', 'g', 'h')
         self.label = 'field carried along' if carried else 'field from the attitude'
         matrix = so3.matrix(start.attitude)

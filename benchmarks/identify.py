@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Whether the intervals of `identify` cover the truth, and how long it takes.
+Measure whether the intervals of `identify` cover the truth, and how long a fit takes.
 
-Run `python benchmarks/identify.py [SEEDS]`. First the time and the memory for recordings of a
-minute and of an hour. Then one motion, integrated by SciPy, with new noise for each seed: the
-share of the 95 % intervals of the inertia that cover the truth, chi-square per degree of freedom,
-and the standard deviations relative to the Cramer-Rao bound, which comes from derivatives of the
-motion at the truth.
+Run `python benchmarks/identify.py [SEEDS]`. It first prints the time and the memory for recordings
+of a minute and of an hour. Then it fits one motion, integrated by SciPy, with new noise for each
+seed. It prints the fraction of the 95 % intervals of the inertia that cover the truth, chi-square
+per degree of freedom, and the standard deviations relative to the Cramer-Rao bound, which follows
+from derivatives of the motion at the truth.
 """
 
 from pathlib import Path
@@ -71,7 +71,7 @@ def bound(truth):
 
 
 def coverage(seeds):
-    """Print how well the intervals cover the truth."""
+    """Print how often the intervals cover the truth."""
     truth, guess = Truth(), RigidBody(np.diag([0.03, 0.03, 0.03]))
     covered, errors, sigmas, chi2 = [], [], [], []
     for seed in range(seeds):
@@ -92,7 +92,7 @@ def coverage(seeds):
 
 
 def recording(seconds):
-    """Return torques at 200 Hz, and attitudes and rates at 100 Hz, computed by the engine."""
+    """Return torques at 200 Hz, and attitudes and rates at 100 Hz that the engine computes."""
     times = np.arange(200 * seconds + 1) * 5_000_000
     phases = np.outer(times * 1e-9, [0.7, 1.1, 1.7]) + np.arange(3.0)
     log, start = TorqueLog(times, 0.02 * np.sin(phases)), State(angular_velocity=(0.5, 1.0, 0.2))
@@ -105,7 +105,7 @@ def recording(seconds):
 
 
 def duration(seconds, repetitions):
-    """Print the time of a fit to a recording of some length, and the memory of the process."""
+    """Print the time of a fit to a recording with this length, and the memory of the process."""
     experiment = recording(seconds)
     for _ in range(repetitions):
         begin = time.perf_counter()

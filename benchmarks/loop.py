@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Compare a closed loop with one of two bare rclpy nodes that send each other the same messages.
+Compare a closed loop with two bare rclpy nodes that send each other the same messages.
 
     python benchmarks/loop.py [--rounds 25] [--json FILE]
 
-`attitude_node` in lockstep with a step of 1 ms, and `attitude_controller`, against the nodes of
-`bare_loop.py`, all with the executor of the package. Rounds of the two alternate. The times are
-those of a step: wall time, and processor time of the node and of the controller, which is in this
-process. A ratio is ours / bare, the median over the rounds.
+The loop is `attitude_node` in lockstep, with a step of 1 ms, and `attitude_controller`. The bare
+nodes are those of `bare_loop.py`. All use the executor of the package, and rounds of the two loops
+alternate. The times are per step: wall time, and processor time of the node and of the controller,
+which runs in this process. A ratio is ours / bare, the median over the rounds.
 """
 
 import argparse
@@ -40,9 +40,9 @@ from rigid_body_ros.node.attitude_controller import AttitudeController
 from rigid_body_ros.node.spinning import executor_of, spin
 
 HERE = Path(__file__).resolve().parent
-#: Number of states in a round that are not timed, and that are.
+#: Number of states in a round before timing starts, and number of timed states.
 WARM, STATES = 200, 1000
-#: s; a loop that takes longer has stopped.
+#: s; a loop that takes longer is considered stuck.
 LONGEST = 120.0
 OURS, BARE = '/ours', '/bare'
 NODES = {
@@ -51,12 +51,12 @@ NODES = {
            '-p', f'step:={STEP_NS / 1e9}'],
     BARE: [str(HERE / 'bare_loop.py'), '--ros-args']}
 NAMES = 'wall', 'node', 'controller'
-#: Largest ratio of the wall time.
+#: Largest allowed ratio of wall times.
 BAR = 1.3
 
 
 class Timed:
-    """A controller, and the times at which it has received WARM states, and STATES more."""
+    """A controller that records when it has received WARM states, and STATES more."""
 
     count = 0
 
@@ -65,7 +65,7 @@ class Timed:
         super().__init__()
 
     def create_subscription(self, kind, topic, callback, qos):
-        """Let the callback count the states."""
+        """Create a subscription whose callback also counts the states."""
         def on_state(state):
             self.count += 1
             if self.count in (WARM, WARM + STATES):
@@ -76,17 +76,17 @@ class Timed:
         return super().create_subscription(kind, topic, on_state, qos)
 
     def is_done(self):
-        """Return whether all states have come."""
+        """Return whether all states have arrived."""
         assert time.monotonic() - self._began < LONGEST, f'stopped after {self.count} states'
         return len(self.marks) == 2
 
 
 class TimedController(Timed, AttitudeController):
-    """The example controller."""
+    """The example controller, timed."""
 
 
 class TimedBareController(Timed, BareController):
-    """That of two bare nodes."""
+    """The bare controller, timed."""
 
 
 def time_round(namespace, process):
@@ -110,7 +110,7 @@ def measure(rounds):
         for number in range(rounds + 1):
             for name, process in nodes.items():
                 times = time_round(name, process)
-                if number:  # the first one is to warm up
+                if number:  # the first round is for warming up
                     found[name].append(times)
     finally:
         for process in nodes.values():

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Write truth.json: the final attitudes of the problems in 30 digits.
+Write truth.json: the final attitudes of the problems with 30 digits.
 
     python benchmarks/make_truth.py [PROBLEM ...]
 
@@ -29,7 +29,7 @@ from problems import IDENTITY, PROBLEMS, TRUTH, truth
 
 
 def final_attitude(problem):
-    """Return the attitude at the end, in closed form if there is no torque."""
+    """Return the attitude at the end; use the closed form if there is no torque."""
     tensor = np.diag(problem.moments)
     if not len(problem.torques):
         return truth.free(tensor, IDENTITY, problem.rates, problem.end_ns)[0]
@@ -38,7 +38,7 @@ def final_attitude(problem):
 
 
 def main():
-    """Compute the given problems, or all, and keep the others."""
+    """Compute the given problems, or all, and keep the results of the others."""
     recorded = json.loads(TRUTH.read_text()) if TRUTH.exists() else {}
     for name in sys.argv[1:] or PROBLEMS:
         attitude = [mp.nstr(x, 30) for x in final_attitude(PROBLEMS[name])]

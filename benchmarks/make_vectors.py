@@ -17,10 +17,10 @@ Write `test/vectors.txt`: motions with their exact inputs and outputs.
 
     python benchmarks/make_vectors.py
 
-`docs/vectors.md` describes the file. It holds the results of the engine that wrote it: write it
-again only if a change of the results is intended, and look at what changes. The inputs of new
-motions are drawn with fixed seeds. Those of motions that the file has are kept, because their last
-bits would depend on the processor that draws them.
+`docs/vectors.md` describes the file. It contains the results of the engine that wrote it. Write it
+again only if a change of the results is intended, and check what changes. The inputs of new
+motions are drawn with fixed seeds. The inputs of motions that are already in the file are kept,
+because their last bits depend on the processor that draws them.
 """
 
 from collections.abc import Iterator
@@ -50,15 +50,15 @@ HEADER = """\
 """
 SEED = 20261124
 SECOND = 10 ** 9
-#: Of random motions, and of those without torque.
+#: Number of random motions, and of motions without torque.
 RANDOM, COASTS = 90, 18
-#: Random motions under fields, and the first number of their motions.
+#: Number of random motions under fields, and the number of the first of them.
 WITH_FIELDS, FIRST_WITH_FIELDS = 16, 6000
-#: Motions of a group: more than a register of AVX-512 has lanes, and not a multiple.
+#: Number of motions in a group: more than the lanes of an AVX-512 register, and not a multiple.
 TOGETHER = 9
-#: Samples of the longest log, 1 ms apart.
+#: Number of samples of the longest log, 1 ms apart.
 STREAM = 2000
-#: rad; solvers by steps are asked for no more.
+#: rad; solvers with steps compute at most about this much.
 LONGEST = 40.0
 
 
@@ -72,7 +72,7 @@ class Case(NamedTuple):
 
 
 def scenes() -> Iterator[Case]:
-    """Yield the scenes of the tests, each with one of the solvers that suit it."""
+    """Yield the scenes of the tests, each with one of its suitable solvers."""
     for number, scene in enumerate(SCENES):
         solvers = [solver for solver in scene.solvers if suits(scene, solver)]
         solver = solvers[number % len(solvers)]
@@ -83,14 +83,14 @@ def scenes() -> Iterator[Case]:
 
 
 def suits(scene: Scene, solver: str) -> bool:
-    """Return whether a solver computes a scene in a few steps."""
+    """Return whether a solver needs only a few steps for a scene."""
     if solver in ('exact', 'auto'):
         return True
     return scene.phase < 2.0 * LONGEST and (solver not in FIXED_STEP or scene.steps < 500)
 
 
 def random_motions() -> Iterator[Case]:
-    """Yield random motions: any body, start and torques, every solver and all terms."""
+    """Yield random motions with any body, start and torques, every solver, and all terms."""
     for number, solver in zip(range(RANDOM), cycle(bits.SOLVERS)):
         random = np.random.default_rng((SEED, number))
         motion = bits.random_motion(number)
@@ -114,7 +114,7 @@ def random_motions() -> Iterator[Case]:
 
 
 def under_fields() -> Iterator[Case]:
-    """Yield random motions under fields, and a group of them."""
+    """Yield random motions under fields, and a group of such motions."""
     for number, solver in zip(range(WITH_FIELDS), cycle(bits.SOLVERS)):
         random = np.random.default_rng((SEED, FIRST_WITH_FIELDS + number))
         motion = bits.random_motion(FIRST_WITH_FIELDS + number)
@@ -145,27 +145,27 @@ def under_fields() -> Iterator[Case]:
 
 
 def some_of(random: np.random.Generator, log: TorqueLog) -> TorqueLog:
-    """Return a few samples in a row."""
+    """Return a few consecutive samples of a log."""
     first = random.integers(6)
     return log.rows(slice(first, first + random.integers(4, 11)))
 
 
 def with_rotors(random: np.random.Generator, start: State, body: RigidBody) -> State:
-    """Return the start with rotors that turn."""
+    """Return the start with spinning rotors."""
     speed = 0.1 + np.linalg.norm(start.angular_velocity)
     momentum = 0.5 * body.angular_momentum(speed * random.normal(size=3))
     return State(start.time_ns, start.attitude, start.angular_velocity, momentum)
 
 
 def damped(random: np.random.Generator, body: RigidBody) -> RigidBody:
-    """Return the body with a damping that stops it within seconds or minutes."""
+    """Return the body with damping that stops it within seconds or minutes."""
     rows = random.normal(size=(3, 3))
     share = 10.0 ** random.uniform(-3.0, -1.0) * body.principal_moments[0]
     return RigidBody(body.inertia, share * (rows @ rows.T))
 
 
 def some_times(random: np.random.Generator, problem: Problem) -> np.ndarray:
-    """Return times between stamps, at one and after the last, half of them in any order."""
+    """Return times between stamps, at a stamp, and after the last, for some motions unsorted."""
     start_ns = problem.start.time_ns
     speed = 0.1 + np.linalg.norm(problem.start.angular_velocity)
     latest_ns = start_ns + int(LONGEST / speed * SECOND)
@@ -177,7 +177,7 @@ def some_times(random: np.random.Generator, problem: Problem) -> np.ndarray:
 
 
 def coasts() -> Iterator[Case]:
-    """Yield motions without torque, up to a day, at ever shorter times before."""
+    """Yield motions without torque of up to a day, at times that halve repeatedly."""
     for number, solver in zip(range(COASTS), cycle(('exact', 'auto', 'taylor'))):
         motion = bits.random_motion(1000 + number)
         speed = 0.1 + np.linalg.norm(motion.start.angular_velocity)
@@ -189,7 +189,7 @@ def coasts() -> Iterator[Case]:
 
 
 def groups() -> Iterator[Case]:
-    """Yield groups of motions with the same options and times, alike or different."""
+    """Yield groups of motions with equal options and times; their bodies are alike or differ."""
     for name, solver, log in (('no torque', 'taylor', None), ('no torque', 'auto', None),
                               ('one log', 'auto', held(0)),
                               ('space axes', 'taylor', held(0, 'space')),
@@ -208,7 +208,7 @@ def groups() -> Iterator[Case]:
 
 
 def held(number: int, frame: str = 'body') -> TorqueLog:
-    """Return held torques in short numbers, at the same stamps for every number."""
+    """Return held torques with short numbers, at the same stamps for every motion."""
     random = np.random.default_rng((SEED, number))
     torques = np.round(random.normal(size=(6, 3)) * 16.0) / 64.0
     torques[3] = 0.0
@@ -216,13 +216,13 @@ def held(number: int, frame: str = 'body') -> TorqueLog:
 
 
 def rotated(random: np.random.Generator) -> RigidBody:
-    """Return a full tensor."""
+    """Return a body with a full tensor."""
     turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
     return RigidBody(turn * [1.0, 1.0 + random.random(), 2.0] @ turn.T)
 
 
 def stream() -> Iterator[Case]:
-    """Yield torques at 1 kHz in short numbers, with timeouts, for two solvers."""
+    """Yield motions under torques at 1 kHz with short numbers and timeouts, for two solvers."""
     random = np.random.default_rng(SEED)
     stamps = np.arange(STREAM) * (SECOND // 1000)
     stamps[STREAM // 2:] += SECOND
@@ -233,7 +233,7 @@ def stream() -> Iterator[Case]:
 
 
 def as_known(case: Case, known: dict[str, Motion]) -> Case:
-    """Return a case with the inputs of the motion of its name, if there is one."""
+    """Return a case with the inputs of the known motion of that name, if there is one."""
     if case.name not in known:
         return case
     motion = known[case.name]
@@ -241,7 +241,7 @@ def as_known(case: Case, known: dict[str, Motion]) -> Case:
 
 
 def lines(case: Case, sequence: str) -> Iterator[str]:
-    """Yield the lines of a motion; the Euler angles of its last state are in a sequence."""
+    """Yield the lines of a motion, with Euler angles of its last state in a given sequence."""
     problem, options = case.problem, case.problem.options
     yield f'motion {case.name}'
     if case.group:
@@ -273,24 +273,24 @@ def lines(case: Case, sequence: str) -> Iterator[str]:
 
 
 def outputs(case: Case, sequence: str) -> list[Output]:
-    """Return the keys and times of the outputs of a motion, without numbers."""
+    """Return the keys and times of a motion's outputs, without numbers."""
     keys = ['state', 'rotor_momentum'] if case.problem.has_rotors else ['state']
     found = [Output(key, time_ns, ()) for time_ns in case.at.tolist() for key in keys]
     return [*found, Output(f'euler {sequence}', found[-1].time_ns, ())]
 
 
 def six(tensor: np.ndarray) -> list[float]:
-    """Return xx, yy, zz, xy, xz, yz."""
+    """Return the entries xx, yy, zz, xy, xz, yz of a tensor."""
     return [*tensor.diagonal().tolist(), *tensor[[0, 0, 1], [1, 2, 2]].tolist()]
 
 
 def line(start: str, numbers: list[float]) -> str:
-    """Return a line that ends with hexadecimal numbers, without zeros at their ends."""
+    """Return a line that ends with hexadecimal numbers without trailing zeros."""
     return ' '.join([start, *(re.sub(r'\.?0+p', 'p', float(number).hex()) for number in numbers)])
 
 
 def main() -> None:
-    """Write the file, without the random motions that their solver rejects."""
+    """Write the file, except for random motions that their solver rejects."""
     blocks = [HEADER.strip()]
     known = {motion.name: motion for motion in read()} if VECTORS.exists() else {}
     for case, sequence in zip(

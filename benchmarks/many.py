@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Time many runs: `propagate_many` on one core, and the batch mode of heyoka.
+Time many runs: `propagate_many` on one core, compared with the batch mode of heyoka.
 
 Run `python benchmarks/many.py`. The runs are those of problem P3 with dispersed bodies and rates.
-The time of a run includes the preparation of the bodies; `propagate` alone does not. Each
-tolerance is measured in several processes, because the time of the peer depends on the process.
-Then 1000 bodies under a minute of torques at 1 kHz.
+The time of a run includes the preparation of its body, except for `propagate`. Each tolerance is
+measured in several processes, because the time of the peer depends on the process. Then the script
+times 1000 bodies under a minute of torques at 1 kHz.
 """
 
 import json
@@ -41,7 +41,7 @@ PROCESSES = 5
 def dispersed(problem, count):
     """Return moments, shape (n, 3), kg m^2, and rates, shape (n, 3), rad/s."""
     random, moments = np.random.default_rng(1), np.array(problem.moments)
-    # The moments are sums of the second moments of the mass, which are never negative.
+    # Vary the second moments of the mass, which are never negative; the moments are their sums.
     second = (0.5 * moments.sum() - moments) * np.exp(0.02 * random.standard_normal((count, 3)))
     rates = np.array(problem.rates) * (1.0 + 0.05 * random.standard_normal((count, 3)))
     return second.sum(axis=1, keepdims=True) - second, rates
@@ -70,7 +70,7 @@ class Ours:
 
 
 class Alone:
-    """`propagate`, one run after the other."""
+    """`propagate`, called for one run after the other."""
 
     def __init__(self, problem, count, tolerance):
         moments, rates = dispersed(problem, count)
@@ -89,7 +89,7 @@ class Alone:
 
 
 class Heyoka:
-    """heyoka's batch mode, with constants of the bodies and torques as parameters."""
+    """heyoka's batch mode, with the constants of the bodies and the torques as parameters."""
 
     def __init__(self, problem, count, tolerance, batch):
         a, b, c, x, y, z, w = hy.make_vars('a', 'b', 'c', 'x', 'y', 'z', 'w')
@@ -127,7 +127,7 @@ class Heyoka:
 
 
 def beside_heyoka(tolerance):
-    """Return the times of a run, us: ours, heyoka's, and that of `propagate`."""
+    """Return the times of a run, us: with `propagate_many`, heyoka and `propagate`."""
     ours = Ours(PROBLEM, RUNS, tolerance)
     peers = [Heyoka(PROBLEM, RUNS, tolerance, batch) for batch in BATCHES]
     peer = min(peers, key=pairs.quick)
@@ -154,7 +154,7 @@ def in_processes():
 
 
 def under_a_log(runs=1000):
-    """Print how many runs a second there are under a minute of torques at 1 kHz."""
+    """Print the number of runs per second under a minute of torques at 1 kHz."""
     problem = PROBLEMS['P4']
     moments, rates = dispersed(problem, runs)
     bodies = RigidBodies(np.eye(3) * moments[:, None])

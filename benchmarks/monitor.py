@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-How often a live check gives a false alarm, and how soon it finds an error.
+Measure how often a live check raises a false alarm, and how soon it finds an error.
 
 Run `python benchmarks/monitor.py [--hours N] [--false-alarms H] [--colour C]` for the rate of
-false alarms of a right model, and with `--delays` or `--windows` for the tables of
-`docs/monitor.md`: by size of the noise, or by length of the window at nominal noise, s. A body
-tumbles under pulses at 20 Hz. A mocap at 50 Hz and a gyro at 100 Hz measure it, with white noise
-or with AR(1) noise; every hour has a seed of its own.
+false alarms of a right model. Run it with `--delays` or `--windows` for the tables of
+`docs/monitor.md`: by the size of the noise, or by the length of the window, s, at nominal noise. A
+body tumbles under pulses at 20 Hz. A mocap at 50 Hz and a gyro at 100 Hz measure it, with white
+noise or with AR(1) noise. Every hour has its own seed.
 """
 
 import argparse
@@ -41,11 +41,11 @@ TORQUE_HZ, MOCAP_HZ, GYRO_HZ = 20, 50, 100
 ATTITUDE_NOISE, RATE_NOISE = 2e-3, 5e-3
 #: kg m^2; the body of `config/tumbler.yaml`.
 INERTIA = np.array([[0.045, 0.002, -0.001], [0.002, 0.120, 0.003], [-0.001, 0.003, 0.140]])
-#: s; a piece that is simulated at a time, and how late a message may be, which is longer.
+#: s; length of a simulated piece, and how late a message may be, which must be longer.
 PIECE, HISTORY = 60, 61.0
-#: N m; what keeps the body from spinning up, for a rate of 1 rad/s, and the pulses.
+#: Torque against a rate of 1 rad/s that keeps the body from spinning up, and size of pulses, N m.
 BRAKE, PULSE = 5e-4, 4e-3
-#: What is wrong, and how: see `simulated`.
+#: Errors of the model, with the arguments of `pieces`.
 ERRORS = {
     '5 % of the largest moment': {'inertia': np.diag([0.0, 0.0, 0.05])},
     '5 % of all moments': {'inertia': 0.05 * np.eye(3)},
@@ -57,7 +57,7 @@ ERRORS = {
 
 
 def noise(random, count, colour, size, memory):
-    """Return AR(1) noise, shape (count, 3), that goes on from the piece before."""
+    """Return AR(1) noise, shape (count, 3), that continues that of the previous piece."""
     white = random.normal(size=(count, 3)) * size * np.sqrt(1.0 - colour ** 2)
     found, memory[:] = lfilter([1.0], [1.0, -colour], white, axis=0, zi=memory)
     return found
@@ -66,11 +66,11 @@ def noise(random, count, colour, size, memory):
 def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.0), friction=0.0,
            mount=(0.0, 0.0, 0.0), rates=(TORQUE_HZ, MOCAP_HZ, GYRO_HZ), piece=PIECE):
     """
-    Generate what loggers have of a piece: torques, and stamps and values of mocap and gyro.
+    Generate what was logged in each piece: torques, and stamps and values of mocap and gyro.
 
-    The noise is `level` times the nominal one. The true inertia is larger by `inertia`, relative;
-    a torque of `bias` acts besides the logged one, and friction; the gyro is turned by `mount`.
-    The rates are those of torques, mocap and gyro, Hz, the last a multiple of the one before; a
+    The noise is `level` times the nominal noise. The relative error of the inertia is `inertia`. A
+    torque `bias` and friction act in addition to the logged torque. The gyro is turned by `mount`.
+    `rates` are those of torques, mocap and gyro, Hz; the gyro's is a multiple of the mocap's. A
     piece lasts for `piece`, s.
     """
     random, memories = np.random.default_rng(seed), np.zeros((2, 1, 3))
@@ -97,7 +97,7 @@ def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.
 
 
 def judgements(found, hours, level=1.0, window=5.0):
-    """Generate the judgements of a live check of pieces."""
+    """Run a live check on pieces, and generate its judgements."""
     monitor = Monitor(Problem(RigidBody(INERTIA), State(0)), Settings(
         window, HISTORY, level * ATTITUDE_NOISE, level * RATE_NOISE, hours))
     for torques, mocap, gyro in found:
@@ -108,15 +108,15 @@ def judgements(found, hours, level=1.0, window=5.0):
 
 
 def false_alarms(hours, colour, seed):
-    """Return the numbers of alarms and windows of an hour of a right model."""
+    """Return the number of alarms and of windows in an hour with a right model."""
     found = list(judgements(pieces(seed, 3600 + 2 * PIECE, colour), hours))
-    # A test of several windows stands until the next one of as many: count it once.
+    # The result of a test of several windows persists until the next such test, so count it once.
     alarms = {(one.windows, one.since_ns) for one in found if one.level == ERROR}
     return len(alarms), len(found)
 
 
 def delay(name, level, window, seed):
-    """Return after how many seconds an error is found; infinity if not within ten minutes."""
+    """Return the time, s, until an error is found; infinity if not within ten minutes."""
     found = judgements(pieces(seed, 660, 0.0, level, **ERRORS[name]), 24.0, level, window)
     return next((1e-9 * one.error.end_ns for one in found if one.level == ERROR), np.inf)
 

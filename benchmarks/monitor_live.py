@@ -17,10 +17,11 @@ Measure processor time and memory of `attitude_monitor` at 200 Hz torque, 200 Hz
 
     python benchmarks/monitor_live.py [--before FOLDER] [--seconds 120] [--json FILE]
 
-The model is right; windows last 5 s, and messages arrive in real time over DDS. A bare rclpy node
-with the same subscriptions receives the same messages at the same time and drops them, and so does
-the monitor of another checkout with `--before`. Processor time is that of each process, as a share
-of one processor, median of blocks of 20 s; memory is resident (RSS), each minute.
+The model is right, windows last 5 s, and messages arrive in real time over DDS. A bare rclpy node
+with the same subscriptions receives the same messages at the same time and drops them. With
+`--before`, the monitor of another checkout receives them as well. Processor time is that of each
+process, as a fraction of one processor: the median over blocks of 20 s. Memory is the resident
+memory (RSS), once a minute.
 """
 
 import argparse
@@ -45,7 +46,7 @@ HERE = Path(__file__).resolve().parent.parent
 RATES = TORQUE_HZ, MOCAP_HZ, IMU_HZ = 200, 100, 200
 TOPICS = {'/torque': (WrenchStamped, messages.WRENCH), '/mocap': (PoseStamped, messages.POSE),
           '/imu': (Imu, messages.IMU)}
-#: s; of a figure of processor time, from one of memory to the next, and before the first.
+#: s; block for a value of processor time, interval between values of memory, and time before both.
 BLOCK, MINUTE, SETTLED = 20.0, 60.0, 20.0
 BARE = """
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -64,7 +65,7 @@ MONITOR = 'from rigid_body_ros.commands import main; main.attitude_monitor()'
 
 
 def parameters():
-    """Return the arguments that state the scene of the monitor."""
+    """Return the arguments that define the scene of the monitor."""
     entries = zip(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
                   campaign.INERTIA[np.triu_indices(3)].tolist())
     values = {**{f'inertia.{name}': value for name, value in entries},
@@ -75,7 +76,7 @@ def parameters():
 
 
 class Process:
-    """A process, and its use of processor time and memory."""
+    """A process, with the processor time and the memory that it uses."""
 
     def __init__(self, program, *arguments, checkout=HERE):
         self._popen = subprocess.Popen([sys.executable, '-c', program, *arguments], cwd='/',
@@ -91,7 +92,7 @@ class Process:
         self._began, self._before = now, used
 
     def weigh(self):
-        """Record the memory, MB."""
+        """Record the resident memory, MB."""
         self.memory.append(self._process.memory_info().rss * 1e-6)
 
     def _used(self):
@@ -105,7 +106,7 @@ class Process:
 
 
 def stream(seconds, begin_ns):
-    """Generate the time, topic and message of what is to be sent, in the order of the stamps."""
+    """Generate the time, the topic and the content of each message to send, sorted by stamp."""
     no_orientation = [0.0] * 4 + [-1.0] + [0.0] * 8
     for torques, mocap, gyro in campaign.pieces(1, seconds, rates=RATES, piece=1):
         found = [(time_ns, '/torque', [0.0, 0.0, 0.0, *torque])
@@ -121,14 +122,14 @@ def stream(seconds, begin_ns):
 
 
 class Driver:
-    """Sends what is measured, and receives what the monitors publish."""
+    """Sends torques and measurements, and receives what the monitors publish."""
 
     def __init__(self, names):
         rclpy.init()
         self._node, self._executor = rclpy.create_node('driver'), executor_of()
         self._publishers = {topic: self._node.create_publisher(kind, topic, 1000)
                             for topic, (kind, _) in TOPICS.items()}
-        #: By monitor: the messages of its windows.
+        #: The messages about its windows, by monitor.
         self.found = {name: [] for name in names}
         for name in names:
             self._node.create_subscription(
@@ -137,13 +138,13 @@ class Driver:
         self._executor.add_node(self._node)
 
     def connect(self, count):
-        """Wait until so many processes listen to each topic."""
+        """Wait until this many processes subscribe to each topic."""
         while any(publisher.get_subscription_count() < count
                   for publisher in self._publishers.values()):
             self._executor.spin_once(timeout_sec=0.1)
 
     def send(self, seconds, on_block, on_minute):
-        """Send messages at their time, and call functions now and then."""
+        """Send messages at their times; call a function after each block and each minute."""
         begin_ns = time.time_ns()
         block_ns, minute_ns = (begin_ns + round(SETTLED * 1e9),) * 2
         for stamp_ns, topic, data in stream(seconds, begin_ns):
@@ -159,7 +160,7 @@ class Driver:
 
 
 def measure(seconds, checkouts):
-    """Return the processes by name, and the driver, after a time, s."""
+    """Run for a time, s; return the processes by name, and the driver."""
     driver = Driver(checkouts)
     processes = {name: Process(
         MONITOR, '--ros-args', *parameters(), '-r', f'__ns:=/{name}', checkout=checkout)

@@ -24,8 +24,8 @@ LADDER = [{'steps': steps} for steps in (
     1_000_000)]
 STREAM_LADDER = [{}, {'substeps': 2}, {'substeps': 4}]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-# Contacts are off, because their detection takes a fifth of the time. Automatic resets are off,
-# because after an overflow with too long steps MuJoCo would continue from the start.
+# Contacts are off, because their detection takes a fifth of the time. Automatic resets are off:
+# with them, MuJoCo would restart the motion after an overflow caused by too long steps.
 BODY = """
 <mujoco>
   <compiler balanceinertia="false"/>
@@ -41,14 +41,14 @@ BODY = """
 </mujoco>
 """
 
-mujoco.set_mju_user_warning(lambda message: None)  # not into a log in the working directory
+mujoco.set_mju_user_warning(lambda message: None)  # no log in the working directory
 
 
 class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps have the same length; MuJoCo rejects impossible moments."""
+        """Divide the time into steps of equal length; MuJoCo rejects impossible moments."""
         self.label = f'RK4, {steps} steps'
         self._steps = steps
         self._torque = problem.torques[0] if len(problem.torques) else np.zeros(3)
@@ -63,7 +63,7 @@ class Final:
         """Reset to the start."""
         mujoco.mj_resetData(self._model, self._data)
         self._data.qvel[3:] = self._rates
-        self._data.qfrc_applied[3:] = self._torque  # about body axes, other than xfrc_applied
+        self._data.qfrc_applied[3:] = self._torque  # body axes, unlike xfrc_applied
 
     def run(self):
         """Integrate."""
@@ -78,7 +78,7 @@ class Stream(Final):
     """The state at the end, under torques that a rollout applies."""
 
     def __init__(self, problem, substeps=1):
-        """With one step for each torque the error is at rounding level already."""
+        """Take one step per torque by default, which reaches the level of rounding errors."""
         self.label = 'RK4 rollout, ' + (
             'one step per sample' if substeps == 1 else f'{substeps} steps per sample')
         self._torque = np.zeros(3)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Read damaged recordings: each must give torques or one line, within limits of time and memory.
+Read damaged recordings: each must give torques or a one-line error, within time and memory limits.
 
-`python benchmarks/mutations.py --count 20000` damages recordings of every form at random and reads
-each in this process. It prints what it finds, and ends with status 1 if there is anything.
+`python benchmarks/mutations.py --count 20000` damages recordings of every form at random, and
+reads each of them in this process. It prints violations, and exits with status 1 if there are any.
 `--first N --count 1` repeats mutation N.
 """
 
@@ -40,9 +40,9 @@ import bags  # noqa: E402, I100
 from rigid_body_ros import recording  # noqa: E402
 from rigid_body_ros.common.errors import InputError, LONGEST  # noqa: E402
 
-#: s and bytes; limits of each mutation.
+#: Limits of time, s, and memory, bytes, for each mutation.
 SECONDS, BYTES = 10, 500_000_000
-#: Forms whose messages have checksums: only messages of the original may be read.
+#: Forms with checksums. From these, only messages of the original may be read.
 CHECKED = ('mcap-none', 'mcap-lz4', 'mcap-zstd', 'mcap-zstd-unindexed')
 FORMS = (*CHECKED, 'mcap-none-unchunked', 'mcap-idl', 'ours', 'rosbag2-mcap-none',
          'rosbag2-mcap-message', 'rosbag2-mcap-file', 'rosbag2-sqlite3-none',
@@ -107,7 +107,7 @@ def mutated(data, random):
 
 @contextmanager
 def limits():
-    """Raise TimeoutError or MemoryError beyond the limits; warnings are errors."""
+    """Raise TimeoutError or MemoryError beyond the limits, and treat warnings as errors."""
     def too_long(number, frame):
         raise TimeoutError(f'reads for more than {SECONDS} s')
     status = Path('/proc/self/statm').read_text().split()
@@ -127,7 +127,7 @@ def limits():
 
 
 class Original:
-    """A recording of one form, from which damaged ones are made."""
+    """A recording of one form, of which damaged copies are made."""
 
     def __init__(self, form, folder):
         self.form, self._folder = form, folder
@@ -142,7 +142,7 @@ class Original:
         return {path: path.read_bytes() for path in self._folder.rglob('*') if path.is_file()}
 
     def check(self, random):
-        """Damage a file and read the recording; return what it gave, and what is wrong."""
+        """Damage a file and read the recording; return the outcome, and what is wrong with it."""
         names = sorted(self._files)
         damaged = names[random.integers(len(names))]
         before = {**self._files, damaged: mutated(self._files[damaged], random)}
@@ -169,7 +169,7 @@ class Original:
 
 
 def rows(found):
-    """Return the messages, which are equal only if all bits are."""
+    """Return the messages in a form in which they are equal only if all bits are."""
     return {*zip(found.stamps_ns.tolist(), map(bytes, found.values), found.frame_ids)}
 
 

@@ -17,11 +17,12 @@ Compare the cost of the node with that of a bare rclpy node that only receives a
 
     python benchmarks/node.py [--json FILE]
 
-Torques at 1 kHz, three topics out, in lockstep; rounds of the two alternate. Latency is the time
-from a torque to its attitude, seen from outside; processor time is that of the node's process, per
-torque. A ratio is ours / floor, the median over the rounds. The first torque of each node is timed
-separately, and compared with the thousandth. Both nodes keep the last ten messages for a
-subscription: those that this process is too slow to receive are counted, and have no latency.
+Torques arrive at 1 kHz in lockstep, and the node publishes three topics. Rounds of the two nodes
+alternate. Latency is the time from a torque to its attitude, seen from outside. Processor time is
+that of the node's process per torque. A ratio is ours / floor, the median over the rounds. The
+first torque of each node is timed separately, and compared with the thousandth. Both nodes keep
+the last ten messages for a subscription. Messages that this process is too slow to receive are
+counted, but have no latency.
 """
 
 import argparse
@@ -46,7 +47,7 @@ COMMANDS = {
     OURS: ['-c', 'from rigid_body_ros.commands import main; main.attitude_node()', '--ros-args',
            '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'), '-p', 'mode:=lockstep'],
     FLOOR: [str(HERE / 'floor_node.py'), '--ros-args']}
-#: Largest ratios of median latency, 99th percentile and processor time.
+#: Largest allowed ratios of median latency, 99th percentile and processor time.
 BARS = {'median': 1.25, 'p99': 1.5, 'processor': 1.25}
 
 
@@ -69,12 +70,12 @@ class Client:
             self._node.create_subscription(kind, topic, callback, 1000, raw=True)
 
     def connected(self):
-        """Return whether both directions are connected."""
+        """Return whether publisher and subscription are both connected."""
         return self._torque.get_subscription_count() and \
             self._node.count_publishers(f'{self._node.get_namespace()}/attitude')
 
     def time_round(self):
-        """Return median and 99th percentile of the latency, and processor time per torque, s."""
+        """Return the median and 99th percentile of latency, and processor time per torque, s."""
         self._sent.clear()
         self.latencies.clear()
         before = self._used()
@@ -115,7 +116,7 @@ class Client:
 
 
 def measure():
-    """Return rounds, shape (ROUNDS, 3), early latencies, s, and counts of missed responses."""
+    """Return the rounds, shape (ROUNDS, 3), early latencies, s, and counts of missed responses."""
     rclpy.init()
     executor = SingleThreadedExecutor()
     clients = {name: Client(name, executor) for name in COMMANDS}
@@ -123,7 +124,7 @@ def measure():
         while not all(client.connected() for client in clients.values()):
             executor.spin_once(timeout_sec=0.1)
         early = {}
-        for name, client in clients.items():  # a round to warm up
+        for name, client in clients.items():  # a round for warming up
             client.time_round()
             client.missed = 0
             early[name] = client.latencies[0], client.latencies[999]

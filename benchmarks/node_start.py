@@ -17,9 +17,9 @@ Measure the start of the node, from its command to its first state, and its memo
 
     python benchmarks/node_start.py [--before FOLDER] [--count 10]
 
-Each start is a process of its own. On a busy machine, compare the processor time. Memory is that
-of the process when its first state arrives: resident (VmRSS), and without what it shares with
-other processes (USS). `--before` alternates with another checkout.
+Each start is a new process. On a busy machine, compare processor times. Memory is that of the
+process when its first state arrives: resident (VmRSS), and without what it shares with other
+processes (USS). `--before` alternates with another checkout.
 """
 
 import argparse
@@ -41,14 +41,14 @@ COMMAND = [sys.executable, '-c', 'from rigid_body_ros.commands import main; main
 
 
 def environment_of(checkout, code):
-    """Return an environment with a checkout, and a folder for the bytecode of Python."""
+    """Return an environment that imports from a checkout, with a folder for Python's bytecode."""
     environment = {**os.environ, 'PYTHONPATH': str(checkout), 'PYTHONPYCACHEPREFIX': str(code)}
     environment.pop('PYTHONDONTWRITEBYTECODE', None)
     return environment
 
 
 def start(node, environment):
-    """Return time and processor time, s, and memory, MB, at the first state."""
+    """Return the time and processor time, s, and the memory, MB, up to the first state."""
     namespace, received = f'/start_{time.monotonic_ns()}', []
     subscription = node.create_subscription(QuaternionStamped, f'{namespace}/attitude',
                                             received.append, 10)
@@ -84,7 +84,7 @@ def main():
     node = rclpy.create_node('observer')
     runs = {name: [] for name in checkouts}
     with TemporaryDirectory() as code:
-        for checkout in checkouts.values():  # an installation has the bytecode
+        for checkout in checkouts.values():  # compile bytecode first, as an installation does
             start(node, environment_of(checkout, code))
         for _ in range(arguments.count):
             for name, checkout in checkouts.items():

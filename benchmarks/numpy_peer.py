@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A simple loop in numpy: RK4 with a fixed step, and a normalised quaternion."""
+"""A simple loop in Python: RK4 with a fixed step, and a normalised quaternion."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps have the same length."""
+        """Divide the time into steps of equal length."""
         self.label = f'{steps} steps'
         self._accelerations = (problem.accelerations.tolist() or [[0.0, 0.0, 0.0]]) * steps
         self._step = problem.seconds / steps
@@ -48,10 +48,10 @@ class Final:
 
 
 class Stream(Final):
-    """The same under torques that are held for one or more steps each."""
+    """The state at the end, under torques that are held for one or more steps each."""
 
     def __init__(self, problem, substeps=1):
-        """With one step for each torque the error is at rounding level already."""
+        """Take one step per torque by default, which reaches the level of rounding errors."""
         self.label = 'one step per sample' if substeps == 1 else f'{substeps} steps per sample'
         self._accelerations = np.repeat(problem.accelerations, substeps, axis=0).tolist()
         self._step = problem.hold_ns * 1e-9 / substeps
@@ -59,7 +59,7 @@ class Stream(Final):
 
 
 def _derivative(state, coupling, acceleration):
-    a, b, c, x, y, z, w = state.tolist()  # plain numbers: a third of the time
+    a, b, c, x, y, z, w = state.tolist()  # plain numbers take a third of the time
     (k1, k2, k3), (t1, t2, t3) = coupling, acceleration
     return np.array([
         k1 * b * c + t1, k2 * c * a + t2, k3 * a * b + t3,

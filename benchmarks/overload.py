@@ -17,10 +17,10 @@ Send more torques than the node can process, and account for each.
 
     python benchmarks/overload.py [--seconds 30] [--rate 5000]
 
-A separate process sends torques, late and out of order, some of them invalid. Two more keep the
-processors busy. Meanwhile the node has to respond to service calls and publish diagnostics;
-afterwards it has to return to real time. A second load ends with SIGINT, and a replay of the log
-has to reproduce the committed states. Finally, `gaps.py` measures for three minutes how long the
+A separate process sends torques late and out of order, some of them invalid. Two more processes
+keep the processors busy. Meanwhile the node must respond to service calls and publish diagnostics.
+Afterwards it must return to real time. A second load ends with SIGINT, and a replay of the log
+must reproduce the committed states. Finally, `gaps.py` measures for three minutes how long the
 outputs stop at lower rates, without other load.
 """
 
@@ -60,16 +60,16 @@ from live_session import LiveSession  # noqa: E402
 from soak import Line, printed  # noqa: E402
 
 SEED = 23
-#: s: the largest delay of a torque, and the duration of the load before SIGINT.
+#: s; largest delay of a torque, and duration of the load before SIGINT.
 LATEST, LAST = 0.4, 3.0
-#: s: for a service call, between two diagnostics, and until the node is in real time again.
+#: s; limits for a service call, between two diagnostics, and for the return to real time.
 SERVICE, DIAGNOSIS, RECOVERY = 1.0, 2.0, 5.0
-#: Causes of rejection, and their shares of the torques.
+#: Causes of rejection, and the fraction of torques with each.
 BAD = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01}
 
 
 def send(rate, seconds):
-    """Send torques, and print their number and the time, ns, of the last but one."""
+    """Send torques, and print their number and the time, ns, of the second to last."""
     from geometry_msgs.msg import WrenchStamped
     import rclpy
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -79,7 +79,7 @@ def send(rate, seconds):
         depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
     while not publisher.get_subscription_count():
         time.sleep(0.01)
-    time.sleep(0.5)  # the node has to discover this publisher, too
+    time.sleep(0.5)  # the node must discover this publisher first
     random, count = np.random.default_rng(SEED), round(rate * seconds)
     causes = random.choice(['', *BAD], count, p=[1.0 - sum(BAD.values()), *BAD.values()])
     delays = (random.random(count) * LATEST * 1e9 * (random.random(count) < 0.5)).astype(int)
@@ -92,7 +92,7 @@ def send(rate, seconds):
         stamp_ns = node.get_clock().now().nanoseconds - int(delays[row])
         publisher.publish(_message(causes[row], stamp_ns, torques[row]))
     end_ns = node.get_clock().now().nanoseconds
-    # One more, which reveals the gap before it.
+    # One more torque, which reveals a gap before it.
     time.sleep(1.0)
     publisher.publish(messages.wrench(node.get_clock().now().nanoseconds, '', torques[0]))
     print(count + 1, end_ns, flush=True)
@@ -108,7 +108,7 @@ def _message(cause, stamp_ns, torque):
 
 @contextmanager
 def started(*command, **options):
-    """Run a process, and end it."""
+    """Run a process within the context, and end it."""
     with subprocess.Popen([sys.executable, *map(str, command)], **options) as process:
         try:
             yield process
@@ -185,7 +185,7 @@ def _has_printed(process):
 
 
 def _recovery(live, end_ns):
-    # By the stamps of the node, because this process has a queue of its own.
+    # Judge by the stamps of the node, because this process has its own queue.
     def caught_up():
         return [array for array in live.diagnostics if _stamp_ns(array) > end_ns
                 and _is_in_real_time(array)][1:]

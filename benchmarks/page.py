@@ -17,10 +17,11 @@ Measure the page of a replay: its size, the time to write it, and the time until
 
     python benchmarks/page.py [--seconds S ...] [--rounds N] [--folder DIR]
 
-The recordings have torques at 1 kHz. Each replay is a process of its own that writes nothing but
-the page; its time includes loading. The browser is running when it opens a page; the time is from
-the start of the navigation to the mark that the page sets when it is complete. It needs Chromium
-and Playwright, which is in the extra `test`. The table has medians. 1 MB is 10^6 bytes.
+The recordings contain torques at 1 kHz. Each replay is a new process that writes only the page;
+its time includes loading. The browser is already running when it opens a page. The time of opening
+runs from the start of the navigation to the mark that the page sets when it is complete. The
+script needs Chromium and Playwright, which is in the extra `test`. The table contains medians.
+1 MB is 10^6 bytes.
 """
 
 import argparse
@@ -33,12 +34,12 @@ from replay import count, OURS, recorded, run, SCENE
 
 
 def replayed(path, *options):
-    """Return seconds and peak memory, bytes, of a replay."""
+    """Return the time, s, and the peak memory, bytes, of a replay."""
     return run(*OURS, path, '--scene', SCENE, '--overwrite', *options)[:2]
 
 
 def opened(browser, path):
-    """Return the seconds until a page can be used."""
+    """Return the time, s, until a page can be used."""
     page = browser.new_page(viewport={'width': 1280, 'height': 900})
     page.goto(path.as_uri())
     page.wait_for_selector('body[data-ready]')
@@ -62,7 +63,7 @@ def main():
                                              args=['--no-sandbox'])
         for hours in np.array(arguments.seconds) / 3600.0:
             path, page = recorded(folder, hours), folder / 'page.html'
-            replayed(path)  # later runs find its files in memory
+            replayed(path)  # loads its files into the cache for later runs
             rounds = [(*replayed(path)[:1], *replayed(path, '--report', page),
                        opened(browser, page)) for _ in range(arguments.rounds)]
             plain, with_page, memory, opens = np.median(rounds, axis=0)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Time contenders in turns, so that other load on the machine slows all of them alike.
+Time contenders in turns, so that other load on the machine slows all of them equally.
 
-A contender has the methods `reset()`, which is not timed, `run()`, which is timed, and
-`attitude()`, which returns its result.
+A contender has three methods: `reset()`, which is not timed, `run()`, which is timed, and
+`attitude()`, which returns the result.
 """
 
 from dataclasses import dataclass
@@ -26,18 +26,18 @@ import time
 import numpy as np
 from scipy.stats import binom
 
-#: Number of rounds, and the smallest number of rounds in which a contender runs.
+#: Number of rounds, and minimum number of rounds in which a contender runs.
 ROUNDS, FEWEST = 301, 6
-#: A timing repeats a run for at least this long, s.
+#: s; each timing repeats a run for at least this long.
 LEAST = 1e-3
-#: s; a shorter run depends on what ran before it (caches), so it runs once untimed first.
+#: s; the time of a shorter run depends on what ran before (caches), so it first runs once untimed.
 _SHORT = 0.1
 
 
 @dataclass
 class Comparison:
     """
-    The times, s, of two contenders in the same rounds; NaN in rounds that one skipped.
+    The times, s, of two contenders in the same rounds; NaN in rounds that one of them skipped.
 
     Attributes
     ----------
@@ -51,20 +51,20 @@ class Comparison:
     @property
     def ratio(self):
         """
-        How many times faster ours is: the ratio of the medians, and a 95 % interval.
+        How many times faster ours is: the ratio of the median times, with a 95 % interval.
 
-        The interval is that of the median of the rounds' ratios.
+        The interval is for the median of the ratios of single rounds.
         """
         ratios = self.peers / self.ours
         ratios = np.sort(ratios[np.isfinite(ratios)])
-        # Order statistics: the median lies between these two whatever the distribution.
+        # Order statistics bound the median, whatever the distribution is.
         rank = max(1, int(binom.ppf(0.025, len(ratios), 0.5)))
         return (float(np.nanmedian(self.peers) / np.nanmedian(self.ours)),
                 float(ratios[rank - 1]), float(ratios[-rank]))
 
 
 def compare(ours, peer):
-    """Return the times of two contenders, both of which run in every round."""
+    """Time two contenders, which both run in every round."""
     times = in_turns([ours, peer], [quick(ours), quick(peer)])
     return Comparison(*times.T)
 
@@ -78,12 +78,12 @@ def in_turns(contenders, seconds, patience=math.inf):
     Parameters
     ----------
     contenders : sequence
-        n of them.
+        The n contenders.
     seconds : sequence of n float
-        Estimated time of a run of each.
+        Estimated time of a run of each contender.
     patience : float, s
-        Time for all runs of one contender. A contender that needs longer skips rounds, evenly
-        spread, and has NaN there.
+        Time for all runs of one contender. A contender that needs longer skips evenly spread
+        rounds; its times in these rounds are NaN.
 
     """
     times = np.full((ROUNDS, len(contenders)), np.nan)
@@ -100,7 +100,7 @@ def in_turns(contenders, seconds, patience=math.inf):
 
 
 def quick(contender):
-    """Return an estimate of the time of a run, s, to choose between settings of one peer."""
+    """Estimate the time of a run, s, to choose between settings of one peer."""
     repeats = _repeats(contender)
     return min(_mean(contender, repeats) for _ in range(3))
 
@@ -111,7 +111,7 @@ def _repeats(contender):
 
 
 def _mean(contender, repeats):
-    # Time of this process: the cores are shared with others.
+    # Processor time of this process, because other processes share the cores.
     total = 0.0
     for _ in range(repeats):
         contender.reset()

@@ -13,15 +13,15 @@
 # limitations under the License.
 
 """
-Measure error and cost of this package and of the alternatives that a user has.
+Measure the error and the cost of this package and of its alternatives.
 
     python benchmarks/peers.py [--json FILE] [--plot PNG] [--page docs/tradeoff.md] [PROBLEM ...]
 
 Each contender runs each problem with a ladder of settings, from coarse to fine, until a run takes
-half a second. For each error level, all settings with an error below it that may be the fastest
-are timed in turns, and this measurement gives all times and ratios of a table. Errors are angles,
-rad, between the final attitude and a reference of 30 digits. All runs use one thread; compilation
-is not timed. With --page the tables are written into that file, between its lines `MARK` and
+half a second. For each error level, the settings below this error that may be the fastest are
+timed in turns. This measurement gives all times and ratios of a table. Errors are angles, rad,
+between the final attitude and a reference with 30 digits. All runs use one thread, and compilation
+is not timed. With --page, the tables are written into that file, between its lines `MARK` and
 `END`.
 """
 
@@ -43,17 +43,17 @@ from tqdm import tqdm
 
 MARK = '<!-- what follows is printed by benchmarks/peers.py -->'
 END = '<!-- end of what is printed by benchmarks/peers.py -->'
-#: By the names of their modules.
+#: Names of the peers by module.
 PEERS = {'heyoka': 'heyoka', 'cyrk': 'CyRK', 'rk4': 'RK4, numba', 'scipy': 'scipy',
          'numpy': 'RK4, numpy', 'mujoco': 'MuJoCo', 'drake': 'Drake', 'basilisk': 'Basilisk'}
 US = 'rigid_body_ros'
 LEVELS = tuple(float(f'1e-{k}') for k in range(3, 14))
-#: s; a ladder ends with the first rung that takes longer.
+#: s; a ladder ends at the first rung that takes longer.
 LONGEST = 0.5
-#: s; a run of so long need not be repeated to choose by.
+#: s; a run that takes longer need not be repeated for a first estimate.
 LONG = 0.1
 PATIENCE = 3.0
-#: A setting may be the fastest if its first estimate is up to so many times the least one.
+#: A setting may be the fastest if its first estimate is at most this many times the smallest.
 NEAR = 1.5
 TITLES = {
     'P1': 'no torque, intermediate axis, 100 s',
@@ -75,16 +75,16 @@ class Rung(NamedTuple):
     contender: Any
     setting: str
     error: float
-    #: About, or the median of the times once there are any.
+    #: An estimate, or the median of `times` once there are any.
     seconds: float
-    #: s, by round; NaN in rounds that it sat out.
+    #: s, by round; NaN in rounds that the contender skipped.
     times: Any = ()
 
 
 def our_ladder(problem):
     """Return the settings of this package, from coarse to fine."""
     span = problem.hold_ns * 1e-9
-    # At most one step a sample, or the radian or so that the coarsest peers begin with.
+    # At most one step per sample or, without samples, about a radian, as the coarsest peers have.
     longest = span if len(problem.torques) > 1 else span / 2 ** np.ceil(
         np.log2(span * np.linalg.norm(problem.rates)))
     return [{'solver': 'auto', 'tolerance': 10.0 ** -k} for k in range(1, 16)] + [
@@ -92,10 +92,10 @@ def our_ladder(problem):
 
 
 class Named(Ours):
-    """The package itself, which returns the state at the end as the peers do, with its setting."""
+    """The package itself, labelled with its setting; it returns only the state at the end."""
 
     def __init__(self, problem, **options):
-        """`options` are those of `propagate`."""
+        """Take the options of `propagate`."""
         super().__init__(problem, at=problem.at[-1:], **options)
         self.label = ' '.join(f'{value:.0e}' if name == 'tolerance' else
                               f'{value:.3g} s' if name == 'max_step' else value
@@ -126,7 +126,7 @@ def climb(name, make, ladder):
         if not np.all(np.isfinite(attitude)):
             failed.append(f'{contender.label}: not finite')
             continue
-        # Not every peer can tell q from -q.
+        # Some peers cannot distinguish q from -q.
         off = min(error(name, sign * attitude) for sign in (1.0, -1.0))
         seconds = cost(contender)
         rungs.append(Rung(contender, contender.label, off, seconds))
@@ -136,7 +136,7 @@ def climb(name, make, ladder):
 
 
 def cost(contender):
-    """Return an estimate of the time of a run, s."""
+    """Estimate the time of a run, s."""
     contender.reset()
     began = time.process_time()
     contender.run()
@@ -145,7 +145,7 @@ def cost(contender):
 
 
 def measure(name, peers):
-    """Return the rungs of all contenders for a problem, and the failed ones."""
+    """Return the rungs of all contenders for a problem, and why others failed."""
     rungs, failed = {}, []
     for who, make, ladder in tqdm([*ladders(PROBLEMS[name], peers)], desc=name, leave=False):
         found, why = climb(name, make, ladder)
@@ -168,7 +168,7 @@ def candidates(rungs, level):
 
 
 def timed(rungs):
-    """Return the candidates of all levels by contender, with their times in turns."""
+    """Time the candidates of all levels in turns, and return them by contender."""
     chosen = {who: [*{id(rung): rung for level in LEVELS for rung in candidates(some, level)
                       }.values()] for who, some in rungs.items()}
     every = [rung for some in chosen.values() for rung in some]
@@ -179,7 +179,7 @@ def timed(rungs):
 
 
 def duels(rungs):
-    """Return by level the ratio of the best peer's time to ours, with its interval."""
+    """Return for each level the ratio of the best peer's time to ours, with its interval."""
     found = {}
     for level in LEVELS:
         ours = cheapest(rungs[US], level)
@@ -191,7 +191,7 @@ def duels(rungs):
 
 
 def verdict(ours, ratio):
-    """Return the cell of a level: the best peer's time divided by ours."""
+    """Return the table cell of a level: the best peer's time divided by ours."""
     if ratio is None:
         return 'alone' if ours else '-'
     value, low, high = ratio
@@ -200,7 +200,7 @@ def verdict(ours, ratio):
 
 
 def table(name, rungs, least):
-    """Return the lines of a problem: us by contender and level; `least`: smallest errors."""
+    """Return the table of a problem: times, us, by contender and level, and smallest errors."""
     ratios = duels(rungs)
     lines = [f'### {name}: {TITLES[name]}', '',
              *header('us', *(f'{level:.0e}' for level in LEVELS), 'least error')]
@@ -214,7 +214,7 @@ def table(name, rungs, least):
 
 
 def draw(path, results):
-    """Plot error and time of every contender, one axes for each problem."""
+    """Plot error and time of every contender, in one panel for each problem."""
     figure = Figure(figsize=(11.0, 6.4), layout='constrained')
     panels = figure.subplots(2, 4).ravel()
     names = dict.fromkeys(who for rungs, *_ in results.values() for who in rungs)
@@ -241,7 +241,7 @@ def draw(path, results):
 
 
 def installed():
-    """Return the modules of the peers by name; print which are not installed."""
+    """Return the modules of the installed peers by name; print which are missing."""
     modules, missing = {}, []
     for name, label in PEERS.items():
         try:
@@ -252,7 +252,7 @@ def installed():
 
 
 def described(modules, missing):
-    """Return lines with the machine and the versions."""
+    """Return lines that describe the machine and the versions."""
     about = machine()
     versions = [f"rigid_body_ros {about['versions']['rigid_body_ros']}",
                 *(module.NAME for module in modules.values())]

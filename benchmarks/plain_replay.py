@@ -17,7 +17,7 @@ Replay with the reader and writer of mcap-ros2-support and the engine of this pa
 
     python benchmarks/plain_replay.py INPUT SCENE OUTPUT
 
-The script prints the time, s, without that of the imports.
+The script prints the time, s, without the imports.
 """
 
 from dataclasses import replace
@@ -31,7 +31,7 @@ from rigid_body_ros import messages, scene, TorqueLog
 
 
 def read(path):
-    """Return the log of a recording."""
+    """Return the torque log of a recording."""
     stamps, torques = [], []
     for message in read_ros2_messages(path, ['/torque']):
         stamp, torque = message.ros_msg.header.stamp, message.ros_msg.wrench.torque

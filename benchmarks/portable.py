@@ -17,8 +17,8 @@ Propagate given motions and write every result, for `arm.py` to compare between 
 
     python benchmarks/portable.py MOTIONS.json RESULTS.npz
 
-Bodies, starts, torques and times are read, not drawn: numpy draws and scales random numbers with
-functions whose last bit depends on the machine.
+Bodies, starts, torques and times are read rather than drawn, because numpy draws and scales random
+numbers with functions whose last bit depends on the machine.
 """
 
 from collections.abc import Iterator
@@ -37,9 +37,9 @@ from rigid_body_ros import (
 )
 from rigid_body_ros.mechanics import euler, so3, urdf
 
-#: Which results to compute of a motion: those of `bits.groups`, or by each solver that it names.
+#: Which results of a motion to compute: those of `bits.groups`, or one for each solver it names.
 RANDOM, SCENE = 'random', 'scene'
-#: Written instead of results if a solver rejects a motion.
+#: Written in place of results if a solver rejects a motion.
 REJECTED = np.array([np.nan])
 _URDF = ('<robot name="robot"><link name="body"><inertial><origin rpy="0.3 -1.1 2.5"/>'
          '<mass value="2"/><inertia {}/></inertial></link></robot>')
@@ -47,7 +47,7 @@ _URDF = ('<robot name="robot"><link name="body"><inertial><origin rpy="0.3 -1.1 
 
 def plain(motion: bits.Motion, kind: str, number: int = 0, solvers: dict | None = None) -> dict:
     """
-    Return a motion as JSON holds it, without a rounding.
+    Return a motion as JSON types, without rounding.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ def plain(motion: bits.Motion, kind: str, number: int = 0, solvers: dict | None 
     kind : str
         RANDOM or SCENE.
     number : int
-        Of a random motion: the seed of the order in which a Propagator is asked.
+        For a random motion, the seed of the order in which a Propagator is asked for states.
     solvers : dict
-        Of a scene: names, and the last of its times (ns) that each solver is asked for.
+        For a scene, the last time, ns, that each solver computes, by name.
 
     """
     body, start, log = motion.body, motion.start, motion.log
@@ -92,7 +92,7 @@ def motion_of(values: dict) -> bits.Motion:
 
 
 def groups(values: dict) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
-    """Yield the name of each group of results of a motion, and its arrays."""
+    """Yield the name of each group of a motion's results, and its arrays."""
     motion = motion_of(values)
     yield 'bodies', described(motion)
     yield 'urdf, point masses', read_bodies(motion)
@@ -115,7 +115,7 @@ def described(motion: bits.Motion) -> Iterator[np.ndarray]:
 
 
 def read_bodies(motion: bits.Motion) -> Iterator[np.ndarray]:
-    """Yield the tensors of a URDF and of point masses."""
+    """Yield inertia tensors that are read from a URDF, and computed from point masses."""
     tensor = motion.body.inertia
     entries = ' '.join(f'i{a}{b}="{tensor.item("xyz".index(a), "xyz".index(b))}"'
                        for a, b in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz'))
@@ -126,7 +126,7 @@ def read_bodies(motion: bits.Motion) -> Iterator[np.ndarray]:
 
 
 def turned(motion: bits.Motion) -> Iterator[np.ndarray]:
-    """Yield the results of `so3` for the start."""
+    """Yield results of the functions of `so3` for the start."""
     attitude, rates = motion.start.attitude, motion.start.angular_velocity
     turn = so3.exp(rates)
     yield turn
@@ -140,7 +140,7 @@ def turned(motion: bits.Motion) -> Iterator[np.ndarray]:
 
 
 def converted(motion: bits.Motion) -> Iterator[np.ndarray]:
-    """Yield attitudes of Euler angles, and rates there and back, in all sequences."""
+    """Yield attitudes from Euler angles, and rates converted there and back, in all sequences."""
     trajectory = propagate(motion.body, motion.start, motion.log, at=motion.at, **motion.options)
     for sequence in bits.SEQUENCES:
         for name in (sequence, sequence.lower()):
@@ -165,7 +165,7 @@ def scene(motion: bits.Motion, solver: str, last_ns: int) -> Iterator[np.ndarray
 
 
 def results(motions: dict[str, dict]) -> dict[str, np.ndarray]:
-    """Return one row of arrays for each motion, by 'group/name of the motion'."""
+    """Return the results of all motions, each under the key 'group/name of the motion'."""
     found = {}
     for name, values in motions.items():
         for group, arrays in groups(values):
@@ -178,7 +178,7 @@ def results(motions: dict[str, dict]) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Read motions, write results."""
+    """Read motions, and write results."""
     source, target = sys.argv[1:]
     with open(source, encoding='utf-8') as file:
         motions = json.load(file)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The problems that this package and its peers solve, and the error of a result."""
+"""The problems that this package and its peers solve, and the errors of their results."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -35,7 +35,7 @@ IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 
 def no_torque():
-    """Return no samples."""
+    """Return an empty array of torques."""
     return np.zeros((0, 3))
 
 
@@ -65,7 +65,7 @@ class Problem:
 
     @property
     def hold_ns(self):
-        """How long each torque is held, ns; without torques, the whole time."""
+        """Return how long each torque is held, ns; without torques, the whole time."""
         return self.end_ns // max(1, len(self.torques))
 
     @property
@@ -86,7 +86,7 @@ class Problem:
 
     @property
     def start_vector(self):
-        """Return rates and attitude at the start, shape (7,), for a solver of equations."""
+        """Return rates and attitude at the start, shape (7,), as a solver of equations needs."""
         return np.array(self.rates + IDENTITY)
 
     @cached_property
@@ -99,7 +99,7 @@ class Problem:
 
     @property
     def fingerprint(self):
-        """Return a digest of everything that the reference depends on, every torque included."""
+        """Return a digest of everything that the reference depends on, including every torque."""
         doubles = np.concatenate([self.moments, self.start_vector, self.torques.ravel()])
         digest = hashlib.sha256(doubles.astype('<f8').tobytes())
         digest.update(str(self.end_ns).encode())

@@ -17,11 +17,11 @@ Compare the replay of torques at 1 kHz with the plain pipeline in plain_replay.p
 
     python benchmarks/replay.py [--hours H] [--plain-hours H] [--rounds N] [--folder DIR]
 
-Both write three topics at every stamp. They run in turns, each in a process of its own; the table
-has the medians. The time of this package includes loading, that of the plain pipeline does not.
-The plain pipeline may get a shorter recording, because the ratio is that of messages per second;
-its memory is for that recording. The inputs are MCAP files compressed with zstd. With --folder
-they are kept for the next run. 1 MB is 10^6 bytes.
+Both write three topics at every stamp. They alternate, each in a new process, and the table
+contains the medians. The time of this package includes loading; that of the plain pipeline does
+not. The plain pipeline may get a shorter recording, because the ratio compares messages per
+second. Its memory is then for the shorter recording. The inputs are MCAP files compressed with
+zstd. With --folder they are kept for the next run. 1 MB is 10^6 bytes.
 """
 
 import argparse
@@ -43,14 +43,14 @@ SCENE = HERE.parent / 'config' / 'tumbler.yaml'
 OURS = ['-c', 'import sys; from rigid_body_ros.commands.main import attitude_replay; '
               'sys.exit(attitude_replay())']
 RATE, EPOCH_NS = 1000, 1_767_225_600_123_456_789
-#: Messages made at a time.
+#: Number of messages that are generated at a time.
 PART = 100_000
-#: What has to be reached: messages a second and their ratio at least, peak memory at most.
+#: Required values: minimum ratio and minimum messages per second, maximum peak memory.
 RATIO_BAR, SPEED_BAR, MEMORY_BAR = 12.0, 250_000, 500e6
 
 
 def recorded(folder, hours):
-    """Return the path of the recording of that many hours; write it if it does not exist."""
+    """Return the path of a recording with this many hours; write it if it does not exist."""
     path = folder / f'torque_{hours:g}h.mcap'
     if not path.exists():
         random = np.random.default_rng(6)
@@ -64,7 +64,7 @@ def recorded(folder, hours):
 
 
 def count(hours):
-    """Return the number of messages."""
+    """Return the number of messages in a recording with this many hours."""
     return round(hours * 3600 * RATE)
 
 
@@ -75,19 +75,19 @@ def torques(rows, random):
 
 
 def ours(path, output):
-    """Replay with the command; return seconds and peak memory, bytes."""
+    """Replay with the command; return the time, s, and the peak memory, bytes."""
     seconds, memory, _ = run(*OURS, path, '--scene', SCENE, '-o', output, '--overwrite')
     return seconds, memory
 
 
 def plain(path, output):
-    """Replay with the plain pipeline; return seconds and peak memory, bytes."""
+    """Replay with the plain pipeline; return the time, s, and the peak memory, bytes."""
     _, memory, printed = run(HERE / 'plain_replay.py', path, SCENE, output)
     return float(printed), memory
 
 
 def run(*arguments):
-    """Run Python; return seconds, peak memory, bytes, and what was printed."""
+    """Run Python; return the time, s, the peak memory, bytes, and what was printed."""
     began = time.perf_counter()
     with subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE) as process:
         printed = process.stdout.read()
@@ -99,17 +99,17 @@ def run(*arguments):
 
 
 def split(path, output):
-    """Return the times, s, of the parts of a replay in this process."""
+    """Replay in this process, and return the times, s, of the parts."""
     return replay(path, scene.load(SCENE), output).seconds
 
 
 def measure(folder, hours, plain_hours, rounds):
-    """Return messages per second and peak memory, bytes: two arrays of shape (rounds, 2)."""
+    """Return messages per second and peak memory, bytes, as two arrays of shape (rounds, 2)."""
     cases = {'ours': (ours, recorded(folder, hours), hours),
              'plain': (plain, recorded(folder, plain_hours), plain_hours)}
     figures = {name: [] for name in cases}
     output = folder / 'motion.mcap'
-    ours(recorded(folder, 1 / 3600), output)  # later runs find its files in memory
+    ours(recorded(folder, 1 / 3600), output)  # loads its files into the cache for later runs
     for _, (name, (run_it, path, length)) in itertools.product(range(rounds), cases.items()):
         seconds, memory = run_it(path, output)
         figures[name].append((count(length) / seconds, memory))
@@ -146,7 +146,7 @@ def main():
         folder = arguments.folder or Path(temporary)
         folder.mkdir(exist_ok=True)
         figures = measure(folder, arguments.hours, arguments.plain_hours, arguments.rounds)
-        # Last: a process counts the memory of the one that started it as its own.
+        # Do this last: a process counts the memory of its parent as its own.
         parts = split(recorded(folder, arguments.hours), folder / 'motion.mcap')
     report(figures, parts, count(arguments.hours))
     if arguments.json:

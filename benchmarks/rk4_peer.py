@@ -25,10 +25,10 @@ STREAM_LADDER = [{}, {'substeps': 2}]
 
 
 class Final:
-    """The attitude at the end, under at most one torque; no other state is kept."""
+    """The attitude at the end, under at most one torque; other states are not kept."""
 
     def __init__(self, problem, steps):
-        """All steps have the same length."""
+        """Divide the time into steps of equal length."""
         self.label = f'{steps} steps'
         accelerations = problem.accelerations if len(problem.torques) else np.zeros((1, 3))
         self._arguments = (*problem.start_vector, *problem.coupling,
@@ -47,10 +47,10 @@ class Final:
 
 
 class Stream(Final):
-    """The same under torques that are held for one or more steps each."""
+    """The attitude at the end, under torques that are held for one or more steps each."""
 
     def __init__(self, problem, substeps=1):
-        """With one step for each torque the error is at rounding level already."""
+        """Take one step per torque by default, which reaches the level of rounding errors."""
         self.label = 'one step per sample' if substeps == 1 else f'{substeps} steps per sample'
         self._arguments = (*problem.start_vector, *problem.coupling,
                            np.repeat(problem.accelerations, substeps, axis=0),

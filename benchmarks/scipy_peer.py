@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""scipy: adaptive Runge-Kutta pairs over equations in plain Python."""
+"""SciPy: adaptive Runge-Kutta pairs, with the equations in plain Python."""
 
 import scipy
 from scipy.integrate import solve_ivp
@@ -20,8 +20,8 @@ from scipy.integrate import solve_ivp
 NAME = f'scipy {scipy.__version__}'
 LADDER = [{'method': method, 'rtol': 10.0 ** -k}
           for method, finest in (('RK45', 9), ('DOP853', 13)) for k in range(3, finest + 1)]
-LADDER.append({'method': 'DOP853', 'rtol': 3e-14})  # it accepts none below 100 eps
-#: With it, a step of 1 ms has an error at rounding level and is never rejected.
+LADDER.append({'method': 'DOP853', 'rtol': 3e-14})  # SciPy accepts none below 100 eps
+#: With this tolerance, steps of 1 ms have errors at the level of rounding, and none is rejected.
 STREAM_TOLERANCE = 1e-9
 STREAM_LADDER = [{}]
 
@@ -50,10 +50,10 @@ class Final:
 
 
 class Stream(Final):
-    """The state at the end, under torques; each begins a new problem."""
+    """The state at the end, under torques, each of which begins a new problem."""
 
     def __init__(self, problem):
-        """Fix the first step, so that no restart has to search for it."""
+        """Fix the first step, so that no restart has to search for one."""
         self.label = f'RK45 rtol={STREAM_TOLERANCE:.0e}, restarted'
         hold = problem.hold_ns * 1e-9
         self._coupling, self._accelerations = problem.coupling, problem.accelerations.tolist()
@@ -74,7 +74,7 @@ def _equations(coupling, acceleration):
     (k1, k2, k3), (t1, t2, t3) = coupling, acceleration
 
     def equations(time, state):
-        a, b, c, x, y, z, w = state.tolist()  # twice as fast as reckoning with numpy's scalars
+        a, b, c, x, y, z, w = state.tolist()  # twice as fast as numpy's scalars
         return [k1 * b * c + t1, k2 * c * a + t2, k3 * a * b + t3,
                 0.5 * (w * a + y * c - z * b), 0.5 * (w * b + z * a - x * c),
                 0.5 * (w * c + x * b - y * a), -0.5 * (x * a + y * b + z * c)]

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Recordings of right and of wrong models, from a simulator that shares no code with the package.
+Recordings for right and wrong models, from a simulator that shares no code with the package.
 
-A kind is a body with actuators and sensors that have something wrong with them, or nothing. All
-seeds of a kind are integrated at once by a Runge-Kutta method of fourth order in steps of 5 ms.
+A kind is a body with actuators and sensors. Either the model describes all of it, or one thing
+differs. All seeds of a kind are integrated together by a fourth-order Runge-Kutta method with
+steps of 5 ms.
 """
 
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 STEP = 0.005
-#: Hz; of the torques, and of the sensors.
+#: Rates of the torques and of the sensors, Hz.
 TORQUE_HZ, SENSOR_HZ = 20, 100
 SECOND = 10 ** 9
 INERTIA = np.array([[0.020, 0.001, -0.002], [0.001, 0.030, 0.0005], [-0.002, 0.0005, 0.040]])
@@ -35,16 +36,16 @@ GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 @dataclass(frozen=True)
 class Kind:
-    """What is true of a body, its actuators and its sensors; each default is that of the model."""
+    """The truth about a body, its actuators and its sensors; the defaults agree with the model."""
 
     name: str
-    #: What the fit estimates, and the parameters that would mend the model; none if it is right.
+    #: What the fit estimates, and the parameters that would correct the model; none if right.
     estimate: tuple = ('inertia', 'start')
     causes: tuple = ()
     seconds: float = 20.0
     torque: float = 0.02
     inertia: np.ndarray = field(default_factory=INERTIA.copy)
-    # What acts.
+    # What acts on the body.
     weight: tuple = (0.0, 0.0, 0.0)
     dipole: tuple = (0.0, 0.0, 0.0)
     damping: float = 0.0
@@ -54,19 +55,19 @@ class Kind:
     rotor_ramp: tuple = (0.0, 0.0, 0.0)
     bias: tuple = (0.0, 0.0, 0.0)
     disturbance: float = 0.0
-    #: Relative inertia after half of the time, and at the end of a steady change.
+    #: Factor of the inertia from half of the time on, and at the end of a steady change.
     dropped: float = 1.0
     burnt: float = 1.0
-    #: N m/rad, kg m^2 and damping ratio of an appendage that bends about x.
+    #: Stiffness, N m/rad, inertia, kg m^2, and damping ratio of an appendage that bends about x.
     appendage: tuple = ()
-    # What the actuators do with the logged torque.
+    # How the actuators change the logged torque.
     gains: np.ndarray = field(default_factory=lambda: np.eye(3))
     delay: float = 0.0
     lag: float = 0.0
     limit: float = np.inf
     deadband: float = 0.0
     lost: float = 0.0
-    # What the sensors do.
+    # Errors of the sensors.
     mount: tuple = (0.0, 0.0, 0.0)
     gyro_mount: tuple = (0.0, 0.0, 0.0)
     clock: float = 0.0
@@ -90,13 +91,13 @@ class Kind:
     outliers: float = 0.0
     missing: float = 0.0
     axes: tuple = (1.0, 1.0, 1.0)
-    #: The model's inertia; a sphere if there is none.
+    #: The guess of the inertia; a sphere if empty.
     guess: tuple = ()
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What a logger of one seed has: times in ns, torques, quaternions x y z w and rates."""
+    """What was logged for one seed: times in ns, torques, quaternions x y z w and rates."""
 
     start: tuple
     torque_ns: np.ndarray
@@ -108,12 +109,12 @@ class Recording:
 
 
 def wrong(name, cause, **what):
-    """Return a kind whose model lacks something."""
+    """Return a kind that the model does not fully describe."""
     return Kind(name, causes=cause if isinstance(cause, tuple) else (cause,), **what)
 
 
 def turned(degrees, axis=(0.6, -0.64, 0.48)):
-    """Return a rotation vector."""
+    """Return the rotation vector of a turn by some degrees about an axis."""
     return tuple(np.radians(degrees) * np.array(axis))
 
 
@@ -191,7 +192,7 @@ WRONG = (
 
 
 def cross(a, b):
-    """Return the cross products of vectors, shape (s, 3); numpy's takes four times as long."""
+    """Return the cross products of vectors, shape (s, 3), in a quarter of the time of numpy."""
     return np.stack([a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1], a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
                      a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]], axis=1)
 
@@ -211,7 +212,7 @@ def exponential(vector):
 
 
 def rotated_back(q, vector):
-    """Return vectors of space axes in body axes."""
+    """Convert vectors from space axes to body axes."""
     axis, w = -q[..., :3], q[..., 3:]
     twice = 2.0 * np.cross(axis, vector)
     return vector + w * twice + np.cross(axis, twice)
@@ -229,7 +230,7 @@ def commanded(kind, random):
 
 
 def acting(kind, torques, random):
-    """Return what the actuators make of torques, at each half step, shape (n, s, 3)."""
+    """Return the torques that act at each half step, shape (n, s, 3)."""
     lost = np.stack([each.random(torques.shape[1]) < kind.lost for each in random])
     held = torques.copy()
     for k in range(1, torques.shape[1]):
@@ -237,14 +238,14 @@ def acting(kind, torques, random):
     held = np.clip(held, -kind.limit, kind.limit)
     held = np.where(np.abs(held) < kind.deadband, 0.0, held) @ kind.gains.T
     half = 0.5 * STEP
-    at = np.arange(round(kind.seconds / half)) * half + 1e-9  # a step belongs to what follows
+    at = np.arange(round(kind.seconds / half)) * half + 1e-9  # a jump belongs to what follows
     rows = np.floor((at - kind.delay) * TORQUE_HZ).astype(int)
     result = np.where((rows >= 0)[None, :, None], held[:, np.maximum(rows, 0)], 0.0)
     if kind.lag:
         share, state = np.exp(-half / kind.lag), np.zeros_like(result[:, 0])
         lagged = np.empty_like(result)
         for k in range(result.shape[1]):
-            # The mean over the half step, so that each impulse is exact.
+            # Take the mean over the half step, so that each impulse is exact.
             mean = result[:, k] + (state - result[:, k]) * kind.lag / half * (1.0 - share)
             state = result[:, k] + (state - result[:, k]) * share
             lagged[:, k] = mean
@@ -253,7 +254,7 @@ def acting(kind, torques, random):
 
 
 def inertia_at(kind, time):
-    """Return the inertia at a time; what is burnt takes its momentum along."""
+    """Return the inertia at a time; burnt fuel carries its momentum away."""
     if kind.burnt != 1.0:
         return kind.inertia * (1.0 + (kind.burnt - 1.0) * time / kind.seconds)
     factor = kind.dropped if time >= 0.5 * kind.seconds else 1.0
@@ -261,7 +262,7 @@ def inertia_at(kind, time):
 
 
 def slope(kind, time, q, w, bend, torque):
-    """Return the rates of change of attitude, rate and appendage."""
+    """Return the time derivatives of attitude, rate and appendage."""
     inertia = inertia_at(kind, time)
     rotor = np.array(kind.rotor) + np.array(kind.rotor_ramp) * time
     total = torque + np.array(kind.bias) - kind.damping * w - kind.drag * np.abs(w) * w \
@@ -275,7 +276,7 @@ def slope(kind, time, q, w, bend, torque):
             [1.0, -0.5, 0.7])
     total = total + cross(w @ inertia + rotor, w)
     moved = np.zeros_like(bend)
-    if kind.appendage:  # an oscillator that is driven by the angular acceleration about x
+    if kind.appendage:  # an oscillator, driven by the angular acceleration about x
         stiffness, own, ratio = kind.appendage
         rate = 2.0 * ratio * np.sqrt(stiffness * own)
         pull = stiffness * bend[:, 0] + rate * bend[:, 1]
@@ -303,7 +304,7 @@ def integrated(kind, torque, random):
         slopes = [slope(kind, time, *now, torque[2 * k])]
         for part, half in ((0.5, 0), (0.5, 1), (1.0, 1)):
             moved = [x + part * STEP * dx for x, dx in zip(now, slopes[-1])]
-            # The torque is held within a step, and a step has only one inertia.
+            # Within a step, the torque is held, and the inertia does not jump.
             slopes.append(slope(kind, time, *moved, torque[2 * k + half]))
         q, w, bend = (x + STEP / 6.0 * (a + 2.0 * b + 2.0 * c + d)
                       for x, a, b, c, d in zip(now, *slopes))
@@ -313,7 +314,7 @@ def integrated(kind, torque, random):
 
 
 def coloured(random, shape, colour):
-    """Return noise of unit variance, an autoregression of first order."""
+    """Return first-order autoregressive noise with unit variance."""
     white = random.standard_normal(shape)
     for k in range(1, len(white)):
         white[k] = colour * white[k - 1] + np.sqrt(1.0 - colour ** 2) * white[k]
@@ -321,7 +322,7 @@ def coloured(random, shape, colour):
 
 
 def sampled(times, values, at):
-    """Return values between steps, by the cubic through four of them."""
+    """Interpolate between steps by the cubic through four of them."""
     from scipy.interpolate import CubicSpline
     return CubicSpline(times, values)(at)
 
@@ -333,11 +334,11 @@ def recordings(kind, seeds, level=1.0):
     Parameters
     ----------
     kind : Kind
-        What is true.
+        The truth.
     seeds : sequence of int
-        Of the torques, the starts and the noise.
+        Seeds of the torques, the starts and the noise.
     level : float
-        Noise, in nominal ones.
+        Noise, relative to the nominal noise.
 
     Returns
     -------
@@ -354,7 +355,7 @@ def recordings(kind, seeds, level=1.0):
 
 
 def measured(kind, random, torque_ns, torques, attitudes, rates, level):
-    """Return what the sensors of one seed measure."""
+    """Return the recording of one seed, with what its sensors measure."""
     times = np.arange(len(attitudes)) * STEP
     start = attitudes[0], rates[0]
     own = {'attitude': (kind.attitude_hz, kind.clock, kind.colour),
@@ -409,5 +410,5 @@ def filtered(times, values, lag, at):
 
 
 def named(name):
-    """Return a kind by its name."""
+    """Return the kind with a name."""
     return next(kind for kind in (*RIGHT, *WRONG) if kind.name == name)

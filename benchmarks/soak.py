@@ -17,10 +17,10 @@ Run the node for a long time at 1 kHz with valid and invalid torques, and accoun
 
     python benchmarks/soak.py [--seconds 600] [--json FILE]
 
-A driver sends torques over DDS in real time, with a fixed seed: invalid ones of every kind,
-repeated stamps, late torques, bursts, and every 10 s a pause of 100 ms followed by all torques at
-once. It records what the node accepts, commits and publishes, and finally compares that with what
-it sent. Ten minutes take 2 GB of memory, for the replay.
+A driver sends torques over DDS in real time, with a fixed seed. They include invalid torques of
+every kind, repeated stamps, late torques, bursts, and every 10 s a pause of 100 ms followed by the
+delayed torques at once. The driver records what the node accepts, commits and publishes, and
+finally compares this with what it sent. For ten minutes, the replay takes 2 GB of memory.
 """
 
 import argparse
@@ -60,28 +60,28 @@ from live import decoded, replayed, TUMBLER  # noqa: E402, I100
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE  # noqa: E402
 
 RATE, STEP_NS, SEED = 1000, 10 ** 6, 17
-#: No torque is lost while the machine is busy for a minute.
+#: A queue so deep that no torque is lost while the machine is busy for a minute.
 DEEP = ('-p', 'qos_overrides./torque.subscription.depth:=100000')
-#: Torques that are not simply sent in order, and their share.
+#: Torques that are not simply sent in order, and the fraction of each kind.
 REPEATED, DELAYED, FORCED = 'repeated', 'delayed', 'forced'
 SHARES = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01, TOO_LARGE: 0.01, FUTURE: 0.01,
           LATE: 0.01, REPEATED: 0.02, DELAYED: 0.01, FORCED: 0.01}
-#: Steps, well below the node's `history`.
+#: Longest delay of a torque, in steps, well below the node's `history`.
 LONGEST_DELAY = 500
-#: Steps: how long torques are held back, to be sent all at once, and how often.
+#: For how many steps torques are held back, to be sent all at once, and how often, in steps.
 BURST, BURST_EVERY = 20, 1000
 STALL, STALL_EVERY = 100, 10_000
-#: MB: growth of memory allowed after SETTLED, s, when the queues of the log (10 000) are full.
+#: Allowed growth of memory, MB, after SETTLED, s, when the queues of the log (10 000) are full.
 GROWTH, SETTLED = 5.0, 60.0
 PROCESSOR_TIME = 'processor time, us per torque'
-#: Three quarters of one processor.
+#: Limit of the processor time: three quarters of one processor.
 PROCESSOR = 0.75e6 / RATE
-#: s; for the last torques to be counted.
+#: s; how long counting the last torques may take.
 PATIENCE = 60.0
 
 
 class Line(NamedTuple):
-    """A measured value, and the value that it must equal or not exceed."""
+    """A measured value, and the value that it must equal, or must not exceed."""
 
     name: str
     found: float
@@ -90,26 +90,26 @@ class Line(NamedTuple):
 
     @property
     def holds(self):
-        """Whether the measured value meets its limit."""
+        """Return whether the measured value meets its limit."""
         return self.found <= self.bar if self.at_most else self.found == self.bar
 
 
 class Plan:
     """
-    What to send and when: the same in every run, relative to its start.
+    What to send and when; relative to the start, it is the same in every run.
 
     Attributes
     ----------
     due_ns : array of int64, shape (n,)
-        Ascending.
+        When to send each torque, ascending.
     stamps_ns : array of int64, shape (n,)
-        Of the torques before the invalid ones are corrupted, which happens when they are sent.
+        Stamps of the torques. Invalid torques are corrupted later, when they are sent.
     torques : array, shape (n, 3), N m
     frame_ids : list of n str
     causes : list of n str
-        A key of SHARES, or '' for a torque that is sent in order.
+        A key of SHARES, or '' for a valid torque that is sent in order.
     valid : array of bool, shape (n,)
-        Whether the node has to accept it.
+        Whether the node must accept each torque.
 
     """
 
@@ -119,7 +119,7 @@ class Plan:
         slots = np.arange(count)
         names = ['', *SHARES]
         causes = random.choice(len(names), count, p=[1.0 - sum(SHARES.values()), *SHARES.values()])
-        causes[:BURST] = 0  # a torque can only be late after another
+        causes[:BURST] = 0  # a torque can only be late after another one
         stamps = slots * STEP_NS + random.integers(0, STEP_NS, count)
         repeated = np.flatnonzero(causes == names.index(REPEATED))
         stamps[repeated] = stamps[repeated - 1]
@@ -131,7 +131,7 @@ class Plan:
         order = np.argsort(due, kind='stable')
         self.due_ns, self.stamps_ns = start_ns + due[order], start_ns + stamps[order]
         self.causes = [names[cause] for cause in causes[order]]
-        # One in ten is zero; consecutive zeros make a coast.
+        # One in ten torques is zero; consecutive zeros make a coast.
         self.torques = random.normal(0.0, 0.02, (count, 3)) * (random.random((count, 1)) > 0.1)
         self.frame_ids = random.choice(['', 'base_link', 'world'], count).tolist()
         self.valid = np.array([cause not in CAUSES for cause in self.causes])
@@ -140,7 +140,7 @@ class Plan:
         return len(self.causes)
 
     def message(self, row):
-        """Return the message to send, in CDR."""
+        """Return the message to send, encoded as CDR."""
         cause, torque, frame_id = self.causes[row], self.torques[row], self.frame_ids[row]
         stamp_ns = int(self.stamps_ns[row])
         if cause == NOT_FINITE:
@@ -160,15 +160,15 @@ class Plan:
 
 
 def _corrupted(data, row):
-    # Truncated; unknown encoding; a stamp before 1970, with too many nanoseconds; a name longer
-    # than the message, not valid text.
+    # Truncated; unknown encoding; a stamp before 1970, or with too many nanoseconds; a name longer
+    # than the message, or that is not valid text.
     at, bytes_ = ((len(data) - 8, None), (1, b'\x07'), (4, b'\xff' * 4), (8, b'\xff' * 4),
                   (12, b'\xff' * 4), (12, b'\x02\0\0\0\xff\0'))[row % 6]
     return data[:at] if bytes_ is None else data[:at] + bytes_ + data[at + len(bytes_):]
 
 
 class Usage:
-    """Memory, MB, of a process over time, s, once a second."""
+    """Memory of a process, MB, over time, s, sampled once a second."""
 
     def __init__(self, process):
         self._process = psutil.Process(process.pid)
@@ -187,7 +187,7 @@ class Usage:
         return times.user + times.system
 
     def growth(self):
-        """Return the largest growth of memory after it settled, MB."""
+        """Return the largest growth of memory, MB, after it has settled."""
         settled = min(SETTLED, self.curve[-1][0] * 2 / 3)
         after = [memory for now, memory in self.curve if now >= settled]
         return max(after) - after[0]
@@ -199,7 +199,7 @@ def drive(live, plan, usage):
     for row, due_ns in enumerate(plan.due_ns.tolist()):
         rest_ns = due_ns - live.now_ns()
         if rest_ns >= stall_ns // 2:
-            time.sleep(rest_ns * 1e-9)  # without receiving, too
+            time.sleep(rest_ns * 1e-9)  # the driver does not receive either
         elif rest_ns > 0:
             live.spin(rest_ns * 1e-9)
         live.publish_bytes(plan.message(row))
@@ -217,7 +217,7 @@ def soak(seconds, domain):
     -------
     lines : list of Line
     memory : list of (float, float)
-        Of the node: s, MB.
+        Time, s, and memory of the node, MB.
 
     """
     with TemporaryDirectory() as folder, \
@@ -225,7 +225,7 @@ def soak(seconds, domain):
         plan, usage = Plan(seconds, live.now_ns()), Usage(live.process)
         before = usage.processor()
         drive(live, plan, usage)
-        # Counts are published once a second.
+        # Wait, because counts are published only once a second.
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until and unfinished(live.diagnosis('torques')[0], len(plan)):
             live.spin(0.1)
@@ -260,7 +260,7 @@ def counted(live, plan):
 
 
 def published(live, plan, folder):
-    """Compare the published messages with those sent, and with a replay."""
+    """Compare the published messages with the sent ones and with a replay."""
     bad = sum(not np.isfinite(message.values).all() for topic, kind in (
         (ACCEPTED, messages.WRENCH), (COMMITTED, messages.ODOMETRY),
         (ATTITUDE, messages.QUATERNION)) for message in decoded(live, topic, kind))

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Measure the time from the first import to the first results, in a process of its own.
+Measure the time from the first import to the first results, in a new process.
 
     python benchmarks/start.py
 
-The script computes one motion under torque and one without, and prints seconds.
+The script computes one motion under torque and one without, and prints the time, s.
 """
 
 import time

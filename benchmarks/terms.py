@@ -18,14 +18,15 @@ Measure what rotors, damping, several sources and fields cost, relative to a run
     python benchmarks/terms.py [WORD]
     python benchmarks/terms.py --peer
 
-With WORD, only the rows whose names contain it. Both runs take turns. A ratio is that of the
-median times, with a 95 % confidence interval from the ratios of single rounds; its upper end must
-not exceed the limit. Strong damping has no limit: the steps must follow it. A top is compared with
-the same body under a constant torque, which takes as many steps, and with heyoka, if it is
-installed, which must be slower.
+With WORD, only rows whose names contain it are measured. The two runs of a row alternate. The
+ratio is that of the median times, with a 95 % confidence interval from the ratios of single
+rounds. The upper end of the interval must not exceed the limit. Strong damping has no limit,
+because the steps must follow it. A top is compared with the same body under a constant torque,
+which takes as many steps. If heyoka is installed, the top is also compared with heyoka, which must
+be slower.
 
-With --peer, how many steps heyoka takes with rotors, relative to those without. Rotors make a free
-body nutate faster, so every integrator that follows the motion needs more of them.
+With --peer, print how many steps heyoka takes with rotors, relative to the steps without. Rotors
+make a free body nutate faster, so every integrator that follows the motion needs more steps.
 """
 
 from dataclasses import replace
@@ -49,14 +50,14 @@ from rigid_body_ros.mechanics import so3
 SECOND = 10 ** 9
 MOMENTS, RATES = (1.0, 2.0, 3.0), (0.3, -0.2, 0.5)
 HELD = TorqueLog([0], [[0.02, -0.01, 0.03]])
-#: A minute at 1 kHz.
+#: Stamps over a minute at 1 kHz.
 STAMPS = np.arange(60_000) * (SECOND // 1000)
 STREAM = TorqueLog(STAMPS, wave())
 DAMPING = np.diag([0.01, 0.02, 0.03])
 #: Limits of the ratios.
 LINEAR, SOURCES, TOP = 1.25, 2.0, 1.6
-#: A top over a minute, along its principal axes. The step, s, is shorter than what the bodies need
-#: under any of the torques, so all runs take as many.
+#: A top over a minute, in its principal axes. The step, s, is shorter than the bodies need under
+#: any of the torques, so all runs take the same number of steps.
 TOP_MOMENTS, TOP_ATTITUDE, TOP_RATES = (0.2, 0.2, 0.1), (0.3, 0.0, 0.0, 0.9), (0.5, 0.0, 20.0)
 WEIGHT = UniformField((0.0, 0.0, 0.3), (0.0, 0.0, -9.81))
 TOP_STEP, TOP_SECONDS = 0.02, 60
@@ -66,7 +67,7 @@ class Run:
     """A motion over a minute, for `compare`."""
 
     def __init__(self, log=None, wheels=None, rotors=(0.0, 0.0, 0.0), damping=None, at=60):
-        """Take the arguments of `propagate`, a momentum, a tensor, and the end, s, or times."""
+        """Take torques, the momentum of rotors, a damping tensor, and the end, s, or times."""
         self._body = RigidBody(np.diag(MOMENTS), damping)
         self._start = State(0, angular_velocity=RATES, rotor_momentum=rotors)
         self._log = log
@@ -85,7 +86,7 @@ class Top:
     """The motion of a top, or of the same body under a constant torque, for `compare`."""
 
     def __init__(self, torque=None, fields=(), axes=IDENTITY, max_step=TOP_STEP):
-        """Take a torque, N m, and fields, along principal axes, and how these lie in the body."""
+        """Take a torque, N m, and fields in principal axes, and the attitude of these axes."""
         turn = so3.matrix(axes)
         start = State(0, so3.multiply(TOP_ATTITUDE, so3.conjugate(axes)), turn @ TOP_RATES)
         log = None if torque is None else TorqueLog([0], [turn @ torque])
@@ -108,7 +109,7 @@ class Top:
 
 
 def linear_rows():
-    """Yield name, limit and both runs for rotors and damping, each with the same torques."""
+    """Yield the name, the limit and both runs of rows for rotors and damping."""
     for name, log, at in (('coast', None, 60), ('held torque', HELD, 60),
                           ('1 kHz', STREAM, PROBLEMS['P4'].at)):
         plain = Run(log, at=at)
@@ -119,7 +120,7 @@ def linear_rows():
 
 
 def source_rows():
-    """Yield the same for a minute at 1 kHz with wheels and two sources."""
+    """Yield rows for a minute at 1 kHz with wheels and two sources."""
     at = PROBLEMS['P4'].at
     wheels = TorqueLog(STAMPS, 0.1 * wave()[::-1])
     for name, other in (
@@ -132,14 +133,14 @@ def source_rows():
 
 
 def strong_rows():
-    """Yield the same for strong damping under a torque, without a limit."""
+    """Yield rows for strong damping under a torque, without a limit."""
     for rate in (5.0, 50.0, 500.0, 5000.0):
         yield (f'held torque, damping of {rate:g} 1/s', np.inf, Run(HELD),
                Run(HELD, damping=rate * np.diag(MOMENTS)))
 
 
 def top_rows():
-    """Yield the same for a top, relative to a constant torque; other fields have no limit."""
+    """Yield rows for a top, relative to a constant torque; other fields have no limit."""
     for name, axes in (('diagonal', IDENTITY), ('full', so3.normalize([0.1, 0.2, -0.3, 0.9]))):
         plain = Top(torque=(0.2, -0.1, 0.0), axes=axes)
         yield f'top, {name} tensor', TOP, plain, Top(fields=[WEIGHT], axes=axes)
@@ -151,9 +152,9 @@ def top_rows():
 
 
 def print_duel():
-    """Print the times of a top and of heyoka's, and both errors, rad."""
+    """Print the times of a top with this package and with heyoka, and both errors, rad."""
     try:
-        import fields  # of the tests, see problems.py
+        import fields  # test/fields.py; problems.py sets the path
         import heyoka_peer
     except ImportError as problem:
         print(f'skipped: {problem}')
@@ -174,7 +175,7 @@ def print_duel():
 
 
 def steps_of_peer(torque, rotors):
-    """Return how many steps heyoka takes for a minute under a held torque, with rotors."""
+    """Return the number of steps of heyoka over a minute under a held torque, with rotors."""
     import heyoka as hy
 
     a, b, c, x, y, z, w = hy.make_vars('a', 'b', 'c', 'x', 'y', 'z', 'w')
@@ -189,7 +190,7 @@ def steps_of_peer(torque, rotors):
 
 
 def print_peer():
-    """Print the steps of heyoka with rotors, relative to those without."""
+    """Print the number of steps of heyoka with rotors, relative to those without."""
     for name, torque in (('coast', np.zeros(3)), ('held torque', HELD.torques[0])):
         plain, *others = (steps_of_peer(torque, share * np.multiply(MOMENTS, RATES))
                           for share in (0.0, 0.1, 1.0))

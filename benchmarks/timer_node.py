@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A minimal rclpy node for comparison: counts torques, publishes an attitude at 100 Hz."""
+"""A minimal rclpy node for comparison: it counts torques, and publishes an attitude at 100 Hz."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
@@ -24,7 +24,7 @@ from rigid_body_ros.node.process import main
 
 
 class TimerNode(Node):
-    """Reports once a second how many torques it has received."""
+    """Also reports once a second how many torques it has received."""
 
     def __init__(self):
         super().__init__('timer_node')

@@ -17,8 +17,8 @@ Compare the engine with the committed vectors, `test/vectors.txt`, bit for bit.
 
     python benchmarks/vectors.py [--every N]
 
-The file has motions with their exact inputs and outputs; `docs/vectors.md` describes it. The exit
-status is 1 if a bit differs. `make_vectors.py` wrote the file.
+The file contains motions with their exact inputs and outputs; `docs/vectors.md` describes it.
+`make_vectors.py` writes it. The exit status is 1 if a bit differs.
 """
 
 import argparse
@@ -50,7 +50,7 @@ _NAMES = {'state': ('attitude x', 'attitude y', 'attitude z', 'attitude w', 'ang
 
 
 class Output(NamedTuple):
-    """Numbers of a motion at a time, ns, under the key of their line: state, euler ZXZ, ..."""
+    """Numbers of a motion at a time, ns, with the key of their line: state, euler ZXZ, ..."""
 
     key: str
     time_ns: int
@@ -58,10 +58,10 @@ class Output(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A motion of the file: the problem, and what every implementation has to return."""
+    """A motion of the file: the problem, and what every implementation must return."""
 
     name: str
-    #: Motions of a group are also computed together; empty if it belongs to none.
+    #: Motions of a group are also computed together; empty if the motion belongs to no group.
     group: str
     problem: Problem
     outputs: list[Output]
@@ -79,7 +79,7 @@ class Reader:
     Parameters
     ----------
     shared : dict
-        The logs of all motions by their lines, since those of equal lines are one log.
+        The logs of all motions by their lines; equal lines share one log.
 
     """
 
@@ -88,7 +88,7 @@ class Reader:
         self._given = {'group': ''}
 
     def take(self, key: str, words: list[str]) -> None:
-        """Read a line; raise ValueError if the format has no such line."""
+        """Read a line; raise ValueError if the line does not match the format."""
         if key in ('motion', 'group', 'solver'):
             self._given[key] = ' '.join(words)
         elif key in OPTIONS:
@@ -116,7 +116,7 @@ class Reader:
         self.outputs.append(Output(key, self.outputs[-1].time_ns, numbers(words)))
 
     def motion(self) -> Motion:
-        """Return the motion whose lines were read."""
+        """Return the motion from the lines that were read."""
         given = self._given
         body = RigidBody(tensor(given['inertia']),
                          tensor(given['damping']) if 'damping' in given else None)
@@ -143,12 +143,12 @@ class Reader:
 
 
 def numbers(words: Iterable[str]) -> tuple[float, ...]:
-    """Return hexadecimal numbers."""
+    """Return the values of hexadecimal numbers."""
     return tuple(map(float.fromhex, words))
 
 
 def field(key: str, words: list[str]) -> UniformField | GravityGradient:
-    """Return the field of a line."""
+    """Return the field that a line describes."""
     if key == 'uniform_field':
         values = numbers(words)
         return UniformField(values[:3], values[3:])
@@ -157,7 +157,7 @@ def field(key: str, words: list[str]) -> UniformField | GravityGradient:
 
 
 def tensor(words: Iterable[str]) -> np.ndarray:
-    """Return the symmetric tensor of xx, yy, zz, xy, xz, yz, shape (3, 3)."""
+    """Return the symmetric tensor with entries xx, yy, zz, xy, xz, yz, shape (3, 3)."""
     xx, yy, zz, xy, xz, yz = numbers(words)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -175,7 +175,7 @@ def read(path: Path = VECTORS) -> list[Motion]:
 
 
 def output(trajectory: Trajectory, row: int, key: str) -> tuple[float, ...]:
-    """Return the numbers of a line for one of the states of a trajectory."""
+    """Return the numbers of a line for one state of a trajectory."""
     if key == 'state':
         found = *trajectory.attitude[row], *trajectory.angular_velocity[row]
     elif key == 'rotor_momentum':
@@ -186,7 +186,7 @@ def output(trajectory: Trajectory, row: int, key: str) -> tuple[float, ...]:
 
 
 def alone(motion: Motion) -> list[Output]:
-    """Return what the engine computes for each output of a motion."""
+    """Compute a motion, and return the value of each of its outputs."""
     trajectory = motion.problem.propagate(at=motion.times_ns)
     found, row = [], -1
     for key, time_ns, _ in motion.outputs:
@@ -196,7 +196,7 @@ def alone(motion: Motion) -> list[Output]:
 
 
 def together(motions: list[Motion]) -> Iterator[list[Output]]:
-    """Yield the states of each motion of a group, all computed in one call."""
+    """Compute all motions of a group in one call, and yield the states of each."""
     problems, times_ns = [motion.problem for motion in motions], motions[0].times_ns
     bodies = RigidBodies([problem.body.inertia for problem in problems],
                          [problem.body.damping for problem in problems])
@@ -220,7 +220,7 @@ def together(motions: list[Motion]) -> Iterator[list[Output]]:
 
 
 def difference(expected: list[Output], found: list[Output]) -> str:
-    """Return the first number that differs in a bit or is missing, or an empty text."""
+    """Return the first number that differs in a bit or is missing, as text, or ''."""
     if len(expected) != len(found):
         return f'expected {len(expected)} outputs, found {len(found)}'
     for there, here in zip(expected, found, strict=True):
@@ -236,7 +236,7 @@ def difference(expected: list[Output], found: list[Output]) -> str:
 
 
 def differences(motions: list[Motion]) -> list[str]:
-    """Return a line for each motion that differs, computed alone or with its group."""
+    """Return a line for each motion that differs when computed alone or with its group."""
     lines = [(motion.name, difference(motion.outputs, alone(motion))) for motion in motions]
     groups = {}
     for motion in motions:

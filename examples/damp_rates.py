@@ -15,8 +15,8 @@
 """
 Two controllers that stop a tumbling CubeSat: a function, and a class with memory.
 
-How often do they succeed, if rates, inertia and thrust are uncertain? In the folder of this
-repository:
+How often do they succeed if rates, inertia and thrust are uncertain? To find out, run this in the
+folder of this repository:
 
     attitude_ensemble --scene examples/damp_rates.yaml --vary examples/damp_rates_vary.yaml
         --controller examples.damp_rates:damp --until 60 --runs 200 --require 'rate < 0.05' -o runs
@@ -30,7 +30,7 @@ GAIN, LIMIT, TIME_CONSTANT, STEP = 0.02, 0.002, 0.5, 0.1
 
 def damp(state, time):
     """
-    Return a torque against the rotation, which thrusters limit.
+    Return a torque against the rotation, limited to what the thrusters can exert.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def damp(state, time):
 
 
 class FilteredDamping:
-    """The same with a low-pass filter for the rates; each run has an instance of its own."""
+    """The same law with low-pass-filtered rates; each run gets an instance of its own."""
 
     def __init__(self):
         self.rates = None

@@ -49,7 +49,7 @@ def main() -> int:
 
 
 def replay(recording_path, scene, output, *arguments):
-    """Run attitude_replay as from the command line."""
+    """Run attitude_replay as the command line does."""
     words = [recording_path, '--scene', scene, '-o', output, '--plot', output.with_suffix('.png'),
              '--overwrite', *arguments]
     status = attitude_replay([os.path.relpath(word) if isinstance(word, Path) else word
@@ -102,7 +102,7 @@ def run_live():
 
 
 def compare_with_live():
-    """Print at how many torques the replay and the committed states are equal bit for bit."""
+    """Print at how many stamps the replay and the committed states are equal bit for bit."""
     source = recording.read(RECORDINGS / 'tumbler.mcap')
     committed = recording.read(OUTPUT / 'live.mcap', COMMITTED, messages.ODOMETRY)
     attitude = recording.read(OUTPUT / 'replay.mcap', '/attitude', messages.QUATERNION)

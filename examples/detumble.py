@@ -16,13 +16,13 @@
 Detumble a satellite with magnetic torque rods: the B-dot law, for a node in lockstep.
 
 The rods oppose the change of the measured field (Stickler and Alfriend, "Elementary magnetic
-attitude control system", 1976). The law needs no rates: the body turns much faster than the field
-on the orbit.
+attitude control system", 1976). The law needs no measured rates: the body turns much faster than
+the field along the orbit, so the change of the measured field shows the rates.
 
     attitude_regress examples/detumble.mcap --scene examples/detumble.yaml --tolerance 1e-9 \
         -- python3 examples/detumble.py
 
-A sine of another C library may differ in the last bit, hence the tolerance.
+The command needs a tolerance because the sine of another C library may differ in the last bit.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ _GAIN = 5e4
 
 
 class BDot:
-    """The law: the torque, N m, at each time, s, and attitude."""
+    """The B-dot law: a torque, N m, from time, s, and attitude."""
 
     def __init__(self) -> None:
         self._seconds, self._field, self._torque = -np.inf, np.zeros(3), np.zeros(3)
 
     def torque(self, seconds: float, attitude: np.ndarray) -> np.ndarray:
-        """Return the torque; for the same time again, the same."""
+        """Return the torque; a second call for the same time returns the same torque."""
         if seconds > self._seconds:
             field = measured_field(seconds, attitude)
-            change = (field - self._field) / (seconds - self._seconds)  # zero at first
+            change = (field - self._field) / (seconds - self._seconds)  # zero in the first call
             self._torque = torque(-_GAIN * change, field)
             self._seconds, self._field = seconds, field
         return self._torque

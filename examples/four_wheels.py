@@ -15,8 +15,8 @@
 """
 Hold an attitude with four wheels, one of them skewed, in lockstep.
 
-The torque on the body is that of a PD law. Of all efforts with this sum, those with the least
-squares are commanded.
+A PD law gives the torque on the body. Many efforts of the four wheels exert this torque; the
+controller commands those with the least sum of squares.
 
     attitude_regress four_wheels.mcap --scene examples/four_wheels.yaml --update --duration 20 \
         -- python3 examples/four_wheels.py
@@ -34,16 +34,17 @@ from torque_rods import run, state
 
 NAMES = ['rw_x', 'rw_y', 'rw_z', 'rw_skewed']
 _SKEWED = 1.0 / math.sqrt(3.0)
-#: The axes of the wheels, body axes, in columns.
+#: Columns: the axes of the wheels, in body axes.
 AXES = np.column_stack([np.eye(3), 3 * [_SKEWED]])
-#: N m/rad, N m s/rad.
+#: N m/rad, N m s/rad; gains of the PD law.
 _PROPORTIONAL, _DERIVATIVE = 5e-3, 4e-2
 
 
 def efforts(attitude: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return the efforts, N m, that turn the body axes to the space axes."""
     wheels = math.copysign(2.0 * _PROPORTIONAL, attitude[3]) * attitude[:3] + _DERIVATIVE * rates
-    # The inverse of I + a a^T, with |a| = 1, is I - a a^T / 2: no library computes a digit.
+    # Written out, with the inverse of I + a a^T for |a| = 1, which is I - a a^T / 2. A linear
+    # algebra library could give other digits on another machine.
     skewed = AXES[:, 3]
     first = wheels - 0.5 * skewed * (skewed[0] * wheels[0] + skewed[1] * wheels[1]
                                      + skewed[2] * wheels[2])
@@ -51,7 +52,7 @@ def efforts(attitude: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 class Holder(Node):
-    """Reply to every state with a command of the wheels."""
+    """Reply to every state with a command to the wheels."""
 
     def __init__(self) -> None:
         super().__init__('holder')

@@ -15,9 +15,10 @@
 """
 The Dzhanibekov effect: a wing nut that spins about its intermediate axis flips periodically.
 
-Plots the angular velocity, and the angle from the intermediate axis to the angular momentum, to
-intermediate_axis.png or another file. Prints the time between flips, from the motion and from the
-textbook formula (Landau and Lifshitz, Mechanics, section 37), which needs scipy.
+The example plots the angular velocity, and the angle from the intermediate axis to the angular
+momentum, to intermediate_axis.png or another file. It prints the time between flips from the
+computed motion, and from the textbook formula (Landau and Lifshitz, Mechanics, section 37). The
+formula needs scipy.
 
     python examples/intermediate_axis.py [PNG]
 """
@@ -44,14 +45,14 @@ def wing_nut():
 
 def flip_times(start, motion):
     """
-    Return the times when the rate about the intermediate axis changes sign, s, shape (n,).
+    Return the times, s, shape (n,), at which the rate about the intermediate axis changes sign.
 
     Parameters
     ----------
     start : State
-        Initial state, at time 0; the motion near each flip is computed again from it.
+        Initial state, at time 0. The function computes the motion near each flip again from it.
     motion : Trajectory
-        Motion from that state on, sampled densely enough to show every flip.
+        Motion from `start` on, sampled densely enough to show every flip.
 
     """
     body, middle = motion.body, motion.body.principal_axes[:, 1]
@@ -71,9 +72,9 @@ def textbook_time(moments, rates):
     Parameters
     ----------
     moments : array, shape (3,), kg m^2
-        Ascending.
+        Principal moments in ascending order.
     rates : array, shape (3,), rad/s
-        About the axes of those moments.
+        Angular velocity about their axes.
 
     """
     def excess(moment):  # L^2 - 2 E moment, in a form without cancellation
@@ -98,7 +99,7 @@ def draw(path, motion, flips):
     motion : Trajectory
         Motion from time 0 on.
     flips : array, shape (n,), s
-        Two or more: the time between the first two is marked.
+        Times of at least two flips; the plot marks the time between the first two.
 
     """
     seconds = motion.times_ns * 1e-9

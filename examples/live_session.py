@@ -15,7 +15,7 @@
 """
 A live run over DDS: a node process, a publisher of torques, and a recorder of the outputs.
 
-No packet leaves the machine, and other ROS domains are not disturbed.
+No packet leaves the machine, and the run does not disturb other ROS domains.
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ NODE = 'attitude_node'
 ACCEPTED, COMMITTED, ATTITUDE = f'/{NODE}/accepted_torque', f'/{NODE}/committed', '/attitude'
 _KINDS = {ACCEPTED: messages.WRENCH, COMMITTED: messages.ODOMETRY, ATTITUDE: messages.QUATERNION}
 DIAGNOSTICS = '/diagnostics'
-#: Lose no torque on a busy machine; by default the node subscribes best effort.
+#: Arguments that let the node lose no torque on a busy machine; its default is best effort.
 RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
-#: Keeps packets on the machine, for Humble and for later releases.
+#: Environment variables that keep packets on the machine, for Humble and for later releases.
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 _PROGRAM = (sys.executable, '-c',
             'import sys; from rigid_body_ros.commands import main; sys.exit(main.attitude_node())')
-#: A busy machine takes long to start a process.
+#: Long, because a busy machine takes long to start a process.
 _PATIENCE_S = 60.0
 
 
 class LiveSession:
     """
-    Run `attitude_node` on a scene; entering the context waits until everything is connected.
+    Run `attitude_node` with a scene; on entry, the context waits until everything is connected.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class LiveSession:
         self._domain = domain
         self.environment = os.environ | _LOCAL | {'ROS_DOMAIN_ID': str(domain)}
         self.command = [*program, '--ros-args', '--params-file', str(scene), *arguments]
-        # With these, the node publishes nothing before the first /clock message or torque.
+        # With these arguments, the node publishes nothing before the first /clock or torque.
         self._waits = {'use_sim_time:=true', 'mode:=lockstep'} & {*arguments}
         self.received = {topic: [] for topic in _KINDS}
         self.diagnostics = []
@@ -132,8 +132,8 @@ class LiveSession:
         self.wait_until(lambda: self._torque.get_subscription_count()
                         and self._initial_state.get_subscription_count(), 'the node to subscribe')
         if self._waits:
-            # An answer shows that the node knows all readers made before, those of outputs that
-            # it publishes once, too.
+            # An answer shows that the node has discovered all subscriptions created before this
+            # call, including those to outputs that it publishes only once.
             self.call(ListParameters, 'list_parameters')
         else:
             self.wait_until(lambda: self.received[COMMITTED], 'the start state')
@@ -153,7 +153,7 @@ class LiveSession:
         rclpy.shutdown(context=self._context)
 
     def publish(self, time_ns, frame_id, torque):
-        """Publish a torque, N m, stamped time_ns."""
+        """Publish a torque, N m, with the stamp time_ns."""
         self._torque.publish(messages.wrench(time_ns, frame_id, torque))
 
     def publish_bytes(self, data):
@@ -173,7 +173,7 @@ class LiveSession:
         return self._result(self._reset.call_async(Trigger.Request()))
 
     def diagnosis(self, name):
-        """Return the values, level and message of the latest status with a name."""
+        """Return the values, level and message of the latest status with this name."""
         self.wait_until(lambda: self.diagnostics, 'diagnostics')
         status = next(status for array in reversed(self.diagnostics) for status in array.status
                       if status.name == f'/{NODE}: {name}')
@@ -182,7 +182,7 @@ class LiveSession:
 
     @property
     def torques(self):
-        """Return the serialized torques that the node accepted, of all epochs."""
+        """Return the serialized torques that the node accepted in all epochs."""
         return [data for data in self.received[ACCEPTED]
                 if not messages.is_epoch_marker(messages.WRENCH.decode(data).frame_id)]
 
@@ -206,7 +206,7 @@ class LiveSession:
         return self.node.get_clock().now().nanoseconds
 
     def spin(self, seconds):
-        """Receive messages for this time, s."""
+        """Receive messages for some seconds."""
         until = time.monotonic() + seconds
         while (rest := until - time.monotonic()) > 0.0:
             interrupts.check()
@@ -261,7 +261,7 @@ class LiveSession:
         return self.process.returncode
 
     def restart(self):
-        """Kill the node as a crash does, start it again, and wait for its start state."""
+        """Kill the node as if it crashed, start it again, and wait for its start state."""
         self.process.kill()
         self.process.wait()
         self.spin(0.3)  # receive what it has sent
@@ -276,7 +276,7 @@ class LiveSession:
 
     def words(self):
         """Return the stderr output of the node so far."""
-        # The node writes at the shared file position; pread does not move it.
+        # The node shares the position in this file, and pread does not move the position.
         descriptor = self._stderr.fileno()
         return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode()
 

@@ -15,9 +15,9 @@
 """
 Uncertainty of the final attitude if the moments of inertia are known only to 5 %.
 
-Draws a thousand bodies and propagates each from the same start under the same recorded torques.
-Prints how far their final attitudes are from that of the nominal body. Except for the wall times,
-the numbers are the same in every run.
+The example draws a thousand bodies and propagates each from the same start under the same recorded
+torques. It prints how far their final attitudes are from the final attitude of the nominal body.
+All printed numbers except the wall times are the same in every run.
 
     python examples/monte_carlo.py
 """
@@ -46,8 +46,8 @@ def draw(nominal):
     Parameters
     ----------
     nominal : RigidBody
-        Its largest moment must be so much smaller than the sum of the others that every body
-        drawn is physical.
+        Its largest moment must be clearly smaller than the sum of the other two, so that every
+        drawn body is physical.
 
     """
     factors = np.random.default_rng(1).uniform(1.0 - SPREAD, 1.0 + SPREAD, (BODIES, 3))

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Turn a message of your own into a torque: here four thrusts, N, of the motors of a quadrotor.
+Turn a message of your own into a torque: here the thrusts, N, of the four motors of a quadrotor.
 
     python examples/relay.py --ros-args -r torque:=/wrench
 
-Replace the type of the message, and the function `torque_of`.
+For your message, replace the type of the subscription and the function `torque_of`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
-#: m; places of the motors, which push along +z: front left, front right, rear left, rear right.
+#: m; x and y of the motors, which push along +z: front left, front right, rear left, rear right.
 PLACES = [(0.1, 0.1), (0.1, -0.1), (-0.1, 0.1), (-0.1, -0.1)]
-#: m; torque of the air about z for a thrust of 1 N, by the direction in which a motor turns.
+#: m (N m per N); drag torque about z per thrust. Its sign depends on how the motor turns.
 DRAG = [0.01, -0.01, -0.01, 0.01]
 
 
@@ -53,7 +53,7 @@ class Relay(Node):
 
     def _on_thrusts(self, message: Float64MultiArray) -> None:
         wrench = WrenchStamped()
-        # A message with a header has the better stamp: wrench.header.stamp = message.header.stamp
+        # If your message has a header, use its stamp: wrench.header.stamp = message.header.stamp
         wrench.header.stamp = self.get_clock().now().to_msg()
         wrench.header.frame_id = 'base_link'
         torque = wrench.wrench.torque

@@ -15,8 +15,8 @@
 """
 Replay a recording of torques in your own program, as `attitude_replay` does.
 
-Reads the recording of a tumbling CubeSat that comes with the package, or your own recording (MCAP,
-rosbag2 or CSV; see docs/recordings.md) and scene.
+The example reads the recording of a tumbling CubeSat that comes with the package, or your own
+recording (MCAP, rosbag2 or CSV; see docs/recordings.md) and scene.
 
     python examples/replay_log.py [RECORDING] [--scene FILE]
 """

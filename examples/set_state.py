@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Set the attitude and the angular velocity of a running node, and print its answer.
+Set the attitude and the angular velocity of a running node, and print the answer of the node.
 
     python examples/set_state.py
 
-The state holds from now on. The node must be there already: nothing is sent before it is.
+The state applies from now on. The script waits until the node runs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ ATTITUDE, RATES = (0.0, 0.0, 0.6, 0.8), (0.0, 0.0, 0.1)
 
 
 def set_state(node: Node) -> DiagnosticStatus:
-    """Return the answer of the node attitude_node to a state that is sent to it."""
+    """Send a state to the node attitude_node, and return its answer."""
     answers = []
     node.create_subscription(DiagnosticStatus, '/attitude_node/initial_state_result',
                              answers.append, 10)

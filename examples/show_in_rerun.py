@@ -15,8 +15,9 @@
 """
 Show a recorded motion in Rerun: the moving body, its angular momentum, and plots.
 
-Takes a motion that `attitude_replay` wrote and the scene it was computed with. Needs the Python
-package rerun-sdk. Opens the viewer, or with --save writes a file that `rerun FILE.rrd` opens.
+The example reads a motion that `attitude_replay` wrote, and the scene of the replay. It opens the
+viewer, or with --save writes a file that `rerun FILE.rrd` opens. It needs the Python package
+rerun-sdk.
 
     python examples/show_in_rerun.py MOTION.mcap --scene FILE [--save FILE.rrd]
 """
@@ -35,7 +36,7 @@ try:
 except ModuleNotFoundError:
     sys.exit('rerun is not installed; run python3 -m pip install rerun-sdk')
 
-#: The colours of our plots, which colour-blind people can tell apart.
+#: The colours of the plots of this package; colour-blind people can tell them apart.
 BLUE, ORANGE, GREEN, PURPLE = (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167)
 GREY = (179, 191, 204)
 #: m; longer than the body, whose longest edge is 1 m.
@@ -94,7 +95,7 @@ def blueprint(sequence):
 
 
 def send_body(body, attitude):
-    """Send a uniform box with the moments of the body, its axes, and how it turns."""
+    """Send a uniform box with the moments of inertia of the body, its axes, and its motion."""
     rr.log('space', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     axes = rr.Quaternion(xyzw=so3.from_matrix(body.principal_axes))
     rr.log(BODY, rr.TransformAxes3D(0.8), static=True)
@@ -112,7 +113,7 @@ def send_arrows(path, recorded, vectors, colour):
 
 
 def without_jumps(angles):
-    """Return angles with gaps, so that no line is drawn from 2 pi back to 0."""
+    """Return the angles with a gap at each jump, so that no line is drawn from 2 pi back to 0."""
     broken = angles.copy()
     broken[1:][np.abs(np.diff(angles, axis=0)) > np.pi] = np.nan
     return broken
@@ -126,7 +127,7 @@ def send_curves(path, recorded, values, names):
 
 
 def over(recorded):
-    """Return the times of a recorded topic, from the first one on."""
+    """Return the times of a recorded topic, relative to the first."""
     elapsed = recorded.stamps_ns - recorded.stamps_ns[0]
     return rr.TimeColumn('time', duration=elapsed.astype('timedelta64[ns]'))
 

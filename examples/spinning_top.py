@@ -17,8 +17,8 @@ A torque-free top that wobbles: its axis precesses about the angular momentum at
 
 For a symmetric top the rate is |L| / I_t, where I_t is the transverse moment of inertia (Landau
 and Lifshitz, Mechanics, section 33). The example compares this formula with the rate of the
-computed motion. Gravity exerts no torque about the centre of mass: think of a top thrown into the
-air.
+computed motion. Think of a top thrown into the air: gravity exerts no torque about its centre of
+mass.
 
     python examples/spinning_top.py
 """
@@ -48,7 +48,8 @@ def azimuth(axis, momentum):
     Parameters
     ----------
     axis : array, shape (m, 3), space axes
-        Less than half a turn between rows; the first row is not parallel to the momentum.
+        Must turn by less than half a turn between rows; the first row must not be parallel to the
+        momentum.
     momentum : array, shape (3,), space axes
         Not zero; only its direction matters.
 
@@ -61,7 +62,7 @@ def azimuth(axis, momentum):
 
 def main():
     top = child_top()
-    # Densely enough for `azimuth` to count the turns.
+    # Dense enough for `azimuth` to count the turns.
     times_ns = np.linspace(0, SECONDS * 10 ** 9, 1000 * SECONDS + 1).astype(np.int64)
     motion = propagate(top, State(angular_velocity=RATES), at=times_ns)
 

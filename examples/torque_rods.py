@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-What controllers of magnetic torque rods share: the field, their torque, and the messages.
+Functions for controllers of magnetic torque rods: the field, the torque, and the messages.
 
-Rods with the dipole m (A m^2, body axes) in the field B (T) exert the torque m x B on a satellite,
-which has no component along the field.
+Rods with the dipole m (A m^2, body axes) in the field B (T) exert the torque m x B on a satellite.
+This torque has no component along the field.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rigid_body_ros import so3
 
-#: A m^2; the largest dipole of a rod, one on each body axis.
+#: A m^2; the largest dipole of a rod. There is one rod on each body axis.
 LARGEST = 0.2
 #: T; the field of the Earth above the equator at 500 km, for a dipole along its axis.
 _FIELD = 2.46e-5
-#: rad/s and rad; an orbit at 500 km over the poles.
+#: rad/s and rad; a nearly polar orbit at 500 km.
 _MEAN_MOTION, _INCLINATION = 1.1068e-3, 1.7
 
 
@@ -50,12 +50,12 @@ def measured_field(seconds: float, attitude: Sequence[float]) -> np.ndarray:
 
 
 def torque(dipole: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """Return the torque, N m, of the nearest dipole to a desired one that the rods have."""
+    """Return the torque, N m, of a desired dipole, A m^2, clipped to what the rods can exert."""
     return np.cross(np.clip(dipole, -LARGEST, LARGEST), field)
 
 
 def state(odometry: Odometry) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return time, s, attitude, x y z w, and rates, rad/s, body axes."""
+    """Return the time (s), the attitude (x y z w) and the rates (rad/s, body axes) of a state."""
     stamp, turn = odometry.header.stamp, odometry.pose.pose.orientation
     rates = odometry.twist.twist.angular
     return (stamp.sec + 1e-9 * stamp.nanosec, np.array([turn.x, turn.y, turn.z, turn.w]),
@@ -63,7 +63,7 @@ def state(odometry: Odometry) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def wrench(header: object, values: np.ndarray) -> WrenchStamped:
-    """Return a torque, N m, body axes, with the stamp of a state."""
+    """Return a message with a torque, N m, body axes, and with the stamp of a state."""
     message = WrenchStamped()
     message.header.stamp = header.stamp
     message.wrench.torque.x, message.wrench.torque.y, message.wrench.torque.z = values.tolist()

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Two bodies in one process: nodes with names, namespaces and parameters of their own.
+Two bodies in one process, each a node with its own namespace and parameters.
 
     python examples/two_bodies.py
 
-Ctrl-C ends it, after the states that are pending have been published.
+On Ctrl-C, the nodes publish their pending states, and the process ends.
 """
 
 import signal

@@ -16,14 +16,15 @@
 Hold an attitude with reaction wheels, and unload them with magnetic torque rods, in lockstep.
 
 Disturbances of one sign speed the wheels up until they saturate. The rods exert a torque against
-the momentum of the wheels, as far as it is across the field of the Earth (Camillo and Markley,
-"Orbit-averaged behavior of magnetic control laws for momentum unloading", 1980); the wheels, which
-hold the attitude, then slow down. Along an orbit the field turns, so all of the momentum goes.
+the part of the wheel momentum that is perpendicular to the field of the Earth (Camillo and
+Markley, "Orbit-averaged behavior of magnetic control laws for momentum unloading", 1980). The
+wheels hold the attitude against this torque and slow down. Along an orbit the direction of the
+field changes, so in time the rods remove all of the momentum.
 
     attitude_regress examples/unload_wheels.mcap --scene examples/unload_wheels.yaml \
         --tolerance 1e-9 -- python3 examples/unload_wheels.py
 
-A sine of another C library may differ in the last bit, hence the tolerance.
+The command needs a tolerance because the sine of another C library may differ in the last bit.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ import numpy as np
 from rclpy.node import Node
 from torque_rods import measured_field, run, state, torque, wrench
 
-#: N m/rad, N m s/rad: of the wheels.
+#: N m/rad, N m s/rad; gains of the wheels.
 _PROPORTIONAL, _DERIVATIVE = 3.5e-4, 5e-3
-#: 1/s; how fast the rods take momentum.
+#: 1/s; how fast the rods remove momentum.
 _UNLOADING = 2e-3
 
 
 def of_wheels(attitude: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Return the torque on the rotors, N m, which turns the body axes to the space axes."""
+    """Return the torque on the rotors, N m, that turns the body axes to the space axes."""
     return math.copysign(2.0 * _PROPORTIONAL, attitude[3]) * attitude[:3] + _DERIVATIVE * rates
 
 
@@ -54,13 +55,13 @@ def of_rods(seconds: float, attitude: np.ndarray, momentum: np.ndarray) -> np.nd
 
 
 class Unloader(Node):
-    """Reply to every state with a torque of the rods and one of the wheels."""
+    """Reply to every state with a torque of the rods and a torque on the wheels."""
 
     def __init__(self) -> None:
         super().__init__('unloader')
         self._rods = self.create_publisher(WrenchStamped, 'torque', 10)
         self._wheels = self.create_publisher(WrenchStamped, 'wheel_torque', 10)
-        #: The messages of a state, until both are there.
+        #: By stamp, ns: the messages of a state, until both have arrived.
         self._states: dict[int, Odometry] = {}
         self._momenta: dict[int, Vector3Stamped] = {}
         for kind, topic, waiting in ((Odometry, 'odometry', self._states),
