@@ -40,20 +40,20 @@ import yaml
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 WRENCH, BARE = 'geometry_msgs/msg/WrenchStamped', 'geometry_msgs/msg/Wrench'
-#: Delays from the stamp of a message to its publication and its log time, ns.
+#: Delay from the stamp of a message to its publication, and to its log time, ns.
 PUBLISHED, LOGGED = 500_000, 1_000_000
 #: The QoS that a publisher offers, as in any recording of rosbag2.
 QOS = Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.VOLATILE,
           Time(9223372036, 854775807), Time(9223372036, 854775807), QosLiveliness.AUTOMATIC,
           Time(9223372036, 854775807), False)
-#: Frames that need every length of padding, some with non-ASCII letters.
+#: Frames that need every length of padding, some of them with non-ASCII letters.
 FRAMES = ['base_link', 'world', '', 'a', 'ab', 'abc', 'abcd', 'abcde', 'abcdef', 'Flügel/機体',
           'robot_1/arm_left/wrist_force_torque_sensor_frame']
 #: Options for a file without summary and index.
 UNINDEXED = {'index_types': IndexType.NONE, 'repeat_channels': False, 'repeat_schemas': False,
              'use_statistics': False, 'use_summary_offsets': False}
 
-#: By type, its fields in IDL.
+#: The fields of each message type in IDL.
 IDL = {
     'builtin_interfaces/msg/Time': 'int32 sec; unsigned long nanosec;',
     'std_msgs/msg/Header': 'builtin_interfaces::msg::Time stamp; string frame_id;',
@@ -76,7 +76,7 @@ class Torques:
         return Torques(self.stamps_ns[rows], frame_ids, self.values[rows])
 
     def rows(self):
-        """Return the messages as tuples, which are equal only if all bits are."""
+        """Return the messages as tuples that are equal only if all bits are."""
         return [(stamp, frame_id, row.tobytes()) for stamp, frame_id, row in
                 zip(self.stamps_ns.tolist(), self.frame_ids, np.ascontiguousarray(self.values))]
 
@@ -102,7 +102,7 @@ def big_endian(one):
 
 
 def dirty(one):
-    """Return a message as middleware may send it: nonzero padding, also at the end."""
+    """Return a message as middleware may send it, with nonzero padding, also at the end."""
     data = one.cdr()
     if one.kind != WRENCH:
         return data
@@ -113,7 +113,7 @@ def dirty(one):
 
 
 def torques(count=200, frames=('base_link',), seed=1):
-    """Return random torques at irregular times, among them zeros, infinities and NaN."""
+    """Return random torques at irregular times, including zeros, infinities and NaN."""
     random = np.random.default_rng(seed)
     stamps = EPOCH_NS + np.cumsum(random.integers(1_000, 10_000_000, count))
     values = random.normal(size=(count, 6))
@@ -123,7 +123,7 @@ def torques(count=200, frames=('base_link',), seed=1):
 
 
 def traffic(recorded, topic='/torque', others=False, header=True):
-    """Return torques as messages; with `others`, also messages of other types, from the start."""
+    """Return torques as messages; with `others`, begin with messages of other types."""
     random = np.random.default_rng(2)
     sent = []
     for number, (stamp, frame_id, values) in enumerate(
@@ -209,7 +209,7 @@ def bare(folder, sent, **options):
 
 
 def split(folder, sent, parts=3, prefix='', **options):
-    """Write a rosbag2 directory of several files, with the names and metadata of rosbag2."""
+    """Write a rosbag2 directory with several files, named and described as by rosbag2."""
     bag = folder / 'bag'
     bag.mkdir()
     bounds = np.linspace(0, len(sent), parts + 1).astype(int)
@@ -240,8 +240,8 @@ def sqlite(folder, sent, schema=3, killed=False):
     """
     Write a .db3 file with the schema of an older ROS: 1 Dashing, 2 Foxy, 3 Humble.
 
-    With `killed`, the file is in the state in which a killed recorder in 'resilient' mode leaves
-    it: all rows are in the journal.
+    With `killed`, write the file as a recorder in 'resilient' mode leaves it when it is killed:
+    all rows are in the journal.
     """
     live = folder / 'live.db3'
     qos = ', offered_qos_profiles TEXT NOT NULL' * (schema > 1)
@@ -278,7 +278,7 @@ def sqlite(folder, sent, schema=3, killed=False):
 
 _ZSTD, _LZ4, _PLAIN = CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE
 
-#: Functions of a folder and messages that write them and return the path to read.
+#: Functions that write messages to a folder, and return the path to read.
 FORMS = {
     **{f'mcap-{compression.name.lower()}{chunks}{index}': partial(
         mcap, compression=compression, use_chunking=not chunks, **(UNINDEXED if index else {}))
@@ -325,13 +325,13 @@ FORMS = {
     'sqlite3-humble': sqlite,
     'sqlite3-killed': partial(sqlite, killed=True),
 }
-#: Bags that rosbags does not read: it requires a profile, finds no message if there is an index of
-#: chunks but none of messages, and opens no journal.
+#: Bags that rosbags does not read. It requires a profile, finds no messages without an index of
+#: messages if there is one of chunks, and does not open a journal.
 UNREAD = {'mcap-no-profile', 'mcap-chunk-index-only', 'sqlite3-killed'}
 
 
 def read_by_rosbags(path, topic='/torque'):
-    """Return torques and log times, read with rosbags, in the order of log times."""
+    """Return torques and log times, read with rosbags, sorted by log time."""
     with AnyReader([path], default_typestore=STORE) as reader:
         found = [connection for connection in reader.connections if connection.topic == topic]
         read = [(time_ns, reader.deserialize(data, connection.msgtype))
@@ -345,7 +345,7 @@ def read_by_rosbags(path, topic='/torque'):
 
 
 def read_by_mcap(path):
-    """Return torques, read with mcap in the order of the file."""
+    """Return torques, read with mcap, in the order of the file."""
     with open(path, 'rb') as stream:
         read = [messages.WRENCH.decode(message.data) for _, _, message in
                 NonSeekingReader(stream, validate_crcs=True).iter_messages(

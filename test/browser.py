@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Pages in headless Chromium that can reach no host."""
+"""Pages in a headless Chromium that cannot reach any host."""
 
 from contextlib import contextmanager
 import shutil
@@ -24,7 +24,7 @@ CHROMIUM = shutil.which('chromium')
 
 @contextmanager
 def started():
-    """Yield the browser; skip the test if it or its driver is not installed."""
+    """Yield the browser; skip the test if the browser or its driver is not installed."""
     driver = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
     if not CHROMIUM:
         pytest.skip('Chromium is not installed')
@@ -35,7 +35,7 @@ def started():
 
 @contextmanager
 def opened(browser, path, width=1280, **options):
-    """Yield a file as a page; fail on any request, error or message of the page."""
+    """Open a file and yield the page; fail on any request, error or message of the page."""
     page = browser.new_page(viewport={'width': width, 'height': 900}, **options)
     problems, requests = [], []
     page.on('console', lambda message: problems.append(message.text))

@@ -17,8 +17,8 @@ Run an AttitudeNode in a process that composes nodes itself, until SIGINT.
 
     python composed.py EXECUTOR [beside] --ros-args ...
 
-EXECUTOR is spin, single, multi or events. With `beside`, a second node in the same executor blocks
-for 50 ms at a time.
+EXECUTOR is spin, single, multi or events. With `beside`, a second node runs in the same executor,
+and blocks it for 50 ms at a time.
 """
 
 import signal
@@ -39,7 +39,7 @@ class StoppedError(Exception):
 
 
 def spin_events(node, sibling, stop):
-    """Spin in an EventsExecutor; its `spin` hangs in the wheels of PyPI."""
+    """Spin in an EventsExecutor without its `spin`, which hangs in the PyPI wheels of rclpy."""
     from rclpy.experimental import EventsExecutor
     executor = EventsExecutor()
     for each in (node, *sibling):
@@ -49,7 +49,7 @@ def spin_events(node, sibling, stop):
 
 
 def spin_until(node, name, sibling, stop):
-    """Spin in an executor without a timeout; only a callback can end it."""
+    """Spin in an executor without a timeout, which only a callback can end."""
     def check():
         if stop:
             raise StoppedError

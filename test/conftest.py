@@ -33,7 +33,7 @@ from rigid_body_ros import messages, propagate, recording, scene, State
 from rigid_body_ros.mechanics import so3
 
 ROOT = Path(__file__).resolve().parent.parent
-# As the setting `pythonpath` of pytest, which pytest 6 of Ubuntu 22.04 lacks.
+# Like the setting `pythonpath`, which pytest 6 of Ubuntu 22.04 lacks.
 sys.path[:0] = [str(ROOT / name) for name in ('benchmarks', 'docs', 'examples')]
 
 settings.register_profile('reproducible', derandomize=True, deadline=None, print_blob=True)
@@ -43,7 +43,7 @@ PACKAGE = Path(rigid_body_ros.__file__).parent
 NAME = 'rigid_body_ros'
 RECORDINGS = ROOT / 'test' / 'recordings'
 CONFIG = ROOT / 'config'
-#: First stamp of the recordings: here, seconds as a float are 238 ns apart.
+#: First stamp of the recordings, where adjacent doubles are 238 ns apart in seconds.
 EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
@@ -73,13 +73,13 @@ def pytest_report_header():
 
 
 def nearest_rank(numbers, percentages):
-    """Return percentiles that are among the numbers; NumPy has them from 1.22 on."""
+    """Return percentiles that are among the numbers, as NumPy can from 1.22 on."""
     ordered = np.sort(numbers)
     return [float(ordered[-(-k * len(ordered) // 100) - 1]) for k in percentages]
 
 
 def at_night(*values):
-    """Return values of a parameter, or tuples of several, that `make nightly` alone tests."""
+    """Return values of a parameter, or tuples of several, that only `make nightly` tests."""
     return [pytest.param(*(value if isinstance(value, tuple) else (value,)),
                          marks=pytest.mark.nightly) for value in values]
 
@@ -91,7 +91,7 @@ def _floating_point_errors_are_errors():
 
 
 def readable_by_all(path, flags):
-    """Open a lock file, as an opener for `open`; every user of the machine can lock it."""
+    """Open a lock file that every user of the machine can lock; an opener for `open`."""
     with suppress(FileExistsError):
         made = os.open(path, os.O_CREAT | os.O_EXCL)
         os.fchmod(made, 0o644)
@@ -101,7 +101,7 @@ def readable_by_all(path, flags):
 
 @contextmanager
 def locked(path):
-    """Hold a lock of this machine; raise BlockingIOError if another process holds it."""
+    """Hold a machine-wide lock; raise BlockingIOError if another process holds it."""
     with open(path, opener=readable_by_all) as lock:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
@@ -123,7 +123,7 @@ def domain():
 
 @pytest.fixture
 def context(domain):
-    """Yield an rclpy context in a domain of its own."""
+    """Yield an rclpy context in its own domain."""
     import rclpy
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain)
@@ -144,7 +144,7 @@ def installed(tmp_path_factory):
     folder = tmp_path_factory.getbasetemp()
     if 'PYTEST_XDIST_WORKER' in os.environ:
         folder = folder.parent  # common to all workers
-    # A build writes into the checkout: one at a time.
+    # A build writes into the checkout, so only one may run at a time.
     with open(ROOT / 'setup.py') as checkout:
         fcntl.flock(checkout, fcntl.LOCK_EX)
         if not (folder / 'installed').exists():
@@ -177,7 +177,7 @@ def memory_limit(most):
 
 @contextmanager
 def files_up_to(size):
-    """Limit the size, B, of files of this process: a write beyond it fails, as on a full disk."""
+    """Limit the file size, B, of this process: writes beyond it fail, as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -187,7 +187,7 @@ def files_up_to(size):
 
 
 class Reference:
-    """A recorded scene with its reference motion, read through the package's own reader."""
+    """A recorded scene with its reference motion, read with the reader of the package."""
 
     def __init__(self, name):
         path = RECORDINGS / f'{name}.mcap'
@@ -217,7 +217,7 @@ class Reference:
 
 
 def chord(p, q):
-    """Return the angle, rad, between attitudes, where q and -q are far apart."""
+    """Return the angle, rad, between attitudes; q and -q count as different."""
     return 2.0 * np.linalg.norm(so3.normalize(p) - q, axis=-1)
 
 

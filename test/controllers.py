@@ -24,7 +24,7 @@ import pid_controller
 
 
 class Pid(pid_controller.Pid):
-    """The controller of the tests in lockstep."""
+    """The controller that the tests of lockstep use."""
 
     def __call__(self, state, time):
         """Return the torque, N m."""
@@ -37,7 +37,7 @@ def damp(state, time):
 
 
 def vandal(state, time):
-    """Do the same, but write to all that the state has."""
+    """Return the same torque, but overwrite everything in the state."""
     torque = damp(state, time)
     for array in (state._packed, state.attitude, state.angular_velocity, state.rotor_momentum,
                   state._rotors):
@@ -54,7 +54,7 @@ def late(state, time):
 
 
 def exits(state, time):
-    """End the process, if others may go on."""
+    """Call `exit`, which must not end other runs."""
     if state.angular_velocity[0] > 0.0:
         sys.exit('enough')
     return np.zeros(3)
@@ -71,7 +71,7 @@ def huge(state, time):
 
 
 def killed(state, time):
-    """End a worker at once."""
+    """Kill the worker process."""
     if multiprocessing.parent_process():
         os._exit(3)
     print('alive')
@@ -84,12 +84,12 @@ def two(state, time):
 
 
 def words(state, time):
-    """Return no numbers."""
+    """Return words instead of numbers."""
     return 'none at all'
 
 
 def guess(state, time):
-    """Return another torque each time."""
+    """Return a random torque."""
     return [random.random(), 0.0, 0.0]
 
 

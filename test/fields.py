@@ -30,8 +30,8 @@ import terms
 from terms import SECOND
 import truth
 
-#: Change of the start, rad, from which `magnification` finds the sensitivity: the motions remain
-#: close, even magnified by 1e9, and rounding changes them by a ten-thousandth of it at most.
+#: Change of the start, rad, with which `magnification` measures the sensitivity. The motions stay
+#: close even if it is magnified by 1e9, and rounding is at most a ten-thousandth of it.
 _CHANGE = 1e-11
 
 
@@ -39,11 +39,10 @@ def magnification(run, start, times_ns, coordinates=range(6)):
     """
     Return by how much a motion magnifies a change of its start, at least 1, by time, shape (m,).
 
-    The start is changed by 1e-11 in both directions of each coordinate: a rotation about each body
-    axis, rad, and each component of the angular velocity, relative to the largest rate of the
-    motion. The differences of the changed motions, in the same coordinates, divided by the
-    difference of their starts, are a 6 by 6 matrix for each time. Its largest singular value is
-    the result.
+    Each coordinate of the start is changed by 1e-11 in both directions. The coordinates are a
+    rotation about each body axis, rad, and each component of the angular velocity, relative to the
+    largest rate of the motion. The differences of the changed motions, divided by the differences
+    of their starts, form a 6 by 6 matrix for each time. The result is its largest singular value.
 
     Parameters
     ----------
@@ -54,7 +53,7 @@ def magnification(run, start, times_ns, coordinates=range(6)):
     times_ns : array of int, shape (m,)
         The times of the result.
     coordinates : sequence of int
-        Those of the start to change: 0, 1, 2 are rotations about the axes, 3, 4, 5 rates.
+        The coordinates to change: 0, 1, 2 are rotations about the axes, and 3, 4, 5 are rates.
 
     """
     speed = np.linalg.norm(run(start, times_ns).angular_velocity, axis=1).max()
@@ -83,8 +82,8 @@ def errors(motion, expected):
     """
     Return the errors of a motion against [(attitude, rates)] in mpmath numbers, by time.
 
-    The result are angles, rad, and errors of the rates relative to the largest one, each of shape
-    (m,).
+    The results are angles, rad, and errors of the rates relative to the largest rate, each of
+    shape (m,).
     """
     attitude = np.array([truth.chord(q, found) for (q, _), found in zip(
         expected, motion.attitude)])
@@ -105,7 +104,7 @@ def plane_pendulum(problem, times_ns):
     turned, rate = 2 * mp.atan2(x, w), mp.mpf(problem.start.angular_velocity[0])
     square = (mp.sqrt((my * my + mz * mz) * (fy * fy + fz * fz))
               / mp.mpf(problem.body.inertia[0, 0]))
-    # The angle between moment and field is zero at the bottom.
+    # The angle between moment and field, which is zero at the bottom.
     ahead = mp.atan2(mz, my) - mp.atan2(fz, fy)
     start = mp.atan2(mp.sin(turned + ahead), mp.cos(turned + ahead))
     found = []
@@ -117,7 +116,7 @@ def plane_pendulum(problem, times_ns):
 
 
 def _pendulum(angle, rate, small, times_ns):
-    # Yield angle and rate. The rate of small swings is given; the start swings or goes round.
+    # Yield angle and rate, given the rate of small swings. The pendulum swings, or goes round.
     half, k = mp.sin(angle / 2), mp.sqrt(mp.sin(angle / 2) ** 2 + (rate / small) ** 2 / 4)
     for time_ns in times_ns:
         t = mp.mpf(int(time_ns)) / SECOND
@@ -166,7 +165,7 @@ def lagrange_top(problem, times_ns):
     found, before = [], mp.zero
     for time_ns in times_ns:
         t = mp.mpf(int(time_ns)) / SECOND
-        # The integrals of phi' and of phi' cos(theta) as one number.
+        # The integrals of phi' and of phi' cos(theta), as one complex number.
         both = nutation.integral(
             lambda s: precession(s) * mp.mpc(1, nutation.height(s)), before, t)
         phi, psi = phi + both.real, psi + w[2] * (t - before) - both.imag
@@ -176,10 +175,10 @@ def lagrange_top(problem, times_ns):
 
 
 class _Nutation:
-    """The height u = cos(theta) of a top by time, s, whose square rate is a cubic of it."""
+    """The height u = cos(theta) of a top by time, s; the square of its rate is a cubic in u."""
 
     def __init__(self, cubic, height, slope):
-        """Take the coefficients, the highest first, and the height and its rate at the start."""
+        """Take the coefficients, highest power first, and the height and its rate at the start."""
         self._low, self._high, outside = sorted(_real_roots(*cubic), reverse=cubic[0] < 0)
         self._m = (self._high - self._low) / (outside - self._low)
         self._rate = mp.sqrt(cubic[0] * (outside - self._low)) / 2
@@ -193,7 +192,7 @@ class _Nutation:
         return self._low + (self._high - self._low) * sn * sn
 
     def slope(self, t):
-        """Return the rate of the height."""
+        """Return the rate of the height at a time."""
         return 2 * (self._high - self._low) * self._rate * mp.fprod(
             self._functions(t, 'sn', 'cn', 'dn'))
 
@@ -217,7 +216,7 @@ class _Nutation:
 
 
 def _real_roots(a, b, c, d):
-    # Return the roots of a x^3 + b x^2 + c x + d, all of which are real: Viete's formula.
+    # Return the roots of a x^3 + b x^2 + c x + d, which are all real, by Viete's formula.
     shift = b / (3 * a)
     p, q = c / a - 3 * shift ** 2, 2 * shift ** 3 - shift * c / a + d / a
     size = mp.sqrt(-p / 3)
@@ -239,8 +238,8 @@ def _state_of_top(phi, psi, nutation, precession, spin, t):
 
 
 def _first_and_last(q):
-    # Return the Euler angles phi and psi, 3-1-3, whose half sum and difference give this
-    # quaternion.
+    # Return the Euler angles phi and psi, 3-1-3, of a quaternion, from their half sum and half
+    # difference.
     most, least = mp.atan2(q[2], q[3]), mp.atan2(q[1], q[0])
     return most + least, most - least
 
@@ -248,13 +247,13 @@ def _first_and_last(q):
 class Conserved(NamedTuple):
     """A quantity that a motion conserves."""
 
-    #: By time, shape (m,).
+    #: The value at each time, shape (m,).
     values: np.ndarray
     #: The sum of the magnitudes of its terms.
     scale: float
 
     def drift(self):
-        """Return how far the values ever are from the first one, relative to the scale."""
+        """Return the largest difference from the first value, relative to the scale."""
         return float(abs(self.values - self.values[0]).max() / self.scale)
 
 
@@ -266,7 +265,7 @@ def energy(problem, motion):
 
 
 def momentum_along(problem, motion):
-    """Return the momentum about the direction of the fields, N m s, which is the same for all."""
+    """Return the momentum, N m s, about the direction of the fields, which they share."""
     direction, momentum = np.asarray(problem.fields[0].field), motion.angular_momentum_space
     return Conserved(momentum @ direction / np.linalg.norm(direction),
                      np.linalg.norm(momentum, axis=1).max())
@@ -275,11 +274,11 @@ def momentum_along(problem, motion):
 @mp.workdps(30)
 def jacobi_integral(problem, motion):
     """
-    Return the energy as seen from the orbit, J: Jacobi's integral, computed with 30 digits.
+    Return Jacobi's integral, J, the energy as seen from the orbit, computed with 30 digits.
 
     It is T - n (normal . L) + V, with the kinetic energy T, the momentum L in space axes, and the
-    potential V of the gravity gradient, the only field. Double precision would round the angle of
-    the orbit.
+    potential V of the gravity gradient, which is the only field. Double precision would round the
+    angle of the orbit.
     """
     orbit, = problem.fields
     tensor, n = truth.exact(problem.body.inertia), mp.mpf(orbit.mean_motion)
@@ -301,8 +300,8 @@ def kovalevskaya_integral(problem, motion):
     """
     Return Kovalevskaya's integral, 1/s^4.
 
-    The moments of inertia about x and y are equal and twice that about z; the moment of the one
-    field lies in their plane.
+    The moments of inertia about x and y are equal, and twice the moment about z. The moment of the
+    only field lies in the xy plane.
     """
     one, = problem.fields
     x, y = motion.angular_velocity.T[:2]
@@ -344,7 +343,7 @@ def in_orbit(name, seed):
 
 
 def turns(problem, count):
-    """Return 2001 times up to that after which the body has turned so often, about, ns."""
+    """Return 2001 times, ns, over about this many turns of the body."""
     speed = np.linalg.norm(problem.start.angular_velocity)
     at = np.linspace(0, 100.0 / speed * SECOND, 500).astype(np.int64)
     speed = np.linalg.norm(problem.propagate(at=at).angular_velocity, axis=1).mean()

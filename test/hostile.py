@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Runs commands on hostile files within limits, and returns their error lines."""
+"""Run commands on hostile files within limits, and return their error lines."""
 
 from contextlib import contextmanager, redirect_stderr
 import io
@@ -25,7 +25,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 
 TUMBLER = CONFIG / 'tumbler.yaml'
-# Compile the functions that read messages, which the limits do not cover.
+# Compile the functions that read messages now, so that the limits do not apply to it.
 recording.read(RECORDINGS / 'tumbler.mcap')
 
 
@@ -48,7 +48,7 @@ def limits():
 
 
 def outcome(path, scene_path=TUMBLER):
-    """Return the error line of a command that reads both files, '' if there is none."""
+    """Return the error line of a command that reads both files; '' if there is none."""
     def read():
         values = scene.load(scene_path).values
         recorded = recording.read(path)
@@ -61,7 +61,7 @@ def outcome(path, scene_path=TUMBLER):
 
 
 def line_of(run, command):
-    """Return the error line of a function that runs in the place of a command, '' if none."""
+    """Return the error line of a function that runs in place of a command; '' if none."""
     with limits(), redirect_stderr(io.StringIO()) as printed:
         status = main._guarded(command, run, ())
     lines = printed.getvalue().splitlines()

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Quantities of extreme motions with a closed form or a published value.
+Quantities of extreme motions for which there is a closed form or a published value.
 
 Each function returns the known and the computed value. `test_extremes.py` compares them, and
 `benchmarks/extremes.py` prints them.
@@ -41,7 +41,7 @@ TOPS = {
 
 
 def period(name):
-    """Return the known period of the rates, s, and the one computed over a million periods."""
+    """Return the known period of the rates, s, and the period computed over a million periods."""
     moments, rates, known = TOPS[name]
     body = RigidBody.from_moments(*moments)
     time_ns = round(PERIODS * known * 1e9)
@@ -52,7 +52,7 @@ def period(name):
 
 
 def escape(offset):
-    """Return K / lambda, s, when a body 1 : 2 : 3 that rotates about axis 2 has w2 = 0."""
+    """Return K / lambda, s, the time when w2 = 0 for a body 1 : 2 : 3 that leaves axis 2."""
     body, rates = RigidBody.from_moments(1.0, 2.0, 3.0), np.array([offset, 1.0, 0.0])
     with mp.workdps(50):
         square = 2 * mp.mpf(offset) ** 2
@@ -64,10 +64,10 @@ def escape(offset):
 
 def landau_zener(half_time):
     """
-    Return R33 of a sphere with w = (1, 0, t), from -T to T: a sweep through resonance.
+    Return R33 of a sphere with w = (1, 0, t) from -T to T, a sweep through resonance.
 
-    A row (a, b) of the matrix of SU(2) obeys a'' + ((1 + t^2) / 4 + i / 2) a = 0: parabolic
-    cylinder functions (Zener 1932). For infinite T, R33 = 2 exp(-pi / 2) - 1.
+    A row (a, b) of the matrix of SU(2) obeys a'' + ((1 + t^2) / 4 + i / 2) a = 0, which parabolic
+    cylinder functions solve (Zener 1932). For infinite T, R33 = 2 exp(-pi / 2) - 1.
     """
     with mp.workdps(30):
         turn, order = mp.expjpi(0.25), mp.mpc(0, -0.25)
@@ -153,7 +153,7 @@ def dual_spin(axis, rotors):
     The body 1 : 2 : 3 spins at 1 rad/s about one of its axes, 0 to 2, which is also the axis of
     its rotor. If I is the moment of that axis, and I' and I" are the others, the square of the
     rate is -(I - I' + h) (I - I" + h) / (I' I") (Schaub and Junkins, Analytical Mechanics of Space
-    Systems, chapter 4): the spin is stable where it is negative.
+    Systems, chapter 4). The spin is stable where this square is negative.
     """
     moments, spin = np.array([1.0, 2.0, 3.0]), np.eye(3)[axis]
     others = np.delete(moments, axis)
@@ -179,7 +179,7 @@ def spin_up():
     return known, motion.attitude[0, 3]
 
 
-#: By step, s: largest momentum error, max |dL| / |L|, of ODE with Gazebo's boxes in 10 s, from
+#: Largest momentum error, max |dL| / |L|, of ODE with Gazebo's boxes in 10 s, by step, s; from
 #: github.com/scpeters/benchmark, BENCHMARK_boxes_dt.csv.
 ODE_LOSSES = {1e-3: 1.30708e-2, 5e-4: 6.43471e-3, 1e-4: 1.2715e-3}
 
@@ -195,7 +195,8 @@ def lost_momentum(solver, step):
     return apart.max() / np.linalg.norm(momentum[0])
 
 
-#: By quantity with its unit: a function that returns the reference and the result, and the bound.
+#: For each quantity with its unit, a function that returns the reference and the result, and the
+#: bound on their difference.
 KNOWN = {
     **{f'period of {name}, s': (lambda name=name: period(name), 1e-15) for name in TOPS},
     **{f'escape from the intermediate axis, offset {offset:.0e}, s':

@@ -26,20 +26,20 @@ from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
-#: Accept every torque, however long the machine keeps a process waiting.
+#: Parameters to accept every torque, however long the machine delays a process.
 PATIENT = ('-p', 'history:=60.0', '-p', 'max_future:=59.5')
 #: s; how long to wait for anything.
 PATIENCE = 300.0
 
 
 def decoded(live, topic, kind):
-    """Return the messages of a topic, without the markers that begin epochs."""
+    """Return the decoded messages of a topic, without the markers that begin epochs."""
     found = [kind.decode(data) for data in live.received[topic]]
     return [message for message in found if not messages.is_epoch_marker(message.frame_id)]
 
 
 class LateTorque(NamedTuple):
-    """A torque, and when to publish it, ns."""
+    """A torque, and the time at which to publish it, ns."""
 
     due_ns: int
     stamp_ns: int
@@ -48,7 +48,7 @@ class LateTorque(NamedTuple):
 
 
 def late_torques(start_ns, count, rate):
-    """Return torques in the order of publication: half are delayed by up to half a second."""
+    """Return torques in the order of publication; half of them are late by up to half a second."""
     random, torques = np.random.default_rng(17), []
     for number in range(count):
         stamp_ns = start_ns + number * SECOND // rate + int(random.integers(0, SECOND // 500))
@@ -71,7 +71,7 @@ class Run(NamedTuple):
     stamps_ns: np.ndarray
     committed: np.ndarray
     replay: np.ndarray
-    #: Every torque accepted, of all epochs.
+    #: All accepted torques of all epochs.
     accepted: recording.Messages
 
 
@@ -102,7 +102,7 @@ def live_values(committed):
 
 
 def commit(live, count):
-    """Make `count` states of a PATIENT node final: publish a torque that is far ahead."""
+    """Make `count` states of a PATIENT node final by publishing a torque far ahead."""
     live.spin(1.0)  # longer than the `history` that a torque ahead by `max_future` leaves
     live.publish(live.now_ns() + 59 * SECOND, '', [0.0, 0.0, 0.0])
     live.wait_until(lambda: len(live.received[COMMITTED]) == count, 'all states')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Measured motions with a known truth: an integrator and a writer that are not the package's."""
+"""Measured motions with a known truth, from an integrator and a writer outside of the package."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -34,7 +34,7 @@ TURN = Rotation.from_rotvec([0.2, -0.4, 0.3])
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A motion under torques that are held: its log, and its states at the measured stamps."""
+    """A motion under held torques: the torques, and the states at the measured stamps."""
 
     stamps_ns: np.ndarray
     attitude: Rotation
@@ -60,7 +60,8 @@ class Truth:
                  outliers=0.0, seed=0):
         """Return the measurements of a sensor whose clock is `clock` seconds behind."""
         random, count = np.random.default_rng(seed), len(self.stamps_ns)
-        # Whether a rotation is true depends on its length, which a single one lacks in SciPy 1.8.
+        # Not `mount or ...`: the truth value of a rotation needs a length, which a single one
+        # lacks in SciPy 1.8.
         mount, space = (Rotation.identity() if one is None else one for one in (mount, space))
         noise = Rotation.from_rotvec(attitude_noise * random.normal(size=(count, 3)))
         attitude = (space * self.attitude * noise * mount).as_quat()
@@ -74,7 +75,7 @@ class Truth:
 @lru_cache
 def truth(seconds=20.0, torque_rate=20.0, rate=100.0, size=0.01, seed=1, rates=tuple(RATES),
           inertia=MOMENTS):
-    """Integrate Euler's equations by DOP853, from one torque to the next."""
+    """Integrate Euler's equations by DOP853 from one torque to the next."""
     inertia = np.array(inertia)
     random = np.random.default_rng(seed)
     count = round(seconds * torque_rate)
@@ -179,7 +180,7 @@ def torque_messages(truth):
 
 
 def write(path, **topics):
-    """Write an MCAP file: by topic, pairs of a stamp and a message."""
+    """Write an MCAP file with pairs of a stamp and a message for each topic."""
     with open(path, 'wb') as stream:
         writer = Writer(stream)
         writer.start('ros2', 'test')
@@ -198,7 +199,7 @@ def write(path, **topics):
 
 
 def write_scene(path, truth, **more):
-    """Write the scene of a motion; further keys as they appear in the file, with _ for a dot."""
+    """Write the scene of a motion; further keys have _ in place of a dot."""
     names = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
     values = truth.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     start = truth.start

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node `attitude_monitor` in a process of its own, what it receives and what it publishes."""
+"""Run the node `attitude_monitor` in a separate process, send messages to it, and record it."""
 
 import os
 import signal
@@ -34,11 +34,11 @@ import yaml
 sys.path.insert(0, str(ROOT / 'benchmarks'))
 import monitor as campaign  # noqa: E402, I100
 
-#: s.
+#: s; how long to wait for anything.
 PATIENCE = 120.0
 PROGRAM = ('import sys; from rigid_body_ros.commands import main; '
            'sys.exit(main.attitude_monitor())')
-#: The same, and its wall clock, and that of the middleware, are ahead by the ns in a file.
+#: The same, but its wall clock and that of the middleware are ahead by the ns in a file.
 WITH_CLOCK = """
 from pathlib import Path
 from rclpy.clock import Clock
@@ -54,16 +54,17 @@ Clock.now = lambda clock: now(clock) + Duration(nanoseconds=int(shift.read_text(
 DrainCallback._next = taken
 """ + PROGRAM
 BEGIN_NS = 1000 * SECOND
-#: ns; simulated time in a second. If it is ten times as fast as real time, it may jump.
+#: ns; simulated time per second. If it were ten times as fast as real time, it might count as a
+#: jump.
 FASTER = 6 * SECOND
 TOPICS = {'/torque': (WrenchStamped, messages.WRENCH), '/mocap': (QuaternionStamped,
           messages.QUATERNION), '/gyro': (Vector3Stamped, messages.VECTOR3)}
-#: Their names in diagnostics.
+#: The names of these inputs in diagnostics.
 NAMES = 'torques', 'measured /mocap', 'measured /gyro'
 
 
 def stream(seconds, **wrong):
-    """Return stamps, topics and messages, in the order of the stamps."""
+    """Return stamps, topics and messages, sorted by stamp."""
     found = []
     for torques, mocap, gyro in campaign.pieces(4, seconds, **wrong):
         found += [(BEGIN_NS + int(time_ns), '/torque', messages.wrench(
@@ -76,7 +77,7 @@ def stream(seconds, **wrong):
 
 
 class Session:
-    """A monitor in a process of its own, and what it publishes."""
+    """A monitor in a separate process, and what it publishes."""
 
     def __init__(self, path, domain, program=PROGRAM, **parameters):
         entries = dict(zip(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
@@ -114,7 +115,7 @@ class Session:
         return self
 
     def publish(self):
-        """Begin to publish what the monitor receives."""
+        """Create the publishers of all inputs of the monitor."""
         self.publishers = {topic: self.node.create_publisher(kind, topic, 10_000)
                            for topic, (kind, _) in TOPICS.items()}
 
@@ -130,7 +131,7 @@ class Session:
                                         stderr=subprocess.DEVNULL)
 
     def connect(self):
-        """Wait until the monitor listens to all topics and the clock, and is heard."""
+        """Wait until the monitor receives all topics and the clock, and its outputs arrive."""
         count = len(self.diagnostics)
         self.wait(lambda: all(one.get_subscription_count() == 1
                               for one in self.publishers.values())
@@ -150,7 +151,7 @@ class Session:
             self._executor.spin_once(timeout_sec=0.01)
 
     def is_heard(self, name, before, publisher, data):
-        """Return whether a message has arrived after some; publish another, and the time."""
+        """Publish a time and a message; return whether messages have arrived since `before`."""
         self.set_clock(self.now_ns)
         publisher.publish(data)
         return self.values(name)['rejected: unknown frame'] > before
@@ -160,7 +161,7 @@ class Session:
         return sum(self.values(name)[key] for name in NAMES for key in ('received', 'lost'))
 
     def play(self, found):
-        """Publish messages no faster than they are judged, and wait until all have arrived."""
+        """Publish messages no faster than the monitor judges them, and wait for all to arrive."""
         began = time.monotonic() - found[0][0] / FASTER
         for number, (stamp_ns, topic, data) in enumerate(found):
             if not number % 20:
@@ -169,7 +170,7 @@ class Session:
             self.publishers[topic].publish(data)
             self.wait(self.keeps_up, stamp_ns, number)
         self.set_clock(found[-1][0])
-        # Some of those before may have been on their way.
+        # Some of the earlier messages may still have been in transit.
         self.received += len(found)
         self.wait(lambda: self.count() >= self.received)
 
@@ -181,15 +182,15 @@ class Session:
         return last_ns > stamp_ns - 4 * SECOND or self.count() + 400 > self.received + number
 
     def has_judged(self, count):
-        """Return whether so many windows have been judged."""
+        """Return whether this many windows have been judged."""
         return len(self.errors['rate_error']) >= count
 
     def has_jumped(self, count):
-        """Return whether the monitor has noticed so many jumps of the clock."""
+        """Return whether the monitor has noticed this many jumps of the clock."""
         return self.values('motion')['clock jumps'] == count
 
     def is_silent(self, name):
-        """Return whether an input has been found silent."""
+        """Return whether the monitor has reported an input as silent."""
         return 'nothing for' in self.status(name).message
 
     def set_clock(self, stamp_ns):
@@ -198,7 +199,7 @@ class Session:
         self.clock.publish(clock)
 
     def status(self, name):
-        """Return the latest status of this name."""
+        """Return the latest status with this name."""
         return next(status for array in reversed(self.diagnostics) for status in array.status
                     if status.name == f'/attitude_monitor: {name}')
 
@@ -207,7 +208,7 @@ class Session:
                 if pair.value.isdigit()}
 
     def levels(self):
-        """Return the levels that the model has had."""
+        """Return the levels that the status of the model has had."""
         return {status.level for array in self.diagnostics for status in array.status
                 if status.name.endswith(': model')}
 
@@ -222,7 +223,7 @@ def is_over(clock, until):
 
 
 def shifted(found, shift_ns):
-    """Return messages with other stamps."""
+    """Return messages with shifted stamps."""
     return [(stamp_ns + shift_ns, topic, TOPICS[topic][1].encode(
         stamp_ns + shift_ns, '', TOPICS[topic][1].decode(data).values))
         for stamp_ns, topic, data in found]

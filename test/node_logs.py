@@ -34,12 +34,12 @@ COMMANDS = {
 
 
 def rows(times, torques):
-    """Return (stamp, torque) of torques at times, s."""
+    """Return pairs (stamp, torque) for torques at times, s."""
     torques = np.broadcast_to(torques, (len(times), 3))
     return [(round(time * SECOND), tuple(torque)) for time, torque in zip(times, torques.tolist())]
 
 
-#: The starts of two epochs, and their torques; a torque of the first acts from its start on.
+#: The starts of two epochs, and their torques. In the first, a torque acts from the start on.
 FIRST = State(5 * SECOND, (0.1, 0.2, 0.3, 0.9), (0.15, 0.6, -0.1))
 SECOND_START = State(20 * SECOND, (0.5, -0.5, 0.5, 0.5), (-0.2, 0.1, 0.3))
 TORQUES = {ACCEPTED: rows(5.0 + 0.1 * np.arange(40), 0.01 * np.random.default_rng(1).normal(
@@ -83,7 +83,7 @@ def save(path, sent, topics=(ACCEPTED,)):
 
 
 def without(sent, topic, *numbers):
-    """Return messages without those of a topic that have certain numbers on that topic."""
+    """Return messages without those with certain numbers (in order) on a topic."""
     places = [place for place, (name, _) in enumerate(sent) if name == topic]
     left_out = {places[number] for number in numbers}
     return [one for place, one in enumerate(sent) if place not in left_out]
@@ -94,7 +94,7 @@ def attitudes(path):
 
 
 def called(tmp_path, name, log, *lines):
-    """Return the exit status of a command with a recording, and a tumbler with more lines."""
+    """Run a command with a recording and a tumbler with more lines; return its exit status."""
     command, *arguments = COMMANDS[name]
     vary, config = tmp_path / 'vary.yaml', tmp_path / 'scene.yaml'
     vary.write_text('initial_angular_velocity.z: {normal: 0.01}\n')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The data of a page, read from its text."""
+"""Read the data of a page from its text."""
 
 import base64
 import json

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-A PID controller as users write them: one torque for every state that it receives.
+A PID controller as users write it: it sends one torque for every state that it receives.
 
-It knows nothing of lockstep. A state received twice makes its integral wrong for ever.
+It knows nothing about lockstep. If it receives a state twice, its integral stays wrong.
 
     python pid_controller.py MEMORY --until NS [--first-step SECONDS] [--hang-at NS]
 
@@ -27,7 +27,7 @@ import json
 from pathlib import Path
 import time
 
-#: N m/rad, N m s/rad, N m/(rad s), s.
+#: Gains, N m/rad, N m s/rad and N m/(rad s), and step, s.
 PROPORTIONAL, DERIVATIVE, INTEGRAL, STEP = 0.1, 0.12, 0.05, 0.01
 
 
@@ -46,7 +46,7 @@ class Pid:
 
 def main():
     """Control the body until a stamp."""
-    # Here, so that a test can import the law without ROS.
+    # Imported here, so that a test can import the controller without ROS.
     from geometry_msgs.msg import WrenchStamped
     from nav_msgs.msg import Odometry
     import rclpy

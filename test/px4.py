@@ -42,8 +42,8 @@ def write(path, topics, more=()):
     """
     Write a log.
 
-    Each of the topics is a name, or a name and a number of the instance, with rows of times (us)
-    and vectors: the time of logging, the time of sampling (not for a battery), the numbers.
+    A topic is a name, or a name and the number of an instance. Its rows contain the time of
+    logging (us), the time of sampling (us, not for a battery), and the numbers.
     """
     parts = [b'ULog\x01\x12\x35\x01', struct.pack('<Q', 0), message('B', bytes(40)),
              *(message('F', f'{name}:{fields}'.encode()) for name, fields in FORMATS.items())]

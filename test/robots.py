@@ -19,7 +19,8 @@ import numpy as np
 from rigid_body_ros.mechanics import urdf
 
 SHIFT = ' xyz="0.25 0 -0.5" rpy="0.3 -0.2 1"'
-#: A force at its origin acts 0.75 m ahead of the centre of mass, along y of the body.
+#: A force at the origin of the thruster acts 0.75 m ahead of the centre of mass, along the body's
+#: y axis.
 THRUSTER = ('fixed', 'base_link', 'thruster', '1 0 -0.5', '0 0 1.5707963267948966')
 JOINTS = (THRUSTER, ('fixed', 'base_link', 'mast', '0 0 0.5', '0 0 0'),
           ('fixed', 'mast', 'lamp', '0 0.5 0', '0.1 0.2 0.3'),
@@ -30,7 +31,7 @@ JOINTS = (THRUSTER, ('fixed', 'base_link', 'mast', '0 0 0.5', '0 0 0'),
 
 
 def robot(*joints, body='base_link', origin=SHIFT, loose=()):
-    """Return a URDF with the given joints: type, parent, child, xyz, rpy and perhaps axis."""
+    """Return a URDF with joints, given as type, parent, child, xyz, rpy and optionally axis."""
     names = dict.fromkeys([body, *(name for joint in joints for name in joint[1:3]), *loose])
     inertial = (f'<inertial><origin{origin}/><mass value="2"/><inertia ixx="0.05" iyy="0.12" '
                 'izz="0.14" ixy="0.002" ixz="0" iyz="0"/></inertial>')
@@ -42,7 +43,7 @@ def robot(*joints, body='base_link', origin=SHIFT, loose=()):
     return '<robot name="it">' + ''.join(links + parts) + '</robot>'
 
 
-#: Its arm and hand move, its label is not attached.
+#: The arm and the hand can move, and the label is not attached.
 ROBOT = robot(*JOINTS, loose=['label'])
 
 
@@ -59,7 +60,7 @@ def wrenches(count, frames=('base_link', 'world', '', 'thruster', 'mast', 'lamp'
 
 
 def converted(sent):
-    """Return wrenches as torques about the centre of mass, in body or in space axes."""
+    """Convert wrenches to torques about the centre of mass, in body or in space axes."""
     frames = urdf.fixed_frames(ROBOT)
     values = np.zeros_like(sent.values)
     for row, frame_id, wrench in zip(values, sent.frame_ids, sent.values):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Motions under several sources, rotors, damping and fields, with fifty digits."""
+"""Reference motions under several sources, rotors, damping and fields, with fifty digits."""
 
 from functools import cached_property
 import json
@@ -93,7 +93,7 @@ def bound(motion):
 
 
 def bound_at(times_ns, run, start_ns, count=20_001):
-    """Return `bound` at ascending times for the motion that `run` returns at times."""
+    """Return `bound` at ascending times, for the motion that `run` computes at close times."""
     fine = np.union1d(times_ns, np.linspace(start_ns, times_ns[-1], count).astype(np.int64))
     return bound(run(fine))[np.searchsorted(fine, times_ns)]
 
@@ -107,7 +107,7 @@ def reference(name):
 
 
 def assert_agrees(problem, values):
-    """Assert that a motion equals a `reference`, up to rounding that the motion magnifies."""
+    """Assert that a motion equals a `reference`, up to rounding as the motion magnifies it."""
     rows = values['truth']
     times_ns = np.array([row['t_ns'] for row in rows])
     limits = values['magnification'] * bound_at(
@@ -123,14 +123,14 @@ def assert_agrees(problem, values):
 
 
 def arrivals(logs, wheels):
-    """Return the samples of all sources as (time_ns, source, torque, frame); -1: the rotors."""
+    """Return all samples as (time_ns, source, torque, frame); source -1 acts on the rotors."""
     return [(int(time_ns), source, log.torques[row], 'space' if log.in_space[row] else 'body')
             for source, log in [*enumerate(logs), (-1, wheels)]
             for row, time_ns in enumerate(log.times_ns)]
 
 
 def apply(propagator, arrival):
-    """Apply a sample to a propagator; return whether it was taken."""
+    """Apply a sample to a propagator; return whether the propagator accepted it."""
     time_ns, source, torque, frame = arrival
     if source < 0:
         return propagator.apply_wheels(time_ns, torque)
@@ -138,7 +138,7 @@ def apply(propagator, arrival):
 
 
 def numbers(motion):
-    """Return all numbers of a trajectory or a state, in rows."""
+    """Return all numbers of a trajectory or a state as rows."""
     return np.hstack([motion.attitude, motion.angular_velocity, motion.rotor_momentum])
 
 

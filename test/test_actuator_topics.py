@@ -48,7 +48,7 @@ class Actuators(Sources):
 
 
 def problem_of(tmp_path, live, run):
-    """Return the problem of the last epoch, and how the replay of all agrees."""
+    """Return the problem of the last epoch, and how well the replay of all epochs agrees."""
     path = tmp_path / 'live.mcap'
     live.write(path)
     torque, other, wheels = LOGS.values()
@@ -77,7 +77,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
     assert result.same.all()
     assert not result.pending
     assert set(stamps.tolist()) <= set(result.stamps_ns.tolist())
-    # The actuator matters: without it the motion differs.
+    # The actuator matters: without it, the motion differs.
     assert problem.actuators[0].time_constant == 0.05
     assert problem.actuators[1] is None
     end = [int(stamps[-1])]
@@ -90,7 +90,7 @@ def test_in_lockstep_each_state_comes_with_the_torque_that_acts(tmp_path, domain
     with Actuators(TUMBLER, domain, *SOURCES, *LOCKSTEP, *ACTUATOR) as live:
         def ask(stamp_ns):
             before = len(live.applied())
-            # The others are constant: the torque at a response is that after it.
+            # The other torques are constant, so the torque at a response is that after it.
             for topic in LOGS:
                 is_command = topic == 'torque'
                 live.publish_on(topic, stamp_ns, 0.02 * random.normal(size=3) if is_command
@@ -108,7 +108,7 @@ def test_in_lockstep_each_state_comes_with_the_torque_that_acts(tmp_path, domain
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         problem, result = problem_of(tmp_path, live, scene.load(tmp_path / 'live.yaml'))
-        # The torque before the new epoch acts from its start on.
+        # The torque from before the new epoch acts from the start of the epoch on.
         applied = [message for message in live.applied()
                    if message.stamp_ns == begin_ns or message.stamp_ns > SECOND + 25 * STEP_NS]
     assert applied[0].stamp_ns == begin_ns

@@ -48,7 +48,7 @@ START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2))
 
 
 def of_source(given):
-    """Return log and actuator of a source in a file of the truth."""
+    """Return the log and the actuator of a source in a file of the truth."""
     rows = given['t_ns_x_y_z']
     log = TorqueLog([row[0] for row in rows], [row[1:] for row in rows], given['frame'])
     found = given.get('actuator')
@@ -71,7 +71,7 @@ ACTUATORS = {
 
 
 def commands(rng):
-    """Return three logs: with repeated zeros, with silences, and in both axes."""
+    """Return three logs: with repeated zeros, with long gaps, and in both body and space axes."""
     stamps = np.arange(-3, 57) * 50_000_000
     zeros = rng.normal(size=(60, 3)) * (rng.random(60) < 0.5)[:, None]
     silent = np.sort(rng.choice(stamps, 20, replace=False))
@@ -144,7 +144,7 @@ ACTUATOR = """
 
 @pytest.fixture
 def recorded(tmp_path):
-    """Return a recording of two topics, the scene of it with an actuator, and the two logs."""
+    """Return a recording of two topics, its scene with an actuator, and the two logs."""
     rng, path = np.random.default_rng(7), tmp_path / 'run.mcap'
     stamps = SECOND + np.arange(60) * 50_000_000
     logs = [TorqueLog(stamps, torques) for torques in rng.normal(size=(2, 60, 3))]
@@ -169,7 +169,7 @@ def test_a_replay_applies_the_actuator_of_the_scene_to_its_topics(recorded, inte
     assert same(result.trajectory, expected)
     assert not same(expected, propagate(run.body, run.start, [thrust, drag],
                                         at=result.trajectory.times_ns))
-    # The check integrates the torques that act.
+    # The check integrates the torques that act, not the commands.
     assert float(re.search(r'differ by (\S+)', str(result.check))[1]) < 1e-9
     assert same(read(path, scene, interpolation=interpolation).propagate(
         at=result.trajectory.times_ns), expected)
@@ -232,7 +232,7 @@ def test_what_does_not_fit_the_sources_is_an_error():
 
 @pytest.mark.slow
 def test_outputs_do_not_accumulate_errors():
-    # A thousand commands within a time constant, against exact fractions of the sum.
+    # A thousand commands within a time constant, compared with the sum in exact fractions.
     rng, count, lag = np.random.default_rng(8), 3000, 1.0
     commands = rng.normal(size=(count, 3)) + 1.0
     log = TorqueLog(np.arange(count) * 1_000_000, commands)

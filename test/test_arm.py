@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The comparison of machines, `make arm`: its inputs are exact, and it overlooks no difference."""
+"""The comparison of machines, `make arm`: its inputs are exact, and it misses no difference."""
 
 import json
 import subprocess
@@ -75,7 +75,7 @@ def test_the_emulated_machine_has_what_the_package_requires():
     setup = (ROOT / 'setup.py').read_text()
     text = setup[setup.index('install_requires=['):]
     required = {name.split('>')[0] for name in text[:text.index(']')].split("'")[1::2]}
-    # These are imported only where they are used.
+    # matplotlib and SciPy are imported only where they are used.
     assert required - {'matplotlib', 'scipy'} <= set(arm_machine.REQUIRED)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""No command overwrites its inputs: every output against every input, under every name."""
+"""No command overwrites its inputs: try every output on every input, under every name."""
 
 import os
 from pathlib import Path
@@ -27,11 +27,11 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.scene import InputError
 
-#: By option, the command, and the suffix of the file that it writes.
+#: Commands with an output option, and the suffix of the file that the option writes.
 OUTPUTS = {'replay -o': '.mcap', 'replay --plot': '.png', 'many -o': '.mcap',
            'tradeoff --json': '.json', 'tradeoff --plot': '.png', 'tradeoff --report': '.html',
            'library replay': '.mcap', 'library many': '.mcap'}
-#: Inputs that are attacked: the recording that is given, and a file of it (or the scene).
+#: Inputs to attack: the recording that a command gets, and a file of it (or the scene).
 VICTIMS = {'mcap': ('in/log.mcap', 'in/log.mcap'), 'csv': ('in/log.csv', 'in/log.csv'),
            'bag': ('in/bag', 'in/bag/bag_0.mcap'), 'folder': ('in/bag', 'in/bag'),
            'metadata': ('in/bag', 'in/bag/metadata.yaml'),
@@ -41,7 +41,7 @@ VICTIMS = {'mcap': ('in/log.mcap', 'in/log.mcap'), 'csv': ('in/log.csv', 'in/log
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, short_trades):
-    """Work in a folder that has one input of each kind, and `out` for the aliases."""
+    """Work in a folder that contains one input of each kind, and a folder `out` for aliases."""
     for folder in ('in', 'out', 'other'):
         (tmp_path / folder).mkdir()
     for path, kind in (('in/log.mcap', recording.Writer), ('in/bag', recording.FolderWriter)):
@@ -57,7 +57,7 @@ def place(tmp_path, monkeypatch, short_trades):
 
 
 def contents(folder):
-    """Return everything below a folder: type, mode, link or bytes, and the file that it is."""
+    """Return everything below a folder: type, mode, link target or bytes, and inode."""
     found = {}
     for path in folder.rglob('*'):
         status = path.lstat()
@@ -67,7 +67,7 @@ def contents(folder):
     return found
 
 
-#: Other names of a file, made in an empty folder.
+#: Functions that create another name of a file in an empty folder.
 ALIASES = {
     'the same': lambda victim, alias: victim,
     'relative': lambda victim, alias: Path('other', '..', '.', *victim.parts),
@@ -111,7 +111,7 @@ def run(option, recorded, output, overwrite=('--overwrite',)):
 def names(option, attacked):
     """Return the aliases of a file that an option can write to."""
     found = [*ALIASES]
-    if 'many' in option and attacked.suffix != '.mcap':  # which it always appends
+    if 'many' in option and attacked.suffix != '.mcap':  # --many always appends it
         found = ['symbolic link', 'link to a link', 'hard link']
     return [name for name in found if name != 'hard link' or attacked.is_file()]
 
@@ -193,7 +193,7 @@ def test_two_recordings_never_go_to_one_file(place, capsys):
 @pytest.mark.parametrize('option', OUTPUTS)
 def test_outputs_are_checked_before_anything_is_read(place, capsys, option):
     Path('in/log.mcap').write_text('no recording')
-    if 'library' not in option:  # which is given a scene that was read
+    if 'library' not in option:  # the library gets a scene that was already read
         Path('in/scene.yaml').write_text('no scene')
     assert run(option, 'in/log.mcap', Path('in/log.mcap')) == 2
     line, = capsys.readouterr().err.splitlines()
@@ -251,7 +251,7 @@ def test_a_folder_that_takes_the_name_meanwhile_is_not_replaced(place, kind, nam
 
 
 def test_a_copy_of_an_input_may_be_replaced(place):
-    # Only the file itself is refused, not one that looks like it.
+    # Only the file itself is refused, not another one with the same content.
     Path('out/log.mcap').write_bytes(Path('in/log.mcap').read_bytes())
     assert main.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o',
                                 'out/log.mcap', '--overwrite']) == 0
@@ -279,7 +279,7 @@ def test_a_reader_that_is_gone_ends_a_command_quietly(place, arguments):
 
 @pytest.mark.slow
 def test_a_reader_that_leaves_in_the_middle_is_no_error():
-    # More than a pipe and Python's buffer hold, of which Python keeps the rest for its end.
+    # More than a pipe and Python's buffer can hold; Python keeps the rest until its exit.
     script = ('import sys; from rigid_body_ros.commands import main; '
               'from rigid_body_ros.runtime import '
               "terminal; sys.exit(main._guarded('', lambda: terminal.show(2 ** 20 * 'x') or 0, "

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings of every form: the torques are read to the last bit, or losses are reported."""
+"""Recordings of every form: torques are read to the last bit, or losses are reported."""
 
 from functools import cache
 from io import BytesIO
@@ -41,13 +41,13 @@ ALONE = bags.torques()
 MIXED = bags.torques(frames=['base_link', 'world'], seed=2)
 SENT = {'alone': traffic(ALONE), 'others': traffic(MIXED, others=True)}
 RECORDED = {'alone': ALONE, 'others': MIXED}
-#: For a nightly run 10 000.
+#: Number of examples; a nightly run sets 10 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '300'))
 #: Records that messages are read from.
 WITH_MESSAGES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
 every_form = pytest.mark.parametrize('form', FORMS)
-#: In these, each message has two times.
+#: Forms in which each message has two times.
 MCAP = [form for form in FORMS if form.startswith(('mcap', 'ros2-'))]
 every_traffic = pytest.mark.parametrize('sent', SENT)
 
@@ -221,7 +221,7 @@ def test_zeros_that_a_crash_left_at_the_end_are_damage(tmp_path, form, share):
 
 
 def check_truncated(path, data, end, recorded, zeros=0):
-    """Read the first bytes of a file: expect the contents of the complete records, or one line."""
+    """Read the first bytes of a file: expect the contents of complete records, or one error."""
     expected = held(data, [place for place in records(data) if place[2] <= end])
     path.write_bytes(data[:end])
     os.truncate(path, end + zeros)
@@ -231,7 +231,7 @@ def check_truncated(path, data, end, recorded, zeros=0):
 
 
 def held(data, places):
-    """Return how many torques the records hold, by mcap's own reader."""
+    """Return how many torques the records contain according to mcap's own reader."""
     whole = data[:8] + b''.join(data[start:end] for code, start, end in places
                                 if code in WITH_MESSAGES)
     footer = bytes([Opcode.FOOTER]) + (20).to_bytes(8, 'little') + bytes(20)
@@ -371,7 +371,7 @@ def bomb(compression, says_its_size):
     return b''.join([*pieces, compressor.flush()])
 
 
-#: Forms and of each the file that is harmed.
+#: Forms, and the file of each that is damaged.
 FUZZED = {
     'mcap-zstd': 'recording.mcap',
     'mcap-zstd-unindexed': 'recording.mcap',
@@ -382,12 +382,12 @@ FUZZED = {
     'rosbag2-mcap-file': 'bag/bag.mcap.zstd',
     'rosbag2-mcap-none': 'bag/metadata.yaml',
 }
-#: Bags whose messages have a checksum.
+#: Bags whose messages have checksums.
 CHECKED = ('mcap-zstd', 'mcap-zstd-unindexed', 'mcap-lz4')
 
 
 def harms(data):
-    """Return a strategy of ways to harm bytes, often where something begins."""
+    """Return a strategy of ways to damage bytes, often at places where something begins."""
     begins = [start for _, start, _ in records(data)] if data.startswith(b'\x89MCAP') \
         else range(0, len(data), 4096)
     near = st.builds(lambda begin, more: min(begin + more, len(data) - 1),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A replay piece by piece: the same bits as in one piece, whatever the pieces."""
+"""A replay piece by piece has the same bits as in one piece, whatever the pieces are."""
 
 from itertools import pairwise
 import re
@@ -32,7 +32,7 @@ TOPICS = {'/attitude': messages.QUATERNION, '/euler_angles': messages.VECTOR3,
 
 
 def some_torques(random, count=400):
-    """Return irregular stamps and torques, of which stretches are zero."""
+    """Return irregular stamps and torques; some stretches of the torques are zero."""
     stamps = EPOCH_NS + np.cumsum(random.integers(1, SECOND // 5, count))
     values = random.normal(size=(count, 3))
     values[np.repeat(random.uniform(size=count // 10) < 0.4, 10)] = 0.0
@@ -155,7 +155,7 @@ def written(path, values):
 
 
 def shuffled(path, order, frames=('',)):
-    """Write torques at 1 kHz in another order, in frames one after the other."""
+    """Write torques at 1 kHz in another order; each frame applies to one part of the time."""
     with recording.Writer(path) as writer:
         writer.add_topic('/torque', messages.WRENCH)
         for row in order:
@@ -169,7 +169,7 @@ def shuffled(path, order, frames=('',)):
 def test_pieces_are_those_of_the_sorted_log(monkeypatch, order):
     monkeypatch.setattr(torques, '_SAMPLES', 50)
     random, count, size = np.random.default_rng(6), 1000, 40
-    # Equal stamps are not descending.
+    # Equal stamps do not count as descending.
     stamps = EPOCH_NS + np.cumsum(random.integers(order == 'descending', 3, count))
     for begin in range(0, count, size):
         block = stamps[begin:begin + size]
@@ -187,7 +187,7 @@ def test_pieces_are_those_of_the_sorted_log(monkeypatch, order):
     assert len(others) > 5
     before, parts = first, [first.rows(slice(first.stop))]
     for piece in others:
-        # The one before ends three samples after `stop`, and this begins three samples before.
+        # The previous piece ends three samples after `stop`, and this begins three samples before.
         assert 50 <= before.stop == len(before.times_ns) - 4
         np.testing.assert_array_equal(piece.times_ns[:7], before.times_ns[-7:])
         parts.append(piece.rows(slice(3, piece.stop)))

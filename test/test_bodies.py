@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Many bodies have the bits, and the errors, of one body each."""
+"""Each of many bodies has the same bits, and the same errors, as the body alone."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def about(moments, spread):
 
 
 def rod(moments):
-    """Return moments whose differences do not exceed the smallest."""
+    """Return moments of thin rods, in which two moments differ by no more than the smallest."""
     moments[:, 2] = moments[:, 1] + 0.5 * moments[:, 0]
     return moments
 
@@ -83,7 +83,7 @@ BODIES = {
         RANDOM.integers(0, 2, (COUNT, 3, 3)) | np.eye(3, dtype=int), 1.0, -1.0)]),
     'exact quotients': np.array([[[5.0, 2.0, 0.0], [2.0, 4.0, 0.0], [0.0, 0.0, moment]]
                                  for moment in RANDOM.uniform(4.2, 8.9, COUNT)]),
-    # After the first rotation the difference of two moments is zero, or a rounding error.
+    # After the first rotation, the difference of two moments is zero or a rounding error.
     'ambiguous rotations': np.array([
         [[3.0 + a, 0.5 + b, x], [0.5 + b, 3.0 + a, -y], [x, -y, 2.5 + a - b]]
         for a, b, x, y in RANDOM.integers(1, 32, (COUNT, 4)) / 64.0]),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Mass, momentum and torque against their definitions."""
+"""Mass, momentum and torque, compared with their definitions."""
 
 import numpy as np
 import pytest
@@ -119,7 +119,7 @@ def test_impossible_tensors_are_refused_with_their_numbers(tensor, message):
 
 
 def test_the_tensors_of_a_body_cannot_be_changed():
-    # Its constants are computed once.
+    # The constants of a body are computed once.
     body = RigidBody(np.eye(3), damping=np.eye(3))
     for tensor in (body.inertia, body.damping):
         with pytest.raises(ValueError, match='read-only'):
@@ -151,7 +151,7 @@ def test_point_masses_that_make_no_body_are_refused(masses, positions, message):
 
 
 def line(random, count, offset, thickness=0.0):
-    """Return masses and positions along some line of about 1 m, somewhere in space."""
+    """Return masses and positions along a random line of about 1 m, somewhere in space."""
     direction = so3.normalize(random.normal(size=3))
     along = random.uniform(-1.0, 1.0, count) if count > 2 else np.array([-1.0, 0.3])
     positions = np.outer(along, direction) + thickness * random.normal(size=(count, 3))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a comparison names what is wrong, and the sensor; `simulated` makes recordings."""
+"""A comparison names what is wrong, and the sensor; `simulated` makes the recordings."""
 
 from dataclasses import replace
 from functools import cache
@@ -170,7 +170,7 @@ def test_one_sensor_can_be_aligned_alone():
 
 @pytest.mark.slow
 def test_errors_that_the_start_explains_are_no_finding():
-    # A spin about the middle axis flips over and over: a change of the start grows as exp(t).
+    # A spin about the middle axis flips repeatedly, so a change of the start grows as exp(t).
     body, times = RigidBody.from_moments(1.0, 2.0, 3.0), np.arange(1, 6001) * 5 * 10 ** 7
     start = State(0, angular_velocity=(1e-3, 1.0, 1e-3))
     random = np.random.default_rng(3)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Bodies that change: what is kept, to rounding, and the same bits in any order of arrival."""
+"""Bodies that change: conservation to rounding, and the same bits in any order of arrival."""
 
 import re
 
@@ -188,7 +188,7 @@ def test_kept_momentum_is_the_same_in_space_and_a_kept_rate_is_the_same():
 
 
 def test_a_change_to_a_thin_rod_and_back_loses_no_digit():
-    # Its smallest moment is a millionth of the others, which costs a solver six digits.
+    # The smallest moment is a millionth of the others, which costs a solver six digits.
     rod = RigidBody([[0.5, 0.4999995, 0.0], [0.4999995, 0.5, 0.0], [0.0, 0.0, 1.0]])
     spun = changed(START, BODY, rod, 'momentum')
     momentum = truth.exact(rod.inertia) @ truth.exact(spun.angular_velocity)
@@ -270,7 +270,7 @@ def test_a_replay_has_the_bodies_of_the_recording(tmp_path):
     changes = BodyLog([stamp for stamp, _ in INERTIAS],
                       [RigidBody(body.inertia, damping) for body in (SMALLER, LARGER)], 'momentum')
     log = TorqueLog([stamp for stamp, _ in TORQUES], [torque for _, torque in TORQUES])
-    # Outputs at the stamps of torques and bodies.
+    # Outputs at the stamps of both torques and bodies.
     at = np.union1d(log.times_ns, changes.times_ns)
     expected = propagate(run.body, State(SECOND, angular_velocity=(0.3, 0.5, 0.0)), log, at=at,
                          changes=changes)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The file of a checkpoint: the same bits again, or one line with the reason."""
+"""The file of a checkpoint returns the same bits, or one line with the reason why not."""
 
 from dataclasses import replace
 import os
@@ -31,7 +31,7 @@ STATE = State(1_767_225_600_123_456_789, (0.1, -0.2, 0.3, 0.9), (1e-300, -0.0, 1
 
 @pytest.fixture
 def file(tmp_path):
-    """Return a file with a state."""
+    """Return a checkpoint file with a state."""
     path = tmp_path / 'checkpoint.json'
     Checkpoint(str(path), SCENE, NODE).save_last(STATE)
     return path

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A clock that is silent, stops, or jumps ahead or back; and stamps of other clocks."""
+"""Clocks that are silent, stop, or jump ahead or back, and stamps from other clocks."""
 
 from dataclasses import replace
 import itertools
@@ -46,7 +46,7 @@ def run_clock(live, begin_ns, end_ns, torque=None):
 
 
 def start_clock(live, now_ns):
-    """Publish a time until the node has begun its first epoch: earlier torques are rejected."""
+    """Publish a time until the node begins its first epoch; it rejects torques before that."""
     def has_begun():
         live.set_clock(now_ns)
         return live.received[COMMITTED]
@@ -54,7 +54,7 @@ def start_clock(live, now_ns):
 
 
 def settle(live, now_ns):
-    """Publish the time until the node has published a state at it."""
+    """Publish a time until the node has published a state at this time."""
     def has_published():
         live.set_clock(now_ns)
         return stamps(live) and stamps(live)[-1] == now_ns
@@ -104,7 +104,7 @@ def test_while_the_clock_stands_nothing_is_published_and_nothing_lost(tmp_path, 
         count = len(stamps(live))
         live.spin(1.0)
         assert len(stamps(live)) == count
-        live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is nevertheless accepted
+        live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is still accepted
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
         settle(live, 7 * SECOND)
         live.dump_parameters(tmp_path / 'live.yaml')
@@ -122,7 +122,7 @@ def test_a_clock_that_jumps_ahead(tmp_path, domain, action):
         run_clock(live, 5 * SECOND, end_ns, wobble)
         settle(live, end_ns)
         before = decoded(live, ATTITUDE, messages.QUATERNION)[-1].values.tolist()
-        live.publish(again_ns, 'base_link', wobble(again_ns))  # overtakes the clock
+        live.publish(again_ns, 'base_link', wobble(again_ns))  # arrives before the new clock time
         live.wait_until(lambda: accepted(live).count(end_ns), 'the last torque before the jump')
         settle(live, again_ns)
         run_clock(live, again_ns, again_ns + SECOND, wobble)
@@ -156,16 +156,17 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
         first = len(decoded(live, ACCEPTED, messages.WRENCH))
         run_clock(live, again_ns, again_ns + 3 * SECOND // 2, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
-        # Simulated time is faster than real time, so a pause of the node may also be a jump ahead.
+        # Simulated time runs faster than real time, so a pause of the node may also look like a
+        # jump ahead.
         live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
         live.wait_for_torques(len(range(begin_ns, end_ns + 1, SECOND // 10))
                               + len(range(again_ns, again_ns + 3 * SECOND // 2 + 1, SECOND // 10)))
         torques, _, _ = live.diagnosis('torques')
         assert live.stop() == 0
-        epochs = len(live.received[ACCEPTED]) - len(live.torques)  # one marker each
+        epochs = len(live.received[ACCEPTED]) - len(live.torques)  # one marker per epoch
         run = replayed(tmp_path, live)
     assert epochs == (1 if action == 'ignore' else 2)
-    if action == 'rebase':  # the first torque has the stamp of the one that was carried over
+    if action == 'rebase':  # the carried-over torque and the first new one share a stamp
         assert not torques['replaced (same stamp)']
     np.testing.assert_array_equal(run.committed, run.replay)
     assert np.all(np.diff(run.stamps_ns) > 0)
@@ -174,7 +175,7 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
     attitude = run.committed[0, :4].tolist()
     if action == 'ignore':
         assert run.stamps_ns[0] < end_ns
-        # A torque older than the newest by `history` is late; others are inserted in order.
+        # A torque older than the newest by `history` is late; other torques are inserted in order.
         assert bool(torques['rejected: late']) == (back_ns > SECOND)
         return
     # A new epoch, and a new log.
@@ -230,7 +231,7 @@ def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
         settle(live, 5 * SECOND)
         for _ in range(3):
             live.publish(7 * SECOND, '', [1.0, 0.0, 0.0])
-        live.publish(5 * SECOND, '', [0.0, 0.0, 0.01])  # passes them
+        live.publish(5 * SECOND, '', [0.0, 0.0, 0.01])  # is applied before them
         live.wait_until(lambda: live.torques, 'the torque of now')
         live.wait_for_torques(4)
         values, *_ = live.diagnosis('torques')
@@ -396,7 +397,7 @@ def test_time_goes_on_between_two_ticks_as_fast_as_before(monkeypatch):
     wall_ns = [0]
     monkeypatch.setattr(clocks.time, 'monotonic_ns', lambda: wall_ns[0])
     stamps, tick_ns = ArrivalStamps(), SECOND // 10
-    for tick in range(3):  # at half of real time
+    for tick in range(3):  # at half the speed of real time
         wall_ns[0] = 2 * tick * tick_ns
         stamps.tick(5 * SECOND + tick * tick_ns)
     now_ns = 5 * SECOND + 2 * tick_ns
@@ -408,12 +409,12 @@ def test_time_goes_on_between_two_ticks_as_fast_as_before(monkeypatch):
     stamps.tick(now_ns + 100 * SECOND)  # a jump is not a tick
     wall_ns[0] += tick_ns // 1000
     assert stamps.stamp() - now_ns - 100 * SECOND <= tick_ns
-    stamps.tick(SECOND)  # set back
+    stamps.tick(SECOND)  # the clock is set back
     assert stamps.stamp() == SECOND
 
 
 class Fake:
-    """A clock, and a steady clock, that are set by hand, s."""
+    """A clock and a steady clock that the test sets, s."""
 
     def __init__(self, monkeypatch):
         self.time = self.steady = 0.0
@@ -423,7 +424,7 @@ class Fake:
         return Time(nanoseconds=round(self.time * SECOND))
 
     def jumps(self, readings, is_simulated, *limits):
-        """Return by how much the clock jumps at each reading (clock, steady clock)."""
+        """Return the jump that is detected at each reading (clock, steady clock)."""
         detector, found = JumpDetector(self, is_simulated, *(
             round(limit * SECOND) for limit in limits)), []
         for self.time, self.steady in readings:
@@ -435,9 +436,9 @@ class Fake:
     # Before the first message, then a steady run, then a stall of two seconds.
     (True, [(0, 0), (100, 1), (100.01, 1.01), (102, 3), (107, 4)], [0, 0, 0, 0, 0]),
     (True, [(100, 1), (100.01, 1.01), (101.2, 1.02), (101.1, 1.03)], [0, 0, 1.19, -0.1]),
-    # The clock stood for a minute, and the node read it every second.
+    # The clock stood still for a minute, and the node read it every second.
     (True, [(100, 1), *((100, k) for k in range(2, 60)), (160, 60)], [0] * 59 + [60]),
-    # After a stall, the messages that have waited arrive at once.
+    # After a stall, the waiting messages arrive at once.
     (True, [(100, 1), (100.01, 1.01), (100.02, 3), (106, 3.001), (108, 3.1)], [0] * 5),
     # The publisher stalls, while the node reads the clock.
     (True, [(100, 1), (100.01, 1.01), *((100.01, 1.01 + k / 10) for k in range(10)), (106, 2)],
@@ -480,7 +481,7 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
             'the new epoch')
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
-        live.set_state(State(SECOND, (0, 0, 0, 1), (0, 0, 0)))  # far too old
+        live.set_state(State(SECOND, (0, 0, 0, 1), (0, 0, 0)))  # far too late
         live.wait_until(lambda: 'initial_state rejected: late' in live.words(), 'its rejection')
         count = len(live.received[ACCEPTED])
         assert live.reset().success
@@ -524,11 +525,12 @@ def test_torques_that_wait_for_the_clock_keep_their_order(context):
         *(Parameter(f'inertia.{name}', value=1.0) for name in ('ixx', 'iyy', 'izz'))])
     clock, mode = node.get_clock(), node._component._mode
     clock.set_ros_time_override(Time(seconds=5))
-    for seconds in (5.0, 5.2, 5.9, 6.1):  # the last two are ahead by more than max_future
+    for seconds in (5.0, 5.2, 5.9, 6.1):  # the last two exceed max_future
         mode.enqueue(messages.WRENCH.encode(round(seconds * SECOND), '', [0.0] * 6), None, 0)
     clock.set_ros_time_override(Time(seconds=7))
     mode.process()
-    # In another order, the first one would be older than the last by more than `history`.
+    # If they were processed in another order, the first would be older than the last by more than
+    # `history`.
     assert [torque.stamp_ns / SECOND for torque in mode.run.epoch.torques_since(0)] \
         == [5.0, 5.2, 5.9, 6.1]
     node.destroy_node()

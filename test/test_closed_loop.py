@@ -13,7 +13,7 @@
 # limitations under the License.
 
 
-"""A closed loop in lockstep is one chain, and has the same bits however it is started."""
+"""A closed loop in lockstep is one chain of states, with the same bits however it is started."""
 
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -40,15 +40,15 @@ from rigid_body_ros.live.torque_queue import UNKNOWN_SENDER
 pytestmark = pytest.mark.ros
 STEP_NS, END_NS = round(STEP * 1e9), 4 * SECOND
 LOCKSTEP = ('-p', 'mode:=lockstep', '-p', f'step:={STEP}')
-#: s; period of the heartbeats of Fast DDS, after which it delivers late messages.
+#: s; period of the heartbeats of Fast DDS, after which late messages are delivered.
 HEARTBEAT = 3.0
-#: A run that does not end by itself.
+#: End of a run that does not end by itself.
 FOREVER = 10 ** 18
 
 
 @contextmanager
 def controller(tmp_path, domain, *arguments, until=END_NS):
-    """Run the controller as a process of its own."""
+    """Run the controller in a separate process."""
     environment = LiveSession(TUMBLER, domain).environment
     process = subprocess.Popen([sys.executable, ROOT / 'test' / 'pid_controller.py',
                                 tmp_path / 'memory.json', '--until', str(until), *arguments],
@@ -61,12 +61,12 @@ def controller(tmp_path, domain, *arguments, until=END_NS):
 
 
 def session(domain, *arguments):
-    """Return a session; disconnect it, as a second publisher of torques is a second controller."""
+    """Return a session without a publisher of torques, which would be a second controller."""
     return LiveSession(TUMBLER, domain, *LOCKSTEP, *arguments)
 
 
 def expected(end_ns=END_NS):
-    """Return the stamps and states, attitude and rates, of the loop closed without ROS."""
+    """Close the loop without ROS; return its stamps and states, attitude and rates."""
     run = scene.load(TUMBLER)
     propagator, law, states = Propagator(run.body, run.start, **asdict(run.options)), Pid(), []
     for stamp_ns in range(0, end_ns, STEP_NS):
@@ -78,7 +78,7 @@ def expected(end_ns=END_NS):
 
 
 def ended(tmp_path, live, process):
-    """Wait for the end of the controller; compare the run with the loop without ROS."""
+    """Wait for the end of the controller, and compare the run with the loop without ROS."""
     live.wait_until(lambda: process.poll() is not None, 'the controller to end')
     assert process.returncode == 0
     live.dump_parameters(tmp_path / 'live.yaml')
@@ -120,7 +120,7 @@ def test_a_controller_that_is_killed_may_be_restarted(tmp_path, domain):
                 live, ATTITUDE, messages.QUATERNION)), 'the state that gets no torque')
             live.wait_until(lambda: 'no torque for' in live.diagnosis('torques')[2], 'a warning')
             assert live.diagnosis('torques')[1] == 1
-            process.kill()  # it stays matched for a while
+            process.kill()  # DDS keeps its endpoints for a while
         with controller(tmp_path, domain) as process:
             ended(tmp_path, live, process)
 
@@ -227,7 +227,7 @@ def test_torques_that_wait_at_the_end_of_an_epoch_are_rejected(domain):
 def test_a_controller_slower_than_any_timeout_gets_one_response_for_each_state():
     duplicates, controller, accepted = DuplicateFilter(history_ns=10 ** 18), [0, 0], []
     duplicates.published(0)
-    duplicates.published(0)  # again, while it worked on the first
+    duplicates.published(0)  # again, while the controller works on the first
     for number in range(50):
         stamp_ns = controller.pop(0)
         torque = Torque(stamp_ns, np.array([1.0, 0.0, 1e-3 * number]), 'body')
@@ -236,7 +236,7 @@ def test_a_controller_slower_than_any_timeout_gets_one_response_for_each_state()
         accepted.append(stamp_ns)
         duplicates.accepted(torque, b'controller')
         duplicates.responded(torque)
-        for _ in range(1 + number % 3):  # the next state, and repetitions of it
+        for _ in range(1 + number % 3):  # the next state, with repetitions
             duplicates.published(stamp_ns + 1)
             controller.append(stamp_ns + 1)
     assert accepted == [*range(len(accepted))]
@@ -252,10 +252,10 @@ def test_a_torque_gets_another_response_only_if_the_first_was_lost(monkeypatch):
     assert not duplicates.is_duplicate(sent, b'one')
     duplicates.accepted(sent, b'one')
     assert duplicates.is_waiting(sent)
-    # Another controller, or one that cannot be told from another, sends its own torque.
+    # Another controller, or an unknown sender, sends its own torque.
     assert duplicates.is_duplicate(sent, b'two')
     assert duplicates.is_duplicate(sent, UNKNOWN_SENDER)
-    # The response may be on its way; a correction needs a new one.
+    # The response to a repetition may be in transit; a corrected torque needs a new response.
     assert duplicates.is_duplicate(sent, b'one')
     assert not duplicates.is_duplicate(corrected, b'one')
     duplicates.responded(sent)
@@ -265,7 +265,7 @@ def test_a_torque_gets_another_response_only_if_the_first_was_lost(monkeypatch):
     now = 0.11
     assert not duplicates.is_duplicate(sent, b'one')
     assert not duplicates.is_duplicate(corrected, b'one')
-    # After newer stamps the record is dropped, and without it there is nothing to repeat.
+    # After newer stamps the record is dropped; without the record, the torque is not a duplicate.
     duplicates.accepted(Torque(15, sent.values, 'body'), b'one')
     assert duplicates.is_same(sent)
     duplicates.accepted(Torque(16, sent.values, 'body'), b'one')
@@ -291,13 +291,13 @@ def test_without_a_controller_the_state_is_published_ten_times_a_second(monkeypa
         if policy.is_due(0, 1 if 64 <= tick < 128 else 0):
             published.append(tick)
             policy.published(is_repeated=True)
-    # Not for half a second after a connection, the first of which may be that of a controller.
+    # No repetition for half a second after a connection, which may be that of a controller.
     assert published == [*range(32, 64, 7), *range(96, 200, 7)]
     assert not policy.has_controller
 
 
 def test_a_controller_whose_subscription_connects_first_gets_the_state_once(monkeypatch):
-    now, connected = 0.0, (1, 1)  # one that was killed, and stays connected
+    now, connected = 0.0, (1, 1)  # a killed controller that stays connected
     monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
     policy, published = RepublishPolicy(), []
     policy.published(is_repeated=False)
@@ -306,8 +306,8 @@ def test_a_controller_whose_subscription_connects_first_gets_the_state_once(monk
         if policy.is_due(*connected):
             published.append(now)
             policy.published(is_repeated=True)
-    # To the first: when it connects, and 4 s later. To the second: when its publisher connects,
-    # and 4 s and 8 s later, because it does not respond, either.
+    # For the first controller: when it connects, and 4 s later. For the second: when its publisher
+    # connects, and then after 4 s and another 8 s, because it does not respond either.
     assert published == [0.5, 4.5, 9.25, 13.25, 21.25]
 
 
@@ -316,7 +316,7 @@ def test_an_observer_causes_no_repetition_of_a_state(monkeypatch):
     monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
     policy, repeated = RepublishPolicy(), []
     for now in np.arange(0.0, 20.0, 0.125).tolist():
-        connected = (1, 1) if now < 9.125 else (1, 2)  # while the controller works
+        connected = (1, 1) if now < 9.125 else (1, 2)  # later, an observer
         if now % 1.5 == 0.0:  # a slow controller
             policy.published(is_repeated=False)
         if policy.is_due(*connected):
@@ -341,16 +341,16 @@ def test_a_message_that_is_delivered_late_causes_no_repetition_of_a_state(monkey
 def test_a_repeated_torque_gets_the_lost_response_again(domain):
     with session(domain) as live:
         live.wait_until(lambda: answers(live), 'the start state')
-        for number in range(1, 11):  # a busy machine may separate the two by more than 0.1 s
+        for number in range(1, 11):  # a busy machine may send the two more than 0.1 s apart
             stamp_ns = number * SECOND
             live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])
-            live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])  # at once: the chain of a second state
+            live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])  # at once, as a second chain would
             live.wait_until(lambda due=stamp_ns + STEP_NS: answers(live)[-1] == due, 'an answer')
             live.spin(0.5)
             if answers(live).count(stamp_ns + STEP_NS) == 1:
                 break
         assert answers(live).count(stamp_ns + STEP_NS) == 1
-        live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])  # later: the answer was lost
+        live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])  # later, as if the response was lost
         live.wait_until(lambda: answers(live).count(stamp_ns + STEP_NS) == 2, 'the answer again')
         assert live.stop() == 0
     accepted = [message.stamp_ns for message in decoded(live, ACCEPTED, messages.WRENCH)]
@@ -358,5 +358,5 @@ def test_a_repeated_torque_gets_the_lost_response_again(domain):
 
 
 def answers(live):
-    """Return the stamps of the states published."""
+    """Return the stamps of the published states."""
     return [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]

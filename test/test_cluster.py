@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The workers of a Dask scheduler: the same bytes, nothing lost, and errors in one line."""
+"""Ensembles on the workers of a Dask scheduler: same bytes, nothing lost, one-line errors."""
 
 from contextlib import contextmanager
 from functools import partial
@@ -33,7 +33,7 @@ from test_ensemble import arguments, COMMAND, contents, count, ENVIRONMENT, inpu
 
 inputs = inputs  # a fixture, used by its name
 RUNS = 10_000
-#: Without a dashboard Dask still serves its metrics, on all interfaces unless told otherwise.
+#: Even without a dashboard, Dask serves metrics, by default on all network interfaces.
 LOCAL = ['--host', '127.0.0.1', '--dashboard-address', '127.0.0.1:0', '--no-dashboard']
 
 
@@ -70,7 +70,7 @@ def started(folder, kind, *options, script='from distributed.cli.dask_{} import 
 
 
 def workers(nanny):
-    """Return the processes that compute; the other child tracks resources of the system."""
+    """Return the processes that compute; another child only tracks system resources."""
     return [child for child in nanny.children() if listening(child)]
 
 
@@ -189,7 +189,7 @@ def test_recordings_are_replayed_with_the_same_bytes(inputs, scheduler, capsys, 
 @pytest.mark.slow
 def test_recordings_need_a_shared_folder(inputs, scheduler, capsys, monkeypatch):
     monkeypatch.setattr(many, '_absolute', lambda task: task)
-    monkeypatch.chdir(inputs)  # which to the workers is a folder of another machine
+    monkeypatch.chdir(inputs)  # for the workers, a folder on another machine
     names = ['in.csv', 'copy.csv']
     (inputs / names[1]).write_bytes((inputs / names[0]).read_bytes())
     assert main.attitude_replay([*names, '--scene', 'scene.yaml', '-o', 'out', '--scheduler',

@@ -172,7 +172,7 @@ def test_residual_torque_shows_when_and_where_a_torque_is_missing():
 
 @pytest.mark.slow
 def test_horizons_see_the_model_not_the_distance():
-    # With a wrong inertia the motion drifts away, but little within a second.
+    # With a wrong inertia the motion drifts away, but only a little within a second.
     motion = truth()
     body = RigidBody(INERTIA + np.diag([0.0, 0.001, 0.0]))
     found = compare(body, motion.start, motion.log, measured=noisy(), horizons=[0.5, 2.0],
@@ -214,7 +214,7 @@ def test_several_sensors_share_a_clock_and_a_mounting():
 
 @pytest.mark.slow
 def test_rotors_damping_and_torques_in_space_axes_are_known():
-    # A spinning-up rotor and a drag, under a torque in space axes, integrated by DOP853.
+    # A rotor that spins up, and damping, under a torque in space axes, integrated by DOP853.
     damping, momentum = np.diag([1e-3, 2e-3, 5e-4]), np.array([0.01, -0.02, 0.03])
     motor, torque = np.array([0.002, 0.001, -0.003]), np.array([0.01, -0.005, 0.004])
     inverse, at = np.linalg.inv(INERTIA), np.arange(501) / 100.0
@@ -241,7 +241,7 @@ def test_rotors_damping_and_torques_in_space_axes_are_known():
 
 @cache
 def under(*fields, log=None):
-    """Return measurements, at 100 Hz for 20 s, and the arguments of `compare`, without torque."""
+    """Return measurements under fields, at 100 Hz for 20 s, and the arguments of `compare`."""
     problem = Problem(RigidBody(INERTIA), State(0, (0.1, -0.2, 0.3, 0.9), (0.3, 0.5, -0.2)), log,
                       fields=fields)
     motion = problem.propagate(at=np.arange(2000) * 10 ** 7)
@@ -269,7 +269,7 @@ def test_the_torque_of_fields_is_no_residual(fields, gyro):
     if not gyro:
         assert found.as_dict()['attitude_error_rad']['max'] < 1e-14
         assert found.as_dict()['horizons'][0]['attitude_p95_rad'] < 1e-8
-    # Without the fields in the model, all of their torque is.
+    # Without the fields in the model, their whole torque is residual.
     residual = compare(*given, measured=sensor, causes=False).residual_torque
     rows = np.searchsorted(sensor.stamps_ns, residual.times_ns)
     np.testing.assert_allclose(residual.torques, torques[rows],
@@ -310,7 +310,7 @@ def test_measurements_are_checked(change, message):
 
 
 def mixed_up(name):
-    """Return measurement, body and log of a mix-up."""
+    """Return the measurement, the body and the log with a named mix-up of conventions."""
     motion, sensor, body, log = truth(), noisy(), truth().body, truth().log
     if name == 'quaternion_order':
         sensor = replace(sensor, attitude=np.roll(sensor.attitude, 1, axis=1))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The compiled kernels: their bits, their errors, and the files that an installation contains."""
+"""The compiled kernels: their bits, their errors, and the files in an installation."""
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -54,7 +54,7 @@ log = TorqueLog([0, 20 * 10 ** 9], [[0.02, -0.01, 0.03], [0.0, 0.03, 0.01]])
 motion = propagate_many(bodies, starts, log, at=[50 * 10 ** 9])
 print(*(x.hex() for x in motion.attitude.ravel().tolist()))
 """
-#: The levels of the module; tests skip those that this processor lacks.
+#: The instruction levels of the module; tests skip levels that this processor does not support.
 LEVELS = [pytest.param(level, marks=pytest.mark.skipif(
     level not in _compiled.LEVELS, reason=f'this processor lacks {level}'))
     for level in _compiled.LANES]
@@ -128,7 +128,7 @@ def test_other_threads_run_while_a_kernel_does(level):
 
 @pytest.mark.parametrize('level', LEVELS)
 def test_all_kernels_that_python_calls_are_compiled(level):
-    # Without `bind` a kernel would run as plain Python.
+    # Without `bind`, a kernel would run as plain Python.
     called = {name for name, value in vars(kernels).items()
               if callable(value) and value is not binding.bind}
     assert called == set(_compiled.kernels(level))
@@ -147,15 +147,15 @@ def sources():
 
 class Good:
     """
-    Random arguments that a kernel takes, from its annotations.
+    Random valid arguments for a kernel, made from its annotations.
 
-    `leaves` has the label of each argument, and of each part of a named tuple, with its kind: a
+    `leaves` maps the label of each argument, and of each part of a named tuple, to its kind: a
     type, or the dimensions of an array as texts.
     """
 
     def __init__(self, hints, choose, lanes):
         self._choose = choose
-        #: Each is at least 2, so that no dimension is the other one that '|' allows.
+        #: Values of dimensions, at least 2, so that none equals the alternative after a '|'.
         self.variables = {letter: choose.randint(2, 4) for letter in 'abcdefghijklmnopqrstuvwxyz'}
         self.variables['L'] = lanes
         self.leaves, self.written, self.optional = {}, set(), set()
@@ -197,14 +197,14 @@ class Good:
         return value
 
     def having(self, label, value):
-        """Return all arguments, of which a part is another."""
+        """Return all arguments, with one part replaced."""
         outer, _, last = label.rpartition('.')
         if outer:
             return self.having(outer, self.get(outer)._replace(**{last: value}))
         return [*{**self.values, label: value}.values()]
 
     def sharing(self, text):
-        """Return the labels of the arrays that have a dimension with the variable of a text."""
+        """Return the labels of the arrays with a dimension that uses the variable in a text."""
         variable = re.sub('[^a-z]', '', text)
         return [label for label, kind in self.leaves.items() if isinstance(kind, list)
                 for other in kind if variable and variable in other]
@@ -258,14 +258,14 @@ def no_array(array, good, label, choose):
 TYPES = ('f4', 'f8', '>f8', 'i4', 'i8', '>i8', 'u8', 'u1', '?', 'c16', 'O', 'U1', 'V5')
 SPOILT = [other_type, other_dimensions, other_shape, other_strides, misaligned, read_only,
           no_array]
-#: Values that are not numbers of a type.
+#: Values that are not numbers of each type.
 NUMBERS = {int: [1.5, None, '1', 2 ** 63, (), np.zeros(2)],
            float: [None, '1.0', 1j, (), np.zeros(2)], bool: [1, None, 'yes', np.zeros(2, bool)],
            type(None): [0, (), np.zeros(2)]}
 
 
 def spoilt(good, choose):
-    """Return the error, the labels that it may name, and the replacement of the first argument."""
+    """Return the expected error, the labels that it may name, and arguments with one fault."""
     label, kind = choose.choice([*good.leaves.items()])
     value = good.get(label)
     if isinstance(kind, list):
@@ -289,7 +289,7 @@ def test_an_argument_of_the_wrong_kind_is_named(name, source, level):
             with pytest.raises(error) as raised:
                 kernel(*arguments)
             place, = re.findall(rf'^{name}: expected ([\w.]+): .+, found .+', str(raised.value))
-            # The terms are of one of two kinds, and it is not known which was meant.
+            # There are two kinds of terms, and the kernel cannot know which was meant.
             assert place in labels or {place.rpartition('.')[0],
                                        labels[0].rpartition('.')[0]} == {'rows.terms'}
             tried.add(labels[0].split('.')[0])
@@ -328,7 +328,7 @@ def test_a_command_reports_an_unknown_level_in_one_line(tmp_path):
 
 @pytest.fixture
 def copied(tmp_path):
-    """Return a copy of the package, in a folder of its own."""
+    """Return a copy of the package in a new folder."""
     return shutil.copytree(PACKAGE, tmp_path / 'site' / 'rigid_body_ros',
                            ignore=shutil.ignore_patterns('__pycache__'))
 

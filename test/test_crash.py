@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A node that is killed and started again: its log, and its checkpoint."""
+"""A node that is killed and restarted: its log, and its checkpoint."""
 
 from contextlib import contextmanager
 import json
@@ -43,14 +43,14 @@ def wobble(number):
 
 @pytest.fixture(autouse=True)
 def _no_shared_memory(monkeypatch):
-    # After a process was killed, shared memory of Fast DDS may delay messages by seconds, and
+    # After a process is killed, the shared memory of Fast DDS may delay messages by seconds, or
     # crash the recorder.
     monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
 
 
 @contextmanager
 def driven(mode, domain, *arguments):
-    """Yield a session and a function that drives it at 200 Hz, or in lockstep, for some time."""
+    """Yield a session, and a function that drives it at 200 Hz or in lockstep for some time."""
     with LiveSession(TUMBLER, domain, *MODES[mode], *arguments) as live:
         number = 0
 
@@ -95,7 +95,7 @@ def test_every_committed_state_of_both_lives_is_replayed(tmp_path, domain, mode,
         count = len(live.received[COMMITTED])
         while len(live.received[COMMITTED]) == count:
             drive(0.5)
-        # Fast DDS may deliver the first messages of a topic after its next heartbeat, in 3 s.
+        # Fast DDS may deliver the first messages of a topic only after its next heartbeat, in 3 s.
         live.wait_until(lambda: len(epochs_of(live)) == 2, 'the marker of the second life')
         assert live.stop() == 0
         live.write(path)
@@ -107,7 +107,7 @@ def test_every_committed_state_of_both_lives_is_replayed(tmp_path, domain, mode,
     assert numbers(begin) == numbers(scene.load(TUMBLER).start)
     committed = recording.read(path, COMMITTED, messages.ODOMETRY)
     states = [*zip(committed.stamps_ns.tolist(), live_values(committed).tolist())]
-    if saved:  # the second life begins with a state that the first has committed
+    if saved:  # the second life begins with a committed state of the first
         assert states.count((again.time_ns, numbers(again))) == 2
     else:
         assert numbers(again) == numbers(begin)
@@ -154,7 +154,7 @@ def test_a_node_goes_on_from_its_checkpoint_and_says_how_long_it_was_away(tmp_pa
         assert live.stop() == 0
         saved = json.loads(file.read_text())
         last = decoded(live, COMMITTED, messages.ODOMETRY)[-1]
-    # At the end, that is the last committed state.
+    # After a regular end, the checkpoint is the last committed state.
     assert saved['time_ns'] == last.stamp_ns
     assert [*saved['attitude'], *saved['angular_velocity']] == [
         *last.values[messages.ORIENTATION], *last.values[messages.ANGULAR_VELOCITY]]
@@ -191,7 +191,7 @@ def test_a_checkpoint_from_the_future_ends_the_node_and_stays(tmp_path, domain):
 
 
 def rejected(session):
-    """Return the last line of a node that ends with status 2."""
+    """Return the last line that a node prints; it must end with status 2."""
     result = subprocess.run(session.command, env=session.environment, capture_output=True,
                             text=True, timeout=300, check=False)
     assert result.returncode == 2, result.stderr

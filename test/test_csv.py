@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torques as text: the first line names columns and units, or it is not read."""
+"""Torques as text: the first line must name columns and units, or the file is not read."""
 
 from conftest import EPOCH_NS, SECOND
 from hostile import outcome
@@ -73,7 +73,7 @@ def test_torques_have_the_unit_that_is_named(tmp_path, unit, exponent, form):
     heading = ','.join(['time', *(form.format(name, unit) for name in ('tx', 'ty', 'torque_z'))])
     numbers = '20.1', '-0.3', '0.07'
     _, torques = read(tmp_path, f'{heading}\n1,{",".join(numbers)}\n')
-    # Nearest to the decimal number, as if it were written in N m.
+    # The double nearest to the decimal number, as if this were written in N m.
     assert torques == [[float(f'{text}e{exponent}') for text in numbers]]
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Dispersions: valid files, the statistics of the numbers drawn, and percentiles."""
+"""Dispersions: valid files, statistics of the drawn numbers, and percentiles."""
 
 from conftest import nearest_rank
 import numpy as np
@@ -34,7 +34,7 @@ def test_draws_have_the_given_means_deviations_and_no_correlation():
     rows = np.concatenate([*draws(VARY, 1, RUNS).values()], axis=1)
     error = SIGMAS / np.sqrt(RUNS.size)
     assert np.all(np.abs(rows.mean(0) - [0, 0, 0, 0.6, 0]) < 4 * error)
-    # The fourth moment of a uniform number is 9/5 of the squared variance, of a normal one 3.
+    # The fourth moment is 3 times the squared variance for a normal number, and 9/5 for a uniform.
     fourth = np.array([3.0, 3.0, 3.0, 1.8, 3.0])
     assert np.all(np.abs(rows.std(0) - SIGMAS) < 4 * error * np.sqrt((fourth - 1.0) / 4.0))
     correlation = np.corrcoef(rows.T)[np.triu_indices(5, 1)]

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-The commands of the pages: each runs as shown on files that ship, or says what it needs.
+The commands on the pages: each runs as shown on shipped files, or says what it needs.
 
-The commands of a page run one after the other, in a folder that looks like the repository. A block
-of text after one has its output. A block that begins with `# needs` is not run, except that of
-`# needs ROS 2`: what it starts, starts.
+The commands of a page run one after the other, in a folder that looks like the repository. If a
+block of text follows a block of commands, it must be their output. A block that begins with
+`# needs` does not run, with one exception: what a block with `# needs ROS 2` starts is started.
 """
 
 from contextlib import redirect_stderr, redirect_stdout
@@ -34,13 +34,13 @@ import pytest
 from rigid_body_ros.commands import main
 import test_docs
 
-#: Lines that differ from run to run, or with the BLAS of the processor.
+#: Lines that vary from run to run, or with the BLAS of the processor.
 _VARIABLE = re.compile(r'^speed +\d.*\n|^fit +converged .*\n|^\* .*\n', re.MULTILINE)
 _SHOWN = re.compile(r'^```bash\n(.*?)^```$(?:\n\n```text\n(.*?)^```$)?', re.DOTALL | re.MULTILINE)
 _STATUS = re.compile(r'# exit status (\d)')
 _COMMAND = re.compile(r'^(?:attitude_\w+ |ros2 |python3? |pip |make |\$ )', re.MULTILINE)
 _FOLDERS = 'config', 'docs', 'examples', 'launch', 'test'
-#: s.
+#: s; how long to wait for a command.
 PATIENCE = 300
 
 
@@ -51,31 +51,31 @@ def blocks(page):
 
 
 def outputs(page):
-    """Return the blocks of commands, and the text that follows immediately or None."""
+    """Return the blocks of commands, each with the text that follows immediately, or None."""
     text = page.read_text(encoding='utf-8')
     return [(match[1], match[2]) for match in _SHOWN.finditer(text)]
 
 
 def commands(text):
-    """Return the commands of a block, a line each."""
+    """Return the commands of a block, one line each."""
     return [line for line in text.replace('\\\n', ' ').splitlines()
             if line.strip() and not line.startswith('#')]
 
 
 def needs(text):
-    """Return the needs of a block that the repository does not meet, or nothing."""
+    """Return what a block needs beyond the repository, or an empty text."""
     return text.partition('\n')[0].removeprefix('# needs ') if text.startswith('# needs ') else ''
 
 
 def of(needed):
-    """Return the pages with a block of commands that needs this, as parameters."""
+    """Return, as test parameters, the pages with a block of commands that needs this."""
     return pytest.mark.parametrize('page', [page for page in test_docs.PAGES if any(
         language == 'bash' and needs(text) == needed for language, text in blocks(page))],
         ids=lambda page: page.name)
 
 
 def run(line):
-    """Run a command; return its output. Its status is that which a comment states."""
+    """Run a command, and return its output; its status must be the one in its comment."""
     expected = int(match[1]) if (match := _STATUS.search(line)) else 0
     name, *words = shlex.split(line, comments=True)
     printed = io.StringIO()
@@ -98,7 +98,7 @@ def clone(tmp_path, monkeypatch):
     for folder in _FOLDERS:
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))  # as the folder where a command is started
+    monkeypatch.syspath_prepend(str(tmp_path))  # as if commands were started in this folder
     return tmp_path
 
 

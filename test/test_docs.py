@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The documentation: its examples run and print what it shows, and its links lead somewhere."""
+"""The documentation: its examples run and print what is shown, and its links have targets."""
 
 import ast
 from contextlib import suppress
@@ -36,13 +36,13 @@ _LINK = re.compile(r'\]\(\s*([^)\s]+)[^)]*\)|^\[[^\]]+\]:\s*(\S+)|\b(?:src|href)
 _FILE = re.compile(r'`([\w-]+(?:/[\w-]+)+\.py)`')
 _DOTTED = re.compile(r'`(?!\w+\.py`)(\w+(?:\.\w+)+)\b(?![./])')
 _HEADING = re.compile(r'^#{1,6} +(.*?) *#*$', re.MULTILINE)
-#: Something that a page loads from the network.
+#: Matches something that a page loads from the network.
 _REMOTE = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="(?:https?:)?//')
 _EXTERNAL = re.compile(r'[a-z][a-z+.-]*:')
 
 
 def blocks(page):
-    """Return the fenced blocks of Python, and how many lines come before each."""
+    """Return the fenced blocks of Python, each with the number of lines before it."""
     text = page.read_text(encoding='utf-8')
     return [(match[3], text.count('\n', 0, match.start(3))) for match in _FENCE.finditer(text)
             if match[2] in ('python', 'pycon')]
@@ -50,9 +50,9 @@ def blocks(page):
 
 @cache
 def run(page):
-    """Run the code of a page as a reader types it; return its names, and what does not match."""
+    """Run the code of a page as a reader would; return its names, and what does not match."""
     names, said = {'__name__': '__main__'}, []
-    # Long messages may be wrapped.
+    # The page may wrap long messages.
     runner = doctest.DocTestRunner(verbose=False, optionflags=doctest.NORMALIZE_WHITESPACE)
     for code, before in blocks(page):
         if '>>>' in code:
@@ -82,7 +82,7 @@ def test_no_example_stands_where_it_is_not_run(page):
 @pytest.mark.slow
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_the_names_in_the_text_of_a_page_are_there(page):
-    # Code within a sentence is not run; its names are looked up like the names of the examples.
+    # Code within sentences does not run; its names are looked up like those in the examples.
     names, _ = run(page)
     text = _FENCE.sub('', page.read_text(encoding='utf-8'))
     assert [name for name in _DOTTED.findall(text) if not exists(name, names)] == []
@@ -140,7 +140,7 @@ def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
     assert (result.returncode, result.stderr) == (0, '')
     built = {path.stem: path.read_text(encoding='utf-8') for path in tmp_path.glob('*.html')}
     assert {page.stem for page in PAGES[1:]} <= set(built)
-    # A reader sees formulas and layout even without a network.
+    # A reader must see formulas and layout even without a network.
     assert [name for name, text in built.items() if _REMOTE.search(text)] == []
     assert built['theory'].count('<math') > 100
     assert '\\frac' not in built['theory']
@@ -149,7 +149,7 @@ def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
 def test_the_python_interface_has_every_public_name_and_those_of_examples():
     page = (ROOT / 'docs' / 'api.md').read_text(encoding='utf-8')
     listed = re.findall(r'auto\w+:: (\S+)', page)
-    # A room hands on the names of its modules; Sphinx finds comments in the modules only.
+    # A subpackage re-exports the names of its modules, but Sphinx finds comments only in modules.
     listed += [re.sub(r'^(\w+[.]\w+)[.]\w+([.]\w+)$', r'\1\2', name) for name in listed]
     public = [f'{NAME}.{name}' for name in rigid_body_ros.__all__]
     assert [name for name in [*public, *names_in_examples()] if not described(name, listed)] == []
@@ -161,7 +161,7 @@ def test_the_python_interface_has_an_example_of_every_public_name():
         getattr(rigid_body_ros, module)).items() if getattr(found, '__module__', '').endswith(
             f'mechanics.{module}') and not name.startswith('_')]
     names = [*rigid_body_ros.__all__, *functions]
-    # The results of functions have names that nobody types.
+    # Users do not type the names of classes that functions return.
     assert [name for name in names if not re.search(rf'\b{re.escape(name)}\b', shown)] == [
         'Trajectories', 'Trajectory']
 
@@ -184,13 +184,13 @@ def names_in_examples():
 
 
 def described(name, listed):
-    """Return whether a page of names has this one, its module, class, or members of it."""
+    """Return whether the listed names include this name, its module, its class or its members."""
     return any(name == other or name.startswith(f'{other}.') or other.startswith(f'{name}.')
                for other in listed)
 
 
 def exists(name, names):
-    """Return whether a dotted name is found, if it begins with one of these or one of ours."""
+    """Return whether a dotted name exists; names that begin with other modules pass."""
     first, *rest = name.split('.')
     modules = {path.stem for path in PACKAGE.iterdir() if path.suffix in ('', '.py')}
     if first in names:
@@ -218,14 +218,14 @@ def links(page):
 
 
 def leads_somewhere(page, target):
-    """Tell whether a file is there, and has the heading that is named behind #."""
+    """Return whether a file exists, and contains the heading named after #."""
     path, _, anchor = target.partition('#')
     file = (page.parent / path).resolve() if path else page
     return file.exists() and (not anchor or anchor in anchors(file))
 
 
 def anchors(page):
-    """Return the names that GitHub, and MyST after it, give to the headings of a page."""
+    """Return the anchors that GitHub and MyST give to the headings of a page."""
     names = []
     for title in _HEADING.findall(_FENCE.sub('', page.read_text(encoding='utf-8'))):
         shown = re.sub(r'\[([^\]]*)\]\([^)]*\)', r'\1', title)

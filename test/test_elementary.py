@@ -32,7 +32,7 @@ from rigid_body_ros.kernels import elementary_tables as tables
 
 pytestmark = pytest.mark.usefixtures('fifty_digits')
 
-#: Arguments of each function; 10 million take five minutes.
+#: Number of arguments for each function; 10 million take five minutes.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '20000'))
 RANDOM = np.random.default_rng(754)
 ULP = np.finfo(float).eps
@@ -65,7 +65,7 @@ for moments in ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5), (1.1, 2.0, 2.7, 0.15, -0.2, 0.
             results += [motion.attitude, motion.angular_velocity, motion.kinetic_energy]
 print(hashlib.sha256(b''.join(map(np.ndarray.tobytes, results))).hexdigest()[:16])
 """
-#: The output of the script: another number means that results have changed.
+#: The output of the script. Another number means that results have changed.
 DIGEST = '47dd80c0e92a05ad'
 
 
@@ -93,10 +93,11 @@ def points(count):
 
 def not_nearest(found, extended, exact, *arguments):
     """
-    Return how many results are not the doubles nearest to the true ones.
+    Return how many results are not the doubles nearest to the true values.
 
-    The C library's long double decides, if there is one, unless its last 4 of 11 extra bits leave
-    it open; then, or if it disagrees, mpmath does.
+    A result that agrees with the C library's long double, if it has one, counts as right, unless
+    the last 4 of the 11 extra bits leave the rounding open. All other results are compared with
+    mpmath.
     """
     doubtful = np.ones(found.shape, bool)
     if EXTENDED:
@@ -108,7 +109,7 @@ def not_nearest(found, extended, exact, *arguments):
 
 
 def in_blocks(function, count):
-    """Return the sum of a function of counts that make up the count, to bound the memory."""
+    """Return the sum of a function over blocks that add up to the count, to bound the memory."""
     return sum(function(min(100_000, count - done)) for done in range(0, count, 100_000))
 
 
@@ -129,7 +130,7 @@ def test_arctangent_is_correctly_rounded():
 
 
 def test_sines_of_the_hardest_angles_are_right():
-    # The double nearest to a multiple of pi / 2, and the largest.
+    # The double that is closest to a multiple of pi / 2, and the largest double.
     nearest = 6381956970095103.0 * 2.0 ** 797
     sines, cosines = arrays.sines_cosines([nearest, np.finfo(float).max])
     np.testing.assert_array_equal(cosines[0], -4.68716592425462761112e-19)
@@ -212,7 +213,7 @@ def test_arctangents_of_zeros_and_infinities_are_those_of_c():
 
 
 def test_a_subnormal_arctangent_rounds_down_half_way_between_doubles():
-    # The ratios are 1.5, 2.5 and 3.5 of the least doubles, and the arctangents are less.
+    # The ratios are 1.5, 2.5 and 3.5 times the smallest double; the arctangents are slightly less.
     least = 5e-324
     np.testing.assert_array_equal(
         arrays.arctangents([3 * least, 5 * least, -7 * least, 3 * least],

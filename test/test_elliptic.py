@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Elliptic functions and integrals, and numbers of 32 digits, against mpmath."""
+"""Elliptic functions and integrals, and numbers of 32 digits, compared with mpmath."""
 
 import mpmath
 from mpmath import mpf
@@ -25,7 +25,7 @@ from scipy import special
 pytestmark = pytest.mark.usefixtures('fifty_digits')
 
 RANDOM = np.random.default_rng(17)
-#: Complementary parameters from far away from the separatrix to where `free_motion` gives up.
+#: Complementary parameters, from far away from the separatrix to where `free_motion` gives up.
 COMPLEMENTS = [*(10.0 ** RANDOM.uniform(-24, 0, 60)), 1.0, 0.5, 1e-10, 1e-24]
 
 
@@ -82,8 +82,8 @@ def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
             sn, cn, dn = elliptic.jacobi(u, complement)
             exact = [mpmath.ellipfun(name, mpf(u), m=1 - mpf(complement))
                      for name in ('sn', 'cn', 'dn')]
-            # The effect of a rounding error of u on each, and one rounding error of its own;
-            # relative where it is small.
+            # For each function, the effect of a rounding error of u, and one rounding error of the
+            # result; relative where the result is small.
             slopes = (exact[1] * exact[2], exact[0] * exact[2],
                       (1 - mpf(complement)) * exact[0] * exact[1])
             for value, right, slope in zip((sn, cn, dn), exact, slopes):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The command `attitude_ensemble`: the same bytes however they came about."""
+"""The command `attitude_ensemble` writes the same bytes however the runs are computed."""
 
 import json
 import os
@@ -213,7 +213,7 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(inputs):
 
 
 def kill(inputs, given, times):
-    """Begin an ensemble in the folder 'killed' a few times, and kill it after three blocks."""
+    """Start an ensemble in the folder 'killed' a few times; kill it after three new blocks."""
     command = [*COMMAND, *given]
     blocks, before = inputs / 'killed' / 'blocks', 0
     for _ in range(times):

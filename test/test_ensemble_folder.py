@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The folder of an ensemble: one process at a time, and only valid files under final names."""
+"""The folder of an ensemble: one process at a time, and only valid files with final names."""
 
 from contextlib import contextmanager, ExitStack
 import errno
@@ -45,7 +45,7 @@ from test_ensemble import (
 )
 
 inputs, small_blocks = inputs, small_blocks  # fixtures, used by their names
-#: A body that turns for days, with steps for each radian, unless it is at rest.
+#: A body whose motion takes days to compute, with steps for each radian, unless it is at rest.
 ENDLESS_SCENE = """/**:
   ros__parameters:
     inertia: {ixx: 0.1, iyy: 0.12, izz: 0.14}
@@ -56,7 +56,7 @@ ENDLESS = 'initial_angular_velocity.y: {uniform: [6.0, 7.0]}\n'
 
 @contextmanager
 def started(given):
-    """Start a command, and kill it at the end of the context, even if it is stopped."""
+    """Start a command, and kill it at the end of the context, even if it is suspended."""
     with subprocess.Popen([*COMMAND, *given], env=ENVIRONMENT, stdout=subprocess.DEVNULL,
                           stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -79,7 +79,7 @@ def everything(path):
 
 
 def check_whole(path):
-    """Check that a folder with results has each run once, and return whether it has a summary."""
+    """Check that any results in a folder have each run once; return whether it has a summary."""
     if (path / 'runs.parquet').exists():
         identity = json.loads((path / 'identity.json').read_text())
         rows = parquet.read_table(path / 'runs.parquet')
@@ -233,7 +233,7 @@ def test_commands_that_race_and_die_leave_nothing_false(inputs, tries, seed):
 
 
 def race(inputs, name, random, seconds):
-    """Start commands on a folder at random times, and kill them at random times."""
+    """Start commands on the same folder at random times, and kill them at random times."""
     count = int(random.integers(2, 4))
     events = [(float(when), 'start', k) for k, when in enumerate(
         random.uniform(0.0, 0.5 * seconds, count))]
@@ -256,7 +256,7 @@ def race(inputs, name, random, seconds):
 
 @contextmanager
 def small_disk(path, size):
-    """Mount a file system of some size, B, at a new folder; yield a function that enlarges it."""
+    """Mount a file system of a size, B, at a new folder; yield a function that enlarges it."""
     path.mkdir()
     mount = ['mount', '-t', 'tmpfs', '-o', f'size={size}', 'tmpfs', str(path)]
     if os.geteuid() or subprocess.run(mount, capture_output=True, check=False).returncode:

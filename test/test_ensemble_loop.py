@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ensembles with a controller: the bits of lockstep, in any order; requirements and effects."""
+"""Ensembles with a controller: the bits of lockstep in any order, requirements, and effects."""
 
 from dataclasses import asdict, replace
 import json
@@ -73,7 +73,7 @@ def ensemble(name, *vary, end_ns=END_NS, times_ns=None, problem=None, **values):
 
 
 def by_hand(problem, law, gain):
-    """Return the motion at `TIMES`, in the loop that `test_closed_loop` compares a node with."""
+    """Return the motion at `TIMES`, in the loop that `test_closed_loop` compares with a node."""
     propagator, motion = Propagator(problem.body, problem.start, **asdict(problem.options)), []
     for stamp_ns in range(0, END_NS, STEP_NS):
         state = propagator.at(stamp_ns)
@@ -108,7 +108,7 @@ def test_a_run_has_the_bits_of_the_live_half_of_the_node(actuator):
 
 @pytest.fixture
 def everything():
-    """Return a scene with all that can act on a body, and its problem."""
+    """Return a scene with everything that can act on a body, and its problem."""
     stamps = np.arange(-1, 20) * 90_000_000
     torques = 0.01 * np.sin(np.arange(63.0)).reshape(21, 3)
     scene = Scene.from_values({
@@ -301,7 +301,7 @@ def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tm
 
 @pytest.fixture(scope='module')
 def example(tmp_path_factory):
-    """Return the folder of the example in the documentation, with fewer runs, and its output."""
+    """Run the example of the documentation with fewer runs; return its folder and its output."""
     folder = tmp_path_factory.mktemp('example')
     text = (ROOT / 'docs' / 'ensemble.md').read_text()
     command, = re.findall(r'^attitude_ensemble --scene examples/damp[^`]*', text, re.MULTILINE)
@@ -336,7 +336,7 @@ def test_the_example_is_the_same_after_an_interruption(example, monkeypatch, cap
 
 
 def replay_the_worst(folder, rows, text, monkeypatch):
-    """Type the first command that the example prints."""
+    """Run the first command that the example prints."""
     run, command = re.search(r'worst +run (\d+), .*: attitude_replay (.*)', text).groups()
     monkeypatch.chdir(folder)
     assert main.attitude_replay(shlex.split(command)) == 0
@@ -381,4 +381,4 @@ def test_effects_count_whether_they_are_odd_or_even():
     for quantity in (np.abs(x), x ** 2, np.exp(-5.0 * np.abs(x)), np.exp(9.0 * x), 3.0 - x):
         assert _explained(x, quantity) > 0.85
         assert _explained(other, quantity) < 0.01
-    assert _explained(np.sign(x), x) == pytest.approx(0.75, abs=0.02)  # of two values only
+    assert _explained(np.sign(x), x) == pytest.approx(0.75, abs=0.02)  # only two different values

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The motions of an ensemble: the states of `propagate`, in the same bytes however it is run."""
+"""The motions of an ensemble: the states of `propagate`, with the same bytes however it runs."""
 
 import shutil
 
@@ -98,8 +98,8 @@ def test_workers_extension_and_lost_files_give_the_same_bytes(inputs):
     assert contents(inputs / 'two') == contents(inputs / 'extended') == expected
     next((inputs / 'two' / 'blocks').iterdir()).unlink()
     (inputs / 'extended' / 'motion.zarr' / 'motion' / '3.0.0').unlink()
-    (inputs / 'one' / 'motion.zarr' / '.zmetadata').unlink()  # a kill while the group was created
-    part = f'0.0.{"0f" * 16}.partial'  # a kill while a chunk was written
+    (inputs / 'one' / 'motion.zarr' / '.zmetadata').unlink()  # killed while creating the group
+    part = f'0.0.{"0f" * 16}.partial'  # killed while writing a chunk
     (inputs / 'two' / 'motion.zarr' / 'motion' / part).write_text('half')
     for name in ('one', 'two', 'extended'):
         run(inputs, name, 58, '--times', HZ)
@@ -167,8 +167,8 @@ def test_a_chunk_that_does_not_fit_is_computed_again(inputs, capsys, change):
     run(inputs, 'out', 23, '--times', HZ)
     run(inputs, 'out', 58, '--times', HZ)
     expected, chunks = contents(inputs / 'whole'), inputs / 'out' / 'motion.zarr' / 'motion'
-    for runs in (58, 60):  # the command may add runs at the same time
-        change(chunks / '4.0.0', chunks / '3.0.0')  # its runs are in two blocks
+    for runs in (58, 60):  # the second command also adds runs
+        change(chunks / '4.0.0', chunks / '3.0.0')  # the first chunk has runs of two blocks
         capsys.readouterr()
         run(inputs, 'out', runs, '--times', HZ)
         note, = capsys.readouterr().err.splitlines()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The figure of an ensemble: the numbers that it shows."""
+"""The figure of an ensemble shows the right numbers."""
 
 import json
 import re
@@ -49,7 +49,7 @@ PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Return the figures that are drawn."""
+    """Return a list that collects the figures that are drawn."""
     figures = []
     monkeypatch.setattr(spread, 'Figure', lambda *arguments, **options: figures.append(
         figure := Figure(*arguments, **options)) or figure)
@@ -65,7 +65,7 @@ def arguments(tmp_path):
 
 
 def results_of(angles, **more):
-    """Return results in the form of summary.json."""
+    """Return the results for some angles, in the form of summary.json."""
     known = angles[np.isfinite(angles)]
     found = dict(zip((f'p{k}' for k in PERCENTILES), percentiles(known, PERCENTILES).tolist()))
     return {'runs': len(angles), 'failed': len(angles) - len(known),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Runs of an ensemble: the values drawn are applied, and the values applied are reported."""
+"""Runs of an ensemble: drawn values are applied, and applied values are reported."""
 
 from dataclasses import replace
 import time
@@ -52,7 +52,7 @@ def ensemble(*dispersions, logs=LOGS, wheels=None, **values):
 
 
 def rows(found, first, stop):
-    """Return runs as dicts by column."""
+    """Return some runs as dicts by column."""
     columns = found.rows(first, stop)
     return [dict(zip(columns, values)) for values in zip(*(column.tolist() for column
                                                            in columns.values()))]
@@ -304,7 +304,7 @@ def test_runs_that_would_take_days_fail_at_once(one, logs):
 
 
 def test_runs_under_fields_too_strong_to_compute_fail_at_once():
-    # The body and its torques are slow: only the field turns it.
+    # The rates and the torques are small: only the field turns the body.
     strong = {'fields': ['weight'], 'weight.moment.z': 1.0, 'weight.field.z': -9.81}
     one = Dispersion('weight.moment.z', 'uniform', (1e14, 2e14))
     for row in rows(ensemble(one, logs=(), **strong), 0, 4):

@@ -95,7 +95,7 @@ def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch
     monkeypatch.setattr(writer, '_CHUNK', block)  # what is read at a time
     two = save(tmp_path / 'two.mcap', [*epoch(run, FIRST, TORQUES),
                                        *epoch(run, SECOND_START, MORE)])
-    # The start of the scene is neither of the two.
+    # The start of the scene is not that of either epoch.
     result = replay(two, run, tmp_path / 'out.mcap', keep=keep)
     first, = result.earlier
     written = attitudes(tmp_path / 'out.mcap')
@@ -114,7 +114,7 @@ def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):
     result = replay(two, run, tmp_path / 'out.mcap', until=2.0, rate=10.0)
     assert attitudes(tmp_path / 'out.mcap').stamps_ns.tolist() == [
         start.time_ns + k * SECOND // 10 for start in (FIRST, SECOND_START) for k in range(21)]
-    # The second epoch lasts 1.5 s: it is continued, as a single recording is.
+    # The second epoch lasts 1.5 s; like a single recording, it is continued.
     assert result.last.time_ns == SECOND_START.time_ns + 2 * SECOND
 
 
@@ -291,7 +291,7 @@ def wheeled(tmp_path):
 
 @pytest.mark.parametrize(('torque', 'raw'), [(None, False), (ACCEPTED, False), (ACCEPTED, True)])
 def test_what_a_node_has_logged_is_found_beside_its_torques(tmp_path, torque, raw):
-    # Without it the motion would differ, and no message would say so.
+    # Without the logged inertia and commands, the motion would differ without any message.
     run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')
     run = scene.Scene.from_values({**run.values, 'inertia_topic': True})
     kind = messages.joint_commands([wheel.name for wheel in run.named_wheels])
@@ -485,7 +485,7 @@ def test_every_command_takes_an_epoch_without_torques(run, tmp_path, capsys, nam
     log = save(tmp_path / 'log.mcap', epoch(run, FIRST, {ACCEPTED: []}))
     status = called(tmp_path, name, log)
     captured = capsys.readouterr()
-    # One state determines nothing, and is not a motion to measure.
+    # A single state determines nothing, and is not a motion to measure.
     assert (status, len(captured.err.splitlines())) in ((0, 0), (2, 1), (3, 0))
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Error lines: one line of bounded length, whatever they quote."""
+"""Errors are one line of bounded length, whatever they quote."""
 
 import pytest
 from rigid_body_ros.common.errors import InputError, listed, LONGEST, quoted, reason, shortened

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Euler angles: all sequences against their definition."""
+"""Euler angles: all sequences, compared with their definition."""
 
 from decimal import Decimal, localcontext
 from itertools import product
@@ -28,12 +28,12 @@ PROPER = ('XYX', 'XZX', 'YXY', 'YZY', 'ZXZ', 'ZYZ')
 TAIT_BRYAN = ('XYZ', 'XZY', 'YXZ', 'YZX', 'ZXY', 'ZYX')
 INTRINSIC = PROPER + TAIT_BRYAN
 ALL = INTRINSIC + tuple(name.lower() for name in INTRINSIC)
-#: `turned` also rounds if long double has no more digits than double.
+#: Larger if long double has no more digits than double, because `turned` also rounds then.
 ROUND_TRIP = 1e-15 if np.finfo(np.longdouble).eps < EPS else 2e-15
 RANDOM = np.random.default_rng(313)
 Q = so3.normalize(RANDOM.normal(size=(500, 4)))
 W = RANDOM.normal(size=(500, 3))
-#: Every axis on every other, and half way between, with both zeros.
+#: Rotations of every axis to every other and halfway between, with zeros of both signs.
 LATTICE = np.array([q for q in product((-1.0, -0.5, -0.0, 0.0, 0.5, 1.0), repeat=4) if any(q)])
 
 
@@ -50,7 +50,7 @@ def near_poles(sequence, outer=20):
 
 
 def at_edges(sequence):
-    """Return attitudes whose outer angles lie about the ends of their domain."""
+    """Return attitudes whose outer angles lie around the ends of their domain."""
     low, high = poles(sequence)
     ends = [end + nudge for end in (0.0, np.pi, -np.pi)
             for nudge in (0.0, 1e-17, -1e-17, 3e-16, -3e-16, 5e-16, -5e-16, 9e-16, -9e-16)]
@@ -58,20 +58,20 @@ def at_edges(sequence):
 
 
 def hamilton(p, q):
-    """Return Hamilton's product in the numbers that the factors are made of."""
+    """Return Hamilton's product, with the numeric type of the factors."""
     (px, py, pz, pw), (qx, qy, qz, qw) = p, q
     return (pw * qx + px * qw + py * qz - pz * qy, pw * qy + py * qw + pz * qx - px * qz,
             pw * qz + pz * qw + px * qy - py * qx, pw * qw - px * qx - py * qy - pz * qz)
 
 
 def turned(p, q):
-    """Return the angle, rad, between attitudes of any norm, without rounding where possible."""
+    """Return the angle, rad, between attitudes of any norm, in extended precision if possible."""
     x, y, z, w = hamilton(so3.conjugate(p).T.astype(np.longdouble), q.T)
     return 2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)).astype(float)
 
 
 def exact_quaternion(angles, sequence):
-    """Return the three turns multiplied, each a power series, in 40 digits."""
+    """Return the product of the three rotations, each from a power series, with 40 digits."""
     turns = []
     for letter, angle in zip(sequence.lower(), angles):
         half, terms = Decimal(angle) / 2, [Decimal(1)]
@@ -88,7 +88,7 @@ def test_313_is_space_z_then_line_of_nodes_then_body_z():
     about_z, about_x = so3.exp([0, 0, phi]), so3.exp([theta, 0, 0])
     expected = so3.multiply(so3.multiply(about_z, about_x), so3.exp([0, 0, psi]))
     np.testing.assert_allclose(euler.to_quaternion([phi, theta, psi]), expected, atol=EPS)
-    # Applied in the other order, the same three turns are about axes fixed in space.
+    # In the reverse order, the same three rotations are about axes fixed in space.
     np.testing.assert_array_equal(euler.to_quaternion([psi, theta, phi], 'zxz'),
                                   euler.to_quaternion([phi, theta, psi]))
 
@@ -206,7 +206,7 @@ def test_the_three_axes_of_313_are_space_z_line_of_nodes_body_z():
     space_z, node, body_z = np.moveaxis(euler.rotation_axes(angles), -2, 0)
     np.testing.assert_allclose(space_z, so3.rotate(to_body, [0.0, 0.0, 1.0]), atol=8 * EPS)
     np.testing.assert_array_equal(body_z, np.broadcast_to([0.0, 0.0, 1.0], body_z.shape))
-    # The line of nodes is where the two xy planes meet, at phi from space X.
+    # The line of nodes, where the two xy planes meet, is at the angle phi from space X.
     along = np.stack([np.cos(angles[:, 0]), np.sin(angles[:, 0]), np.zeros(len(Q))], axis=1)
     np.testing.assert_allclose(so3.rotate(Q, node), along, atol=8 * EPS)
     np.testing.assert_allclose(np.cross(space_z, body_z),
@@ -273,14 +273,14 @@ def test_unwrapped_angles_name_the_same_attitudes_without_jumps(sequence):
 @pytest.mark.parametrize('sequence', ALL)
 @pytest.mark.parametrize('start', [0.0, 1e-3])
 def test_unwrapped_angles_go_through_both_poles_and_around(sequence, start):
-    # With samples at the poles, and with none.
+    # With and without samples at the poles.
     middle = start + np.arange(-500, 501) * (np.pi / 100)
     given = np.stack([0 * middle + 0.8, middle, 0 * middle - 2.1], axis=1)
     attitude = euler.to_quaternion(given, sequence)
     angles = euler.unwrap(euler.from_quaternion(attitude, sequence), sequence)
     sense = np.sign(angles[1, 1] - angles[0, 1])
     off = np.abs(angles - angles[0] - (given - given[0]) * [1.0, sense, 1.0])
-    # The closer to a pole, the less a rounded attitude distinguishes the outer angles.
+    # The closer to a pole, the less a rounded attitude determines the outer angles.
     noise = np.minimum(0.5, 8 * EPS / np.maximum(EPS, np.abs(np.sin(2 * middle))))
     assert np.all(off[:, 1] < 32 * EPS)
     assert np.all(off[:, ::2] < noise[:, None] + 32 * EPS)

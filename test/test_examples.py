@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The examples, run as a user would, against formulas, the truth and the commands."""
+"""The examples, run as by a user, compared with formulas, the truth and the commands."""
 
 import re
 import subprocess
@@ -44,7 +44,7 @@ def started(folder, name, *arguments):
 
 
 def printed(folder, name, *arguments):
-    """Return the lines that an example prints, by the label at the beginning of each."""
+    """Run an example, and return the lines that it prints, by their labels."""
     result = started(folder, name, *arguments)
     assert (result.returncode, result.stderr) == (0, '')
     return dict(re.split('  +', line.strip(), maxsplit=1) for line in result.stdout.splitlines())
@@ -55,7 +55,7 @@ def numbers(text):
 
 
 def textbook(moments, rates):
-    """Return 2 K(k) / lambda, s, as Landau and Lifshitz have it (Mechanics, section 37)."""
+    """Return 2 K(k) / lambda, s, from Landau and Lifshitz (Mechanics, section 37)."""
     with mp.workdps(40):
         low, middle, high = (mp.mpf(moment) for moment in moments)
         rates = [mp.mpf(rate) for rate in rates]
@@ -70,7 +70,7 @@ def textbook(moments, rates):
 
 @pytest.fixture(scope='module')
 def of_the_wing_nut(tmp_path_factory):
-    """Return the output of the example without a path, and its folder."""
+    """Run the example without a path; return its output and its folder."""
     folder = tmp_path_factory.mktemp('wing_nut')
     return printed(folder, 'intermediate_axis'), folder
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""AttitudeNode in a process that composes its own nodes: any executor, name and parameters."""
+"""AttitudeNode in a process that composes nodes itself, with any executor, name and parameters."""
 
 import os
 import signal
@@ -41,13 +41,13 @@ from rigid_body_ros import messages, propagate, scene, State, TorqueLog
 from rigid_body_ros.node import AttitudeNode
 
 pytestmark = pytest.mark.ros
-#: The executor, and whether another node in it blocks for 50 ms at a time.
+#: The executor; `beside` adds another node that blocks it for 50 ms at a time.
 COMPOSITIONS = ['multi', 'events beside', *at_night('spin', 'single', 'events', 'multi beside',
                                                     'single beside', 'spin beside')]
-#: A stall of the machine shall not make a torque late, nor overflow the queue.
+#: Parameters with which a stall of the machine neither makes a torque late nor overflows a queue.
 PATIENT = (*RELIABLE, '-p', 'history:=60.0',
            '-p', 'qos_overrides./torque.subscription.depth:=100000')
-#: The machine stalled when the epoch or the node ended.
+#: Messages of a replay if the machine stalled when the epoch or the node ended.
 MISSING, UNKNOWN = 'states are missing on ~/committed', 'the end of the log may be lost'
 BODY = [Parameter(f'inertia.{name}', value=value)
         for name, value in (('ixx', 0.02), ('iyy', 0.03), ('izz', 0.04))]
@@ -69,7 +69,7 @@ def test_late_and_shuffled_torques_replay_bit_for_bit_in_every_executor(
         publish_when_due(live, torques)
         live.wait_until(lambda: len(live.torques) == 2000, 'every torque')
         live.dump_parameters(tmp_path / 'live.yaml')
-        # Begins another epoch, while the node has all the time to deliver the log of this one.
+        # Begin another epoch, so that the node has enough time to deliver the log of this one.
         assert live.reset().success
         live.wait_until(lambda: stamps_of(live.received[COMMITTED][-1:])[0] > torques[-1].due_ns,
                         'the start of the next epoch')
@@ -130,7 +130,7 @@ def test_nodes_of_one_process_have_their_own_names_and_parameters(context):
     for node in (left, right, client):
         executor.remove_node(node)
         node.destroy_node()
-    left.destroy_node()  # once more changes nothing
+    left.destroy_node()  # a second time changes nothing
     executor.shutdown()
 
 
@@ -155,7 +155,7 @@ def test_mistakes_in_python_raise_one_line(context, arguments, message):
 
 def test_a_mistake_leaves_no_node(context):
     observer = rclpy.create_node('observer', context=context)
-    with pytest.raises(scene.InputError) as raised:  # which refers to the node
+    with pytest.raises(scene.InputError) as raised:  # holds a reference to the node
         AttitudeNode(namespace='mistaken', context=context, parameter_overrides=BODY[:1])
     spin_until(SingleThreadedExecutor(context=context), lambda: '/mistaken' not in [
         namespace for _, namespace in observer.get_node_names_and_namespaces()])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Faults of other nodes: counted, logged, without effect on the motion; a replay agrees."""
+"""Faults of other nodes are counted and logged, do not affect the motion, and a replay agrees."""
 
 import re
 import signal
@@ -78,7 +78,7 @@ def finished(tmp_path, live):
 
 
 def torques_of(live):
-    """Return the diagnostics of the torques, published after this call."""
+    """Return diagnostics of the torques that are published after this call."""
     asked_ns = live.now_ns()
     live.wait_until(lambda: live.diagnostics and asked_ns < Time.from_msg(
         live.diagnostics[-1].header.stamp).nanoseconds, 'a diagnosis')
@@ -131,7 +131,7 @@ def test_duplicates_and_bursts_are_taken(tmp_path, domain):
             live.publish(stamp_ns, '', [0.0, 0.0, 0.02])
         live.wait_until(lambda: len(live.torques) == 909, 'all torques')
         live.spin(1.5)
-        live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])  # makes the others final
+        live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])  # makes the earlier torques final
         live.wait_until(lambda: len(live.received[COMMITTED]) == 901, 'all states')
         values, _, _ = torques_of(live)
         said = ' '.join(status.message for array in live.diagnostics for status in array.status)
@@ -202,7 +202,7 @@ def test_nothing_is_lost_at_1_khz_through_a_stall(tmp_path, domain, reliability)
         publisher = live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
             depth=1000, reliability=policy))
 
-        def is_accepted():  # each side discovers the other in its own time
+        def is_accepted():  # each side takes its time to discover the other
             publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
             return live.torques
         live.wait_until(is_accepted, 'the first torque')
@@ -217,7 +217,7 @@ def test_nothing_is_lost_at_1_khz_through_a_stall(tmp_path, domain, reliability)
 
 
 def stream(live, publisher):
-    """Publish at 1 kHz for 1 s with the node stopped for 0.1 s; return if it was no longer."""
+    """Publish at 1 kHz for 1 s, and stop the node for 0.1 s; return whether it took no longer."""
     due, lag = time.monotonic(), 0.0
     for number in range(1000):
         if number == 300:
@@ -241,9 +241,9 @@ def test_lost_torques_are_counted(tmp_path, domain):
             depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
         live.wait_until(publisher.get_subscription_count, 'the node')
         lost = 0
-        for _ in range(10):  # a node that stops for longer is taken for dead: nothing is counted
+        for _ in range(10):  # DDS takes a node that stops for too long for dead
             live.process.send_signal(signal.SIGSTOP)
-            for _ in range(20_000):  # more than all buffers on the way hold
+            for _ in range(20_000):  # more than all buffers can hold
                 publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
             live.process.send_signal(signal.SIGCONT)
             live.spin(1.0)
@@ -299,7 +299,7 @@ def test_a_motion_that_is_too_fast_does_not_block_services(domain):
         live.publish(live.now_ns(), '', [1e6, 0.0, 0.0])
         live.wait_until(lambda: live.diagnosis('motion')[0]['deadlines missed'], 'a diagnosis')
         _, level, text = live.diagnosis('motion')
-        # Parameters and services respond, and torques are accepted.
+        # The node still responds to parameter and service calls, and accepts torques.
         assert get_parameters(live, 'solver')
         assert live.reset().success
         live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])

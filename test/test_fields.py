@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torques that depend on the attitude: accuracy, closed forms, conservation, the same bits."""
+"""Torques that depend on the attitude: accuracy, closed forms, conservation, and equal bits."""
 
 import os
 import re
@@ -64,11 +64,11 @@ def limits_of(scene, start, times_ns):
 @pytest.mark.parametrize('name', terms.NAMES_OF_FIELDS)
 def test_every_motion_is_the_one_of_fifty_digits(name, fifty_digits):
     """
-    Compare with 1e-15 (10 + phase), for the pendulum times `fields.magnification`.
+    Compare errors with 1e-15 (10 + phase), for the pendulum times `fields.magnification`.
 
-    The pendulum passes near its upper balance point and magnifies a change of its start by up to
-    1.7e9; `test_no_second_of_the_pendulum_loses_more_than_it_magnifies` judges it more closely.
-    The others need no such factor.
+    The pendulum passes near its upper balance point, and magnifies a change of its start by up to
+    1.7e9. `test_no_second_of_the_pendulum_loses_more_than_it_magnifies` tests it more strictly.
+    The other motions need no such factor.
     """
     scene = terms.Reference(name, terms.TRUTH_OF_FIELDS)
     motion = scene.propagate(scene.times_ns)
@@ -87,7 +87,7 @@ def test_every_motion_is_the_one_of_fifty_digits(name, fifty_digits):
 
 @pytest.mark.slow
 def test_no_second_of_the_pendulum_loses_more_than_it_magnifies(fifty_digits):
-    # From each row of the truth to the next one, a second later: a factor of 1 to 1e3.
+    # From each row of the truth to the next, a second later; the factor is 1 to 1e3.
     scene = terms.Reference('pendulum_swing', terms.TRUTH_OF_FIELDS)
     attitudes, rates = scene.truth('q'), scene.truth('w')
     speed = np.linalg.norm(rates.astype(float), axis=1).max()
@@ -113,7 +113,7 @@ def about_x(angle):
     (0.3, 0.1, False), (2.5, -0.5, True), (1.0, -3.0, False), (0.2, 20.0, False),
     (0.2, -20.0, False), (-2.0, 2.0, False), (3.0, 1e-3, True)])
 def test_a_plane_pendulum_swings_and_goes_round(angle, rate, near_the_top, fifty_digits):
-    # Two come near the top, where they magnify a change of their start in the plane.
+    # Two of these motions come near the top, where they magnify a change of their start.
     body = RigidBody([[1.5, 0.0, 0.0], [0.0, 2.0, 0.3], [0.0, 0.3, 2.5]])
     problem = Problem(body, State(0, about_x(angle), (rate, 0.0, 0.0)),
                       fields=[UniformField((0.0, 0.1, -0.3), (0.0, 3.0, -9.0))])
@@ -135,7 +135,7 @@ def test_a_plane_pendulum_swings_and_goes_round(angle, rate, near_the_top, fifty
     (-0.3, (0.3, 0.2, -0.5, 0.9), (-1.5, 0.3, 2.0)),
     (0.02, (0.3, 0.1, 0.2, -0.9), (2.0, 3.0, -3.0))])
 def test_lagrange_top_nods_and_precesses(moment, attitude, rates):
-    # The second one goes back and forth, the third one hangs.
+    # The second top precesses back and forth, and the third hangs.
     problem = Problem(RigidBody.from_moments(0.2, 0.2, 0.1), State(0, attitude, rates),
                       fields=[UniformField((0.0, 0.0, moment), (0.0, 0.0, -9.81))])
     times_ns = np.array([1, 3, 10]) * SECOND
@@ -145,8 +145,8 @@ def test_lagrange_top_nods_and_precesses(moment, attitude, rates):
             assert np.all(error <= fields.bound(problem, times_ns))
 
 
-#: Moments about the directions away from the planet, along the orbit and across it, kg m^2: yaw,
-#: roll and pitch of a satellite that is stable in all of them.
+#: Moments, kg m^2, about the directions away from the planet (yaw), along the orbit (roll) and
+#: across it (pitch), for a satellite that is stable about all three.
 YAW, ROLL, PITCH = 6.0, 10.0, 13.0
 
 
@@ -154,8 +154,8 @@ def libration(name, rate):
     """
     Return the angular rate, rad/s, and the amplitudes about the three directions of a libration.
 
-    For small angles (Hughes, chapter 9). The angle about the first direction is minus a sine,
-    about the others a cosine.
+    They hold for small angles (Hughes, chapter 9). The angle about the first direction is minus a
+    sine; the angles about the others are cosines.
     """
     if name == 'pitch':
         return rate * np.sqrt(3.0 * (ROLL - YAW) / PITCH), np.array([0.0, 0.0, 1.0])
@@ -230,7 +230,7 @@ def test_kovalevskaya_integral_is_constant(seed):
     problem = fields.under_one_field('Kovalevskaya', seed)
     at = fields.turns(problem, 1000)
     assert fields.kovalevskaya_integral(problem, problem.propagate(at=at)).drift() < 5e-14
-    # It is not with a moment out of the plane of the equal moments of inertia.
+    # It is not conserved for a moment out of the plane of the equal moments of inertia.
     other = problem.replaced(fields=[UniformField((0.3, 0.4, 0.1), (0.0, 0.0, -9.81))])
     assert fields.kovalevskaya_integral(other, other.propagate(at=at)).drift() > 0.01
 
@@ -273,7 +273,7 @@ def test_the_order_with_fields_and_all_other_terms_is_the_one_promised(solver):
 
 
 def scene(seed, rotors=True):
-    """Return body, start, logs, motor torques and times of a motion under all kinds of torque."""
+    """Return the body, start, logs, motor torques and times of a motion under all torques."""
     random = np.random.default_rng(seed)
     stamps = np.arange(40) * SECOND // 20
     logs = [TorqueLog(stamps, 0.3 * random.normal(size=(40, 3))),
@@ -285,7 +285,7 @@ def scene(seed, rotors=True):
     return body, start, logs, wheels if rotors else TorqueLog([], []), at
 
 
-#: Solvers, whether they take rotors, and their longest step, s.
+#: Solvers, whether they accept rotors, and their longest step, s.
 ALL_SOLVERS = [('auto', True, None), ('taylor', True, 0.04), ('rk4', True, 0.01),
                ('explicit_euler', True, 0.01), ('strang', False, 0.01)]
 
@@ -323,7 +323,7 @@ def test_a_state_restarts_with_the_same_bits(solver, rotors, max_step):
     middle = propagator.at(1_234_567_891)
     at = np.arange(13, 30) * SECOND // 10
     whole = problem.propagate(at=at)
-    # The orbit of the problem has the time of the first start; without one it would start again.
+    # The orbit of the problem keeps the time of the first start; otherwise it would start again.
     for rest in (problem.replaced(start=middle), problem.between(middle, 3 * SECOND),
                  Problem(body, middle, logs, wheels=wheels, fields=problem.fields, **options)):
         np.testing.assert_array_equal(terms.numbers(rest.propagate(at=at)), terms.numbers(whole))
@@ -332,7 +332,7 @@ def test_a_state_restarts_with_the_same_bits(solver, rotors, max_step):
 
 
 def assert_each(found, at, problems):
-    """Assert that motions computed together have the bits of single ones."""
+    """Assert that motions computed together have the same bits as when computed alone."""
     for number, problem in enumerate(problems):
         alone = problem.propagate(at=at)
         np.testing.assert_array_equal(found.attitude[number], alone.attitude)
@@ -344,7 +344,7 @@ def assert_each(found, at, problems):
 @pytest.mark.parametrize('logs', ['no log', 'one log', 'two logs', 'a log of each'])
 @pytest.mark.parametrize(('solver', 'rotors', 'max_step'), ALL_SOLVERS)
 def test_many_motions_have_the_bits_of_single_ones(solver, rotors, max_step, logs, own):
-    # With nine of them, more than share a step without fields; they start at two times.
+    # Nine motions, more than share a step without fields, with two different start times.
     scenes = [scene(seed, rotors and seed % 3 > 0) for seed in range(9)]
     bodies, starts = [one[0] for one in scenes], [
         State(-SECOND // 3 * (seed % 2), one[1].attitude, one[1].angular_velocity,
@@ -381,7 +381,7 @@ def test_gains_of_a_log_leave_the_fields_as_they_are():
 
 @pytest.mark.slow
 def test_directions_and_sums_have_the_same_bits_on_every_processor():
-    # BLAS multiplies and adds in an order, and with fused products, that depend on it.
+    # The order of operations in BLAS, and its use of fused products, depend on the processor.
     script = """
 import numpy as np
 from rigid_body_ros import GravityGradient, Problem, RigidBody, State, UniformField
@@ -410,7 +410,7 @@ FINE = np.arange(501) * SECOND // 50
 
 
 def assert_close(one, other):
-    """Assert that problems have the same motion within rounding, as the motion magnifies it."""
+    """Assert that two problems have the same motion, up to rounding as the motion magnifies it."""
     motion, found = (problem.propagate(at=FINE) for problem in (one, other))
     limits = terms.bound(motion) * fields.magnification(
         lambda start, at: one.replaced(start=start).propagate(at=at), one.start, FINE)
@@ -421,7 +421,7 @@ def assert_close(one, other):
 
 
 def under(given, solver='auto', body=FULL):
-    """Return the problem of a body under fields, with steps of 0.1 s if they are fixed."""
+    """Return the problem of a body under fields; a fixed-step solver takes steps of 0.1 s."""
     return Problem(body, START, fields=given, solver=solver,
                    max_step=0.1 if solver in LADDERS else None)
 
@@ -429,7 +429,7 @@ def under(given, solver='auto', body=FULL):
 @pytest.mark.parametrize('solver', ['taylor', *LADDERS])
 @pytest.mark.parametrize('orbit', [[], [ORBIT]])
 def test_more_than_three_uniform_fields_add_up(solver, orbit):
-    # Parts of two fields, which are exact because they are powers of two.
+    # Divide two fields into parts, exactly, because the fractions are powers of two.
     parts = [UniformField(np.multiply(one.moment, share), one.field)
              for one in (WEIGHT, DIPOLE) for share in (0.5, 0.25, 0.25)]
     taken = UniformField(-0.5 * np.asarray(DIPOLE.moment), DIPOLE.field)
@@ -439,7 +439,7 @@ def test_more_than_three_uniform_fields_add_up(solver, orbit):
 
 
 def test_fields_along_the_axes_are_those_of_any_direction():
-    # m x R^T f is linear in the matrix f m^T, of three rows and nine entries.
+    # m x R^T f is linear in the matrix f m^T, which has nine entries.
     matrix = np.outer(WEIGHT.field, WEIGHT.moment) + np.outer(DIPOLE.field, DIPOLE.moment)
     axes, two = np.eye(3), under([WEIGHT, DIPOLE])
     assert_close(two, under([UniformField(row, axis) for row, axis in zip(matrix, axes)]))
@@ -463,7 +463,7 @@ def test_a_sphere_feels_no_gravity_gradient():
     assert_close(under([], body=body), under([ORBIT], body=body))
 
 
-#: The coefficients of a difference of order eight.
+#: The coefficients of a finite difference of order eight.
 WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 
 
@@ -480,7 +480,7 @@ def test_a_torque_is_the_slope_of_its_potential(given):
 @pytest.mark.parametrize('given', [[WEIGHT], [ORBIT], FIELDS],
                          ids=['uniform', 'gradient', 'all'])
 def test_the_momentum_changes_at_the_rate_of_the_torque(given):
-    # d(R J w)/dt, against the torque that the problem returns.
+    # Compare d(R J w)/dt with the torque that the problem returns.
     problem = Problem(FULL, START, fields=given)
     motion = problem.propagate(at=SECOND + SECOND // 100 * np.arange(-4, 5))
     rate = WEIGHTS @ motion.angular_momentum_space * 100
@@ -535,7 +535,7 @@ def test_the_body_goes_round_the_planet_about_the_normal():
     orbit = GravityGradient(np.pi / 2.0, (2.0, 0.0, 0.0), (0.0, 0.0, 3.0), 0)
     np.testing.assert_allclose(orbit.directions(np.array([0, SECOND, 2 * SECOND])),
                                [[1, 0, 0], [0, 1, 0], [-1, 0, 0]], atol=1e-15)
-    # A rod that leads the vertical a little is pulled back, about minus the normal.
+    # A rod tilted slightly ahead of the vertical is pulled back, about minus the normal.
     rod = RigidBody.from_moments(1.0, 10.0, 10.0)
     ahead = so3.exp([[0.0, 0.0, 0.1]])
     torque = Problem(rod, State(0, ahead[0]), fields=[orbit]).torque(np.array([0]), ahead)[0]
@@ -563,7 +563,7 @@ def test_a_weight_above_the_pivot_falls():
     np.testing.assert_allclose(energy, [18.0 * np.cos(0.1)], rtol=1e-15)
 
 
-# What is refused
+# What is rejected
 
 
 THREE = 'expected 3 finite numbers, found'

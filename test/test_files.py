@@ -39,7 +39,7 @@ def write(path, text='new'):
 
 @pytest.fixture
 def umask():
-    """Set a umask that is not the usual one."""
+    """Set an unusual umask."""
     before = os.umask(0o027)
     yield
     os.umask(before)
@@ -181,7 +181,7 @@ def test_temporary_names_cannot_be_predicted(tmp_path):
 
 
 def test_a_temporary_file_never_replaces_another(tmp_path, monkeypatch):
-    # An attacker who guessed the name would put a link to somebody's file there.
+    # An attacker who guesses the name could place a link to somebody's file there.
     monkeypatch.setattr('secrets.token_hex', lambda size: 'guessed')
     other = tmp_path / 'other'
     other.write_text('unchanged')
@@ -218,7 +218,7 @@ def test_contents_are_on_the_disk_before_the_name(tmp_path, monkeypatch, kind):
 
 @pytest.mark.parametrize('minor', [3, 7], ids=['null', 'full'])
 def test_a_device_is_refused(tmp_path, minor):
-    # Never one of /dev: for root, code that is broken would replace it for the whole machine.
+    # Never a device in /dev: as root, broken code would replace it for the whole machine.
     device = tmp_path / 'device'
     try:
         os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, minor))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ensembles from a fit: the joint distribution, and from a bag to a spread."""
+"""Ensembles from a fit: the joint distribution, and the way from a bag to a spread."""
 
 import json
 
@@ -186,7 +186,7 @@ def test_a_file_that_is_not_json_is_one_line(tmp_path, text):
 
 @pytest.fixture(scope='module')
 def fit(tmp_path_factory):
-    """Return a folder with a recording, the guess, and the outputs of the first command."""
+    """Run the first command; return the folder with its recording, its guess and its outputs."""
     folder, truth = tmp_path_factory.mktemp('fit'), measurements.truth()
     guess = measurements.Truth(*(getattr(truth, name) for name in (
         'stamps_ns', 'attitude', 'rates', 'torque_times', 'torques')), inertia=0.03 * np.eye(3))
@@ -228,7 +228,7 @@ def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
     table, truth = parquet.read_table(tmp_path / 'out' / 'runs.parquet'), measurements.truth()
     ends = np.stack([table[f'attitude.{axis}'].to_numpy() for axis in 'xyzw'], axis=1)
-    # From the truth of a solver that is not the package's: its last state is later.
+    # The truth of an independent solver, whose last state is later.
     row = np.flatnonzero(truth.stamps_ns == truth.torque_times[-1]).item()
     errors = so3.log(so3.multiply(so3.conjugate(truth.attitude.as_quat()[row]), ends))
     distance = errors.mean(0) @ np.linalg.solve(np.cov(errors.T), errors.mean(0))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Several nodes in one ROS domain: each has names and frames of its own."""
+"""Several nodes in one ROS domain, each with its own names and frames."""
 
 from contextlib import contextmanager
 import subprocess
@@ -30,7 +30,7 @@ STATUSES = ('torques', 'motion')
 
 @contextmanager
 def another(live, *arguments):
-    """Run another node on the scene and in the domain of a session."""
+    """Run another node with the scene and in the domain of a session."""
     with subprocess.Popen([*live.command, *arguments], env=live.environment,
                           stderr=subprocess.DEVNULL) as process:
         try:

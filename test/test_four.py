@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Four doubles at a time: each result has the bits that it has alone."""
+"""Operations on four doubles at a time give each result the bits that it has alone."""
 
 from fractions import Fraction
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Foxglove's reader reads our outputs to the last bit."""
+"""Foxglove's reader reads the outputs of this package to the last bit."""
 
 import shutil
 import subprocess

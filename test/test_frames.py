@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Wrenches in the frames of links: from URDF to torque, in Python, recordings and commands."""
+"""Wrenches in link frames: from URDF to torque, in Python, in recordings and in commands."""
 
 import pickle
 import re
@@ -29,7 +29,7 @@ from robots import converted, JOINTS, ROBOT, robot, wrenches
 from scipy.spatial.transform import Rotation
 import yaml
 
-#: Doubles that do not survive arithmetic.
+#: Doubles that any arithmetic would change.
 ODD = [[-0.0, 0.0, -0.0], [5e-324, -5e-324, 1.7976931348623157e308], [0.1, -0.2, 0.3]]
 
 
@@ -72,7 +72,7 @@ def test_a_force_has_the_torque_of_its_lever_arm():
     assert frames['base_link'].torque([0.0, 0.0, 2.0], [0.0, 0.0, 0.0]).tolist() == [0.0, 0.5, 0.0]
     np.testing.assert_allclose(frames['thruster'].torque([2.0, 0.0, 0.0], [0.0, 3.0, 0.0]),
                                [-3.0, 0.0, 1.5], rtol=0, atol=1e-15)
-    # Relative to the link: the position of the joint from footprint to base_link is reversed.
+    # The joint goes from footprint to base_link, so its position is reversed.
     assert frames['footprint'].position.tolist() == [-0.25, 0.0, -1.5]
 
 
@@ -88,7 +88,7 @@ def test_a_torque_in_an_aligned_frame_keeps_its_bits(name):
     frame, torques = urdf.fixed_frames(ROBOT)[name], np.array(ODD)
     forces = np.zeros_like(torques)
     assert frame.torque(forces, torques).tobytes() == torques.tobytes()
-    forces[2] = 1.0  # the bits of the others do not depend on it
+    forces[2] = 1.0  # must not change the bits of the others
     assert frame.torque(forces, torques)[:2].tobytes() == torques[:2].tobytes()
 
 
@@ -166,7 +166,7 @@ def test_frames_need_a_link_with_a_centre_of_mass(robot, link, message):
 
 @pytest.fixture
 def scene_file(tmp_path):
-    """Return a function that writes a scene with a URDF and other parameters."""
+    """Return a function that writes a scene with a URDF and further parameters."""
     def write(description=ROBOT, **parameters):
         path = tmp_path / 'scene.yaml'
         path.write_text(yaml.dump({'/**': {'ros__parameters': {

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Exact torque-free motion against 50 digits, at any time."""
+"""Exact torque-free motion at any time, compared with 50 digits."""
 
 from conftest import chord, EPOCH_NS, SECOND
 from mpmath import mp
@@ -28,7 +28,7 @@ DAY = 86400 * SECOND
 
 
 def error(tensor, attitude, rates, span_ns, solver='exact'):
-    """Return the errors of attitude, rad, and of the rates, of the largest."""
+    """Return the error of the attitude, rad, and that of the rates, relative to the largest."""
     start = State(EPOCH_NS, attitude, rates)
     motion = propagate(RigidBody(tensor), start, at=[EPOCH_NS + span_ns], solver=solver)
     assert {model.solver for model in motion.models} == {solver}
@@ -73,8 +73,8 @@ def test_any_tensor_and_any_start(seed):
 @pytest.mark.parametrize('moments', [(1, 2, 3), (1, 1.9, 1.9), (1, 1, 2), (2, 1, 3)])
 @pytest.mark.parametrize('shape', [(1, 0, 2), (2, 0, 1), (1, 2, 0), (0, 1, 1), (1, 1, 0)])
 def test_rates_that_almost_vanish(shape, moments, tiny):
-    # 2 stands for a rate of 1, 1 for a tiny one. About the intermediate axis the phase of the
-    # closed form is about ln(1 / tiny), and rounded.
+    # In `shape`, 2 means a rate of 1, and 1 a tiny rate. About the intermediate axis, the phase of
+    # the closed form is about ln(1 / tiny), and rounded.
     rates = np.array([0.0, tiny, 1.0])[list(shape)] if max(shape) == 2 else tiny * np.array(shape)
     body, start = RigidBody(np.diag(np.array(moments, float))), State(0, angular_velocity=rates)
     motion = propagate(body, start, at=[SECOND, 20 * SECOND], solver='exact')
@@ -94,8 +94,8 @@ def test_the_scale_of_the_moments_does_not_matter(scale):
 
 @pytest.mark.parametrize('rates', [(1.0, 0.4, 2.0), (2.0, 0.4, 0.3)])
 def test_a_million_turns_cost_no_digit(rates):
-    # In both modes; the bar is 1e-8 rad, and one unit in the last place of w would move the
-    # answer by 1e-9.
+    # In both modes. The limit is 1e-8 rad; a change of w by one unit in the last place would move
+    # the result by 1e-9.
     attitude, _ = error(ASYMMETRIC, (0.0, 0.0, 0.0, 1.0), rates, 3_000_000 * SECOND)
     assert attitude < 2e-15
 
@@ -105,7 +105,7 @@ def test_a_million_turns_cost_no_digit(rates):
 @pytest.mark.parametrize('offset', [1e-3, 1e-7, 1e-11])
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_near_the_separatrix(side, offset, seconds):
-    # Exactly on it for no offset: 9 (9 - 5) w3^2 = 4 (5 - 4) w1^2.
+    # Exactly on the separatrix without an offset: 9 (9 - 5) w3^2 = 4 (5 - 4) w1^2.
     attitude, speed = error(np.diag([4.0, 5.0, 9.0]), (0.0, 0.0, 0.0, 1.0),
                             (3.0, 0.1, 1.0 + side * offset), round(seconds * SECOND))
     # The phase is up to K = ln(4 / sqrt(m_c)), and rounded.
@@ -130,7 +130,7 @@ def test_rotation_about_the_intermediate_axis_stays_put():
 @pytest.mark.parametrize('seconds', [1, 30, 60, 100, 1000])
 @pytest.mark.parametrize('offset', [1e-10, 1e-15, 1e-20, 1e-30])
 def test_as_near_to_the_intermediate_axis_as_one_likes(offset, seconds):
-    # It takes ln(2 / offset) / 1.15 s to leave the axis, and rounding does not affect this time.
+    # The body leaves the axis after ln(2 / offset) / 1.15 s, and rounding does not affect this.
     attitude, speed = error(ASYMMETRIC, (0.0, 0.0, 0.0, 1.0), (offset, 2.0, 0.0),
                             seconds * SECOND)
     assert attitude < 3e-14
@@ -138,8 +138,8 @@ def test_as_near_to_the_intermediate_axis_as_one_likes(offset, seconds):
 
 
 def test_where_the_closed_form_has_no_digits_the_series_takes_over_and_says_so():
-    # Exactly about the intermediate axis, but that lies along (-4, 3, 0) / 5: the closed form has
-    # only the 32 digits of 3/5 and 4/5.
+    # Exactly about the intermediate axis. But this axis lies along (-4, 3, 0) / 5, and the closed
+    # form knows 3/5 and 4/5 only to 32 digits.
     tensor = np.array([[41.0, -12.0, 0.0], [-12.0, 34.0, 0.0], [0.0, 0.0, 75.0]])
     start = State(0, angular_velocity=(-4.0, 3.0, 0.0))
     motion = propagate(RigidBody(tensor), start, at=[SECOND], solver='exact')
@@ -171,7 +171,7 @@ def test_attitude_is_the_continuous_lift(rates):
 
 
 def test_what_rounding_took_from_the_start_counts():
-    # A state from the middle of a run carries more digits than its doubles.
+    # A state in the middle of a run carries more digits than its doubles show.
     body, low = RigidBody(ASYMMETRIC), np.array([3e-17, -2e-17, 5e-17])
     start = State._as_computed(0, state_layout.pack([1.0, 0.4, 2.0], [0.0, 0.0, 0.0, 1.0], low))
     span_ns = 10 ** 6 * SECOND

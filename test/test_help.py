@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The help of the commands: its examples run as they stand, on files of the repository."""
+"""The help of the commands: its examples run as printed, on files of the repository."""
 
 import json
 import os
@@ -34,7 +34,7 @@ from rigid_body_ros.sensing.recorded import Reading
 NODES = 'node', 'lifecycle', 'controller', 'monitor'
 COMMANDS = sorted(path.name for path in (ROOT / 'scripts').iterdir()
                   if path.name.split('_')[1] not in NODES)
-#: Commands whose examples take a quarter of a minute.
+#: Marks for commands whose examples take a quarter of a minute.
 SLOWEST = {'attitude_regress': [pytest.mark.ros, pytest.mark.nightly],
            'attitude_tradeoff': pytest.mark.nightly}
 
@@ -50,13 +50,13 @@ def printed(capsys, name, option):
 @pytest.mark.parametrize('name', [
     pytest.param(name, marks=SLOWEST.get(name, ())) for name in COMMANDS])
 def test_the_examples_of_the_help_run(name, capsys, tmp_path, monkeypatch):
-    if name == 'attitude_regress':  # it starts another of the commands
+    if name == 'attitude_regress':  # starts another command of the package
         pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
         monkeypatch.setenv('PATH', os.path.dirname(sys.executable), os.pathsep)
     _, *examples = printed(capsys, name, '--help').split('examples, in a clone')[1].splitlines()
     assert len(examples) == 2
     for number, example in enumerate(examples):
-        place = tmp_path / str(number)  # both may write the same names
+        place = tmp_path / str(number)  # both examples may write the same names
         place.mkdir()
         for folder in ('config', 'examples', 'test'):
             (place / folder).symlink_to(ROOT / folder)

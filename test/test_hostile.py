@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Hostile scenes and recordings: a result, or one short line and exit status 2, within limits."""
+"""Hostile files give a result, or one short line and exit status 2, within limits."""
 
 from contextlib import closing, redirect_stderr
 import io
@@ -40,7 +40,7 @@ from rigid_body_ros.replay import replay
 import yaml
 import zstandard
 
-#: 1 kB that would expand to 10^9 values.
+#: 1 kB of YAML that would expand to 10^9 values.
 LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
     f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
                                                                                   'bcdefghi'))
@@ -51,7 +51,7 @@ def bag(folder, **options):
 
 
 def described(folder, about):
-    """Return a bag whose metadata.yaml has a text, or other values than it should."""
+    """Return a bag whose metadata.yaml has another text, or wrong values."""
     path = bag(folder)
     file = path / 'metadata.yaml'
     if isinstance(about, dict):
@@ -203,7 +203,7 @@ def test_a_long_number_of_a_robot_takes_no_time(tmp_path):
     assert 'ixx: expected a finite number, found' in found
 
 
-# Files that are none
+# Paths that are not regular files
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd', 'a.db3.zst', 'a'])
@@ -261,17 +261,17 @@ def test_a_summary_does_not_unpack_chunks(tmp_path):
         assert mcap_file._summary(stream) is None
 
 
-# What is compressed
+# Compressed data
 
 def bomb(size):
-    """Return zeros, compressed to almost nothing, without their number in the header."""
+    """Return zeros, compressed to almost nothing, whose header does not state their number."""
     compressor = zstandard.ZstdCompressor().compressobj()
     pieces = [compressor.compress(bytes(2 ** 20)) for _ in range(size // 2 ** 20)]
     return b''.join([*pieces, compressor.flush()])
 
 
 def with_messages(path, *sent):
-    """Return a bag of messages compressed one by one, with other messages in it."""
+    """Return a bag whose messages are compressed one by one, with these messages instead."""
     if (path / 'bag.db3').exists():
         with closing(sqlite3.connect(path / 'bag.db3')) as database, database:
             database.execute('UPDATE messages SET data = ?', sent[0][1:])
@@ -379,7 +379,7 @@ def test_several_frames_are_one_file(tmp_path, temporary):
     assert outcome(path) == ''
 
 
-# The parts that are copied and compared
+# Parts that are copied and compared
 
 def test_a_message_that_cannot_be_copied_is_named(tmp_path):
     wrenches = [zstandard.ZstdCompressor().compress(messages.wrench(stamp, '', [0.0] * 3))

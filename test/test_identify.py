@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Parameters of a body from measured motions: values, uncertainties, and unknowns."""
+"""Identify a body from measured motions: values, uncertainties, and what is undetermined."""
 
 from dataclasses import replace
 from functools import cache
@@ -38,7 +38,7 @@ from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
 GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))
 ATTITUDE, RATE = 2e-3, 5e-3
-#: Of attitudes, rad, and of rates, rad/s.
+#: Noise of attitudes, rad, and of rates, rad/s.
 NOISES = [(ATTITUDE, RATE), pytest.param((0.0, 0.0), marks=pytest.mark.nightly)]
 INERTIA_NAMES = [f'inertia.i{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')]
 
@@ -76,7 +76,7 @@ def test_the_inertia_is_exact_without_noise_from_a_guess_three_times_off(factor)
 
 @pytest.mark.slow
 def test_a_sphere_is_guess_enough_where_the_torque_is_weak_and_samples_are_few():
-    # As in NASA's check-case of a brick, which test_validation.py fits where its data is.
+    # As in NASA's check-case of a brick, which test_validation.py fits if its data is available.
     brick = np.diag([0.0019, 0.0062, 0.0072])
     truth = Truth(seconds=30.0, measured_hz=10, amplitude=2e-5, inertia=brick,
                   rates=(0.17, 0.35, 0.52), attitude=(0.0, 0.0, 0.0, 1.0))
@@ -181,7 +181,7 @@ def test_a_clock_offset_of_seconds(offset):
 
 @pytest.mark.slow
 def test_covariances_in_messages_are_not_used():
-    # Many drivers fill in constants, and an interval from a wrong one would be wrong.
+    # Many drivers fill in constant covariances, and a wrong constant would give a wrong interval.
     plain = tumble().measured(ATTITUDE, RATE)
     constant = np.tile(np.eye(3), (len(plain.stamps_ns), 1, 1))
     result = identify(GUESS, tumble().experiment(replace(
@@ -273,7 +273,7 @@ def test_three_moments_keep_the_products():
 
 
 def flywheel(**options):
-    """Return a thrown body without torque, whose flywheel spins up in flight."""
+    """Return the motion of a free body whose flywheel spins up."""
     times = np.arange(61) / 10
     spin = 0.05 * np.clip(times - 1.0, 0.0, 3.0) / 3.0
     return Truth(seconds=6.0, amplitude=0.0, momentum=np.outer(spin, [0.6, 0.5, 0.6]),
@@ -305,7 +305,7 @@ def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
     imu = Measured('/imu', stamps, so3.multiply(motion.attitude, so3.exp(
         attitude * random.normal(size=(999, 3)))),
         motion.angular_velocity + rate * random.normal(size=(999, 3)))
-    # The momenta of the wheels depend on the rate at the start, which is also estimated.
+    # The momenta of the wheels depend on the initial rate, which is also estimated.
     result = identify(GUESS, Experiment(State(), None, [imu], wheels, efforts=efforts))
     assert result.unidentifiable == []
     if rate:
@@ -570,7 +570,7 @@ def test_intervals_cover_the_truth_and_are_as_short_as_possible():
         chi2.append(result.training.chi2_per_dof)
         error = [result.estimates[name].value - value for name, value in inertia_truth().items()]
         distances.append(error @ np.linalg.solve(result.covariance[:6, :6], error))
-    assert abs(np.mean(distances) - 6) < 4 * np.sqrt(2 * 6 / 20)  # of chi-square, 6 degrees
+    assert abs(np.mean(distances) - 6) < 4 * np.sqrt(2 * 6 / 20)  # chi-square with 6 degrees
     assert 0.88 <= np.mean(covered) <= 1.0  # 120 intervals that are correlated
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
     assert min(chi2) > 0.9
@@ -580,7 +580,7 @@ def test_intervals_cover_the_truth_and_are_as_short_as_possible():
 
 @pytest.mark.slow
 def test_a_log_in_space_axes():
-    # Under a torque in space axes the motion of the momentum is known, whatever the inertia.
+    # Under a torque in space axes, the momentum in space is known, whatever the inertia is.
     times = np.arange(100) * (SECOND // 10)
     torque = TorqueLog(times, 0.01 * np.sin(np.outer(times * 1e-9, [0.9, 1.3, 0.5])), 'space')
     body, start = RigidBody(INERTIA), State(angular_velocity=(0.3, -0.2, 0.5))
@@ -593,7 +593,7 @@ def test_a_log_in_space_axes():
 @pytest.mark.parametrize(('rows', 'columns'), [(50, 7), (7, 7), (3, 5), (4, 1)])
 def test_triangular_factors(rows, columns):
     matrix = np.random.default_rng(0).standard_normal((rows, columns))
-    matrix[:, columns // 2] = matrix[:, 0]  # of less than full rank
+    matrix[:, columns // 2] = matrix[:, 0]  # makes it rank-deficient
     factor = triangle(matrix.T.copy())
     np.testing.assert_allclose(factor.T @ factor, matrix.T @ matrix, atol=1e-12)
     assert np.array_equal(factor, np.triu(factor))

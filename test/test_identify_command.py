@@ -215,7 +215,7 @@ def test_two_recordings(tumble):
 @pytest.mark.parametrize('copied', [shutil.copy, os.link, os.symlink, record])
 def test_the_same_measurements_twice_are_not_independent(tumble, capsys, copied):
     one, two = tumble / 'in.mcap', tumble / 'copy.mcap'
-    if copied is record:  # other bytes
+    if copied is record:  # the bytes differ
         truth = measurements.truth()
         record(two, truth, truth.measured(2e-3, 5e-3), 'Odometry')
     else:
@@ -280,7 +280,7 @@ def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
 
 
 def weighed(folder, moment, fields=PIVOT):
-    """Record a drone on a gimbal, whose weight hangs from the pivot, and return a guess of it."""
+    """Record a drone on a gimbal, which hangs from the pivot; return a scene with a guess."""
     truth = Truth(seconds=10.0, moment=moment, attitude=(0.5, 0.1, 0.0, 0.9))
     later = measurements.Truth(truth.stamps_ns + 10 ** 9, Rotation.from_quat(truth.q), truth.w,
                                truth.times + 10 ** 9, truth.torques, truth.inertia)

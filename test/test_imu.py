@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors of an IMU: functions of seed and stamp, with the statistics that a scene states."""
+"""The errors of an IMU depend only on seed and stamp, with the statistics in the scene."""
 
 import math
 
@@ -41,7 +41,7 @@ def noise(errors, stamps_ns):
 
 
 def at_rate(rate, seconds):
-    """Return stamps of a rate, Hz, that begin at a time of a wall clock."""
+    """Return stamps at a rate, Hz, that begin at a wall-clock time."""
     return 1_767_225_600 * SECOND + np.arange(int(rate * seconds)) * (SECOND // rate)
 
 
@@ -64,7 +64,7 @@ def test_the_allan_deviation_of_an_hour_is_that_of_the_parameters(rate):
     found = np.array([allan_variance(rates, count) for count in counts])
     squares = np.linalg.lstsq(terms / found[:, None], np.ones(len(found)), rcond=None)[0]
     np.testing.assert_allclose(np.sqrt(squares), [2e-4, 8e-4], rtol=0.05)
-    # The crossing of the two is within the times, so both are seen.
+    # The two terms cross within these times, so both are visible.
     assert times[0] < 3 ** 0.5 * 2e-4 / 8e-4 < times[-1]
 
 
@@ -90,7 +90,7 @@ def test_the_bias_is_a_wiener_process_that_begins_at_zero():
                                    rtol=5.0 * (2 * steps.size) ** -0.5)
         assert abs(np.corrcoef(steps[1:].ravel(), steps[:-1].ravel())[0, 1]) < (
             5.0 * steps.size ** -0.5)
-    # It stays within that of hours, whatever the stamps, and has no jump where it begins again.
+    # It stays within its size after hours, whatever the stamps, without a jump when it restarts.
     period = 2 ** 25 * SECOND // 1000
     later = 50_000 * period + np.arange(-5, 6) * SECOND // 1000
     around = noise(ImuErrors(0.0, 1.0), later)[1]
@@ -166,7 +166,7 @@ def test_odometry_states_variances_of_what_it_measures():
 
 
 def replayed(tmp_path, keys, **options):
-    """Return the motion and the IMU data that a replay of the tumbler writes."""
+    """Replay the tumbler, and return the motion and the IMU data that it writes."""
     loaded = scene.load(CONFIG / 'tumbler.yaml')
     loaded = Scene.from_values({**loaded.values, **keys})
     output = tmp_path / 'out.mcap'

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors of imu/data, and the covariances of odometry, that a node publishes."""
+"""The errors in imu/data, and the covariances in odometry, that a node publishes."""
 
 from conftest import SECOND
 from live import TUMBLER
@@ -31,7 +31,7 @@ ERRORS = [word for key, value in {
     'imu.attitude_noise': 3e-3, 'imu.delay': 0.05, 'imu.seed': 7,
     'odometry.attitude_variance': 1e-4, 'odometry.rate_variance': 2e-6,
 }.items() for word in ('-p', f'{key}:={value}')]
-#: The IMU measures states from before the time at which torques are too late.
+#: The IMU measures states that late torques can no longer change.
 LOCKSTEP = ('-p', 'mode:=lockstep', '-p', 'step:=0.02', '-p', 'history:=0.02',
             '-p', 'max_future:=0.01', *SOURCES, *ERRORS)
 STEPS, STEP_NS = 40, SECOND // 50
@@ -48,7 +48,7 @@ class Sensed(Sources):
                                           self.odometry)):
             def hear(data, code=code, found=found):
                 message = code.decode(data)
-                # The states of a lockstep loop come again while no torque does.
+                # While no torque arrives, a lockstep loop repeats its states.
                 values = found.setdefault(message.stamp_ns, message.values)
                 np.testing.assert_array_equal(values, message.values)
             self.node.create_subscription(kind, topic, hear, QoSProfile(depth=1000), raw=True)
@@ -56,7 +56,7 @@ class Sensed(Sources):
 
 
 def loop(tmp_path, domain, seed):
-    """Send torques to a lockstep node, each time in another order; return its IMU data."""
+    """Send torques to a lockstep node in an order that depends on the seed; return IMU data."""
     random, torques = np.random.default_rng(seed), np.random.default_rng(4)
     with Sensed(TUMBLER, domain, *LOCKSTEP) as live:
         for number in range(STEPS):
@@ -79,7 +79,7 @@ def test_live_lockstep_and_replay_have_the_same_noise_in_any_order_of_arrival(tm
     replay(tmp_path / 'live.mcap', run, output, topic=[*LOGS.values()][:2],
            wheel_torque=LOGS['wheel_torque'], also=('imu',))
     written = recording.read(output, '/imu/data', messages.IMU)
-    # The start, whose stamp was unknown when it was published, has none of the live ones.
+    # There is no live IMU message for the start, whose stamp was unknown when it was published.
     assert len(written.stamps_ns) == STEPS
     for stamp_ns, values in zip(written.stamps_ns.tolist()[1:], written.values[1:]):
         np.testing.assert_array_equal(live.imu[stamp_ns], values)

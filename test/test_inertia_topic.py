@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_node with a body that changes: the topic inertia."""
+"""attitude_node with a body that changes, by messages on the topic inertia."""
 
 from conftest import SECOND
 from geometry_msgs.msg import InertiaStamped
@@ -65,14 +65,14 @@ class Bodies(Sources):
 
 
 def inertias(random, count):
-    """Return entries of tensors of bodies, each a random cloud of points."""
+    """Return the entries of inertia tensors of random clouds of points."""
     return [RigidBody.from_point_masses(random.uniform(0.1, 1.0, 6),
                                         0.3 * random.normal(size=(6, 3))).entries
             for _ in range(count)]
 
 
 def verified(tmp_path, live):
-    """Return how the replay of all epochs agrees, and the last one's problem and states."""
+    """Return how well the replay of all epochs agrees, and the last epoch's problem and states."""
     path, topics = tmp_path / 'live.mcap', live.write(tmp_path / 'live.mcap')
     run = scene.load(tmp_path / 'live.yaml')
     problem = read(path, run, topic=topics.torques, wheel_torque=topics.wheel_torque,
@@ -87,7 +87,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
     random = np.random.default_rng(36)
     with Bodies(TUMBLER, domain, *SOURCES, *PATIENT, *CHANGES) as live:
         rows = plan(live, random, LOGS)[::4]
-        # At the stamp of a torque, and between two.
+        # At the stamp of a torque, and between stamps.
         stamps = [rows[100][2], *(rows[k][2] + 1 for k in (50, 150, 250, 350, 450))]
         changes = [(stamp + int(random.integers(0, SECOND // 2)), 'inertia', stamp, entries, '')
                    for stamp, entries in zip(stamps, inertias(random, 6))]
@@ -110,7 +110,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain):
     assert set(stamps) < set(result.stamps_ns.tolist())
     motion = problem.propagate(at=stamps_ns)
     np.testing.assert_array_equal(states, np.hstack([motion.attitude, motion.angular_velocity]))
-    # The changes matter: without them the motion differs.
+    # The changes matter: without them, the motion differs.
     without = scene.load(tmp_path / 'live.yaml').problem(problem.start).replaced(
         log=problem.logs, wheels=problem.wheels).propagate(at=stamps_ns)
     assert abs(without.attitude - motion.attitude).max() > 0.1

@@ -42,7 +42,7 @@ from rigid_body_ros import (
 from rigid_body_ros.mechanics import euler, so3, urdf
 
 OPTIONS = "solver='auto', tolerance=1e-15, max_step=None, torque_timeout=0.0"
-#: Callables with their parameters, as callers may write them.
+#: Callables, with their parameters as callers may use them.
 SIGNATURES = [
     (RigidBody, 'tensor, damping=None'),
     (RigidBody.from_moments, 'ixx, iyy, izz, ixy=0.0, ixz=0.0, iyz=0.0'),
@@ -85,7 +85,7 @@ SIGNATURES = [
                'rate_noise=None, validate=0.0, priors=None, gravity=(0.0, 0.0, -9.80665), '
                'accept=0.05, torque_timeout=0.0'),
 ]
-#: Attributes of a trajectory over m times: shape and type.
+#: Attributes of a trajectory over m times, with shape and type.
 TRAJECTORY = {
     'times_ns': ((2,), np.int64), 'attitude': ((2, 4), float), 'angular_velocity': ((2, 3), float),
     'rotor_momentum': ((2, 3), float), 'angular_momentum_space': ((2, 3), float),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_replay, ended at any moment: nothing false or incomplete bears the final name."""
+"""attitude_replay, ended at any moment, leaves nothing wrong or incomplete under a final name."""
 
 import itertools
 from pathlib import Path
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.slow
 COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
                                  'sys.exit(main.attitude_replay())']
 MESSAGES = 30_000
-#: What a replay reaches, in this order; moments are shares of the time from there to its end.
+#: Stages of a replay, in this order. Moments are fractions of the time from a stage to the end.
 STAGES = {'started': lambda process, folder: True,
           'listening': lambda process, folder: catches(process, signal.SIGTERM),
           'writing': lambda process, folder: bool(parts(folder))}
@@ -47,7 +47,7 @@ KILLS = [*zip(itertools.cycle(['started', 'writing']),
 
 
 class Whole(NamedTuple):
-    """A replay that nobody interrupts."""
+    """A replay that is not interrupted."""
 
     arguments: list
     #: Time from each stage to the end, s.
@@ -88,7 +88,7 @@ def wait_for(stage, process, folder):
 
 
 def catches(process, number):
-    """Return whether a process has a handler of its own for a signal."""
+    """Return whether a process has installed a handler for a signal."""
     status = Path(f'/proc/{process.pid}/status').read_text()
     caught = next(line.split()[1] for line in status.splitlines() if line.startswith('SigCgt'))
     return int(caught, 16) >> (number - 1) & 1
@@ -109,7 +109,7 @@ def interrupt(whole, output, number, stage, moment):
 
 
 def check(whole, output):
-    """Check the files that a replay left; return the number of messages in the unfinished one."""
+    """Check the files that a replay left; return the number of messages in an unfinished one."""
     folder = output.parent
     partial = output.with_suffix('.partial.mcap')
     assert set(folder.iterdir()) <= {output, partial, *parts(folder)}
@@ -134,7 +134,7 @@ def complete(path):
 
 
 def readable(path):
-    """Return the same of one that may break off anywhere."""
+    """Return topics, times and bytes of a file that may break off anywhere."""
     topics, found = {}, []
     with open(path, 'rb') as stream:
         try:
@@ -143,7 +143,7 @@ def readable(path):
                     topics[record.id] = record.topic
                 elif isinstance(record, Message):
                     found.append(content(topics[record.channel_id], record))
-        except (EndOfFile, struct.error):  # the latter where it breaks off in a number
+        except (EndOfFile, struct.error):  # struct.error if it breaks off within a number
             pass
     return found
 
@@ -178,7 +178,7 @@ def test_what_a_killed_replay_wrote_can_be_read(whole, output):
 def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
     status, words = interrupt(whole, output, number, stage, moment)
     check(whole, output)
-    if status in (0, -number):  # it was through, and perhaps Python's handlers gone
+    if status in (0, -number):  # it had finished, perhaps without signal handlers
         assert output.exists()
         assert not words
         return
@@ -197,7 +197,7 @@ def test_signals_in_a_row_do_not_disturb_the_cleaning_up(whole, output):
         time.sleep(0.001)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
-    *announced, last = words.splitlines()  # first, how long it takes
+    *announced, last = words.splitlines()  # the estimate of the time may come first
     assert last.startswith('attitude_replay: interrupted')
     assert len(announced) <= 1
     assert not output.exists()
@@ -208,7 +208,7 @@ def test_signals_in_a_row_do_not_disturb_the_cleaning_up(whole, output):
 def test_a_full_disk_is_told_in_one_line(whole, output, share):
     limit = max(0, round(share * whole.size) - 1)
     process = start([*whole.arguments, output])
-    # Python ignores the signal that comes with it: a write fails, as on a full disk.
+    # Python ignores the signal of this limit, so writes fail, as on a full disk.
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
     _, words = process.communicate(timeout=60)
     line, = words.splitlines()

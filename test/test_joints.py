@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""JointState: the commands of named joints, and their velocities and efforts."""
+"""JointState messages: commands of named joints, and their velocities and efforts."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ COMMANDS = messages.joint_commands(WHEELS)
 
 
 def theirs(names, position=(), velocity=(), effort=(), little_endian=True):
-    """Return the encoding by another library."""
+    """Return the bytes that another library encodes."""
     types = STORE.types
     stamp = types['builtin_interfaces/msg/Time'](*divmod(STAMP_NS, 10 ** 9))
     lists = [np.array(numbers, float) for numbers in (position, velocity, effort)]
@@ -60,7 +60,7 @@ def test_a_command_lists_some_of_the_joints_in_any_order():
     again = messages.decoded_joints(COMMANDS.encode(STAMP_NS, 'base_link', found.values))
     assert (again.names, again.effort.tolist()) == (('rw_x', 'rw_skewed'), [1.0, 3.0])
     assert np.isnan(COMMANDS.decode(theirs([])).values).all()
-    # Other lists give the same command.
+    # Positions and velocities do not change the command.
     more = theirs(['rw_y'], [7.0], [8.0], [9.0])
     np.testing.assert_array_equal(COMMANDS.decode(more).values, [np.nan, 9.0, np.nan])
 

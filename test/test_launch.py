@@ -40,14 +40,14 @@ import yaml
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(
     find_spec('launch_ros') is None, reason='launch_ros is not installed, and PyPI does not have '
     'it; CONTRIBUTING.md lists what to install from source')]
-#: s.
+#: s; how long to wait for anything.
 PATIENCE = 300
 ARGUMENTS = ('scene', 'namespace', 'name', 'torque', 'remappings', 'frame_prefix',
              'mode', 'publish_rate', 'checkpoint', 'lifecycle', 'autostart', 'use_sim_time',
              'log_level', 'respawn')
 INDEX = 'share/ament_index/resource_index/packages'
-#: Logs its arguments. `ros2 bag play` ends once it is resumed, which is all that matters to the
-#: launch file.
+#: A stand-in for `ros2` that logs its arguments. Its `bag play` ends once it is resumed, which is
+#: all that matters to the launch file.
 STAND_IN = """#!/bin/sh
 echo "$@" >> {calls}
 case "$*" in
@@ -68,7 +68,7 @@ def _environment(installed, domain, tmp_path, monkeypatch):
         monkeypatch.setenv('AMENT_PREFIX_PATH', str(prefix), os.pathsep)
 
 
-#: Prints its parameters twice: when it starts, and after the others have ended.
+#: A launch file that prints its parameters twice: at its start, and after the others have ended.
 SIBLING = """
 import sys
 import rclpy
@@ -77,7 +77,7 @@ node = rclpy.create_node('sibling', automatically_declare_parameters_from_overri
 print('parameters: ' + ', '.join(
     f'{name}={node.get_parameter(name).value}' for name in sorted(node._parameters)), flush=True)
 """
-#: Includes every launch file that a stack would include, twice, between two siblings.
+#: A launch file that includes every launch file of the package twice, between two siblings.
 INCLUDING = """
 from launch import LaunchDescription
 from launch.actions import (
@@ -118,7 +118,7 @@ def generate_launch_description():
 
 @contextmanager
 def launched(*arguments):
-    """Run a launch file, and end all of its processes."""
+    """Run a launch file within the context, and end all of its processes."""
     file = arguments[0] if os.path.isabs(arguments[0]) else f'{arguments[0]}.launch.py'
     package = [] if os.path.isabs(file) else [NAME]
     process = subprocess.Popen(
@@ -221,7 +221,7 @@ def test_the_node_alone_uses_its_arguments(listener):
         words, status = interrupt(process)
     assert status == 0, words
     assert 'attitude_node-1]: process has finished cleanly' in words
-    assert '[INFO] [1' not in words.replace('[INFO] [launch', '')  # of the node: its log level
+    assert '[INFO] [1' not in words.replace('[INFO] [launch', '')  # log level
 
 
 @pytest.mark.parametrize(('name', 'arguments', 'error'), [
@@ -332,7 +332,7 @@ def test_a_closed_loop_ends_if_the_node_cannot_start(tmp_path):
 
 
 def test_launch_files_included_twice_leave_nothing_to_the_file_that_includes_them(tmp_path):
-    # The sibling prints its parameters, and ends the launch by its own exit only.
+    # The sibling prints its parameters, and only its own exit ends the launch.
     (tmp_path / 'sibling.py').write_text(SIBLING)
     including = tmp_path / 'including.launch.py'
     including.write_text(INCLUDING.format(python=sys.executable, sibling=tmp_path / 'sibling.py'))
@@ -344,7 +344,7 @@ def test_launch_files_included_twice_leave_nothing_to_the_file_that_includes_the
     assert printed == ['start_type_description_service=True, use_sim_time=False'] * 2
     configurations, = (line.partition('configurations: ')[2] for line in words.splitlines()
                        if 'configurations: ' in line)
-    # What the including file passes is its own.
+    # Only what the including file passes remains in its configurations.
     assert set(configurations.split()) <= {'scene', 'namespace', 'stop_after'}
 
 
@@ -378,7 +378,7 @@ def test_a_bag_plays_once_the_node_is_ready_and_ends_the_node(tmp_path, monkeypa
                         'torque:=/wrench')
     assert status == 0, words
     assert words.count('process has finished cleanly') == 4, words
-    assert 'epoch' not in words  # it waits for /clock
+    assert 'epoch' not in words  # the node waits for /clock
     commands = calls.read_text()
     assert (f'bag play {bag} --topics /wrench --rate 1.0 --clock 100 --start-paused '
             '--disable-keyboard-controls\n') in commands

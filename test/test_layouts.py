@@ -27,12 +27,12 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 import yaml
 
-#: Vectors to plot: topic, vector in it, unit.
+#: Vectors to plot: the topic, the vector in it, and its unit.
 PLOTS = [('/euler_angles', 'vector', 'rad'), ('/angular_velocity', 'vector', 'rad/s'),
          ('/torque', 'wrench/torque', 'N m')]
 MARKER = 'visualization_msgs/msg/Marker'
-#: Topics of the node only: a replay writes no odometry. They are relative, because view.launch.py
-#: gives rviz2 the namespace of the node.
+#: Topics that only the node has, because a replay writes no odometry. Their names are relative,
+#: because view.launch.py gives rviz2 the namespace of the node.
 LIVE = {'odometry': messages.ODOMETRY.name}
 #: The topics that each display of rviz2 subscribes to.
 DISPLAYS = {'rviz_default_plugins/Marker': MARKER,
@@ -40,7 +40,7 @@ DISPLAYS = {'rviz_default_plugins/Marker': MARKER,
 
 
 class Written:
-    """The contents of a file: its topics by type, its doubles by path, the frames of its /tf."""
+    """The contents of a file: topics by type, doubles by path, and the frames of /tf."""
 
     def __init__(self, path):
         with open(path, 'rb') as stream:
@@ -61,7 +61,7 @@ class Written:
 
 
 def doubles(types, name):
-    """Yield the path of fields to each double of a message type, outside of arrays."""
+    """Yield the path of fields to each double of a message type, except in arrays."""
     _, fields = types[name]
     for field, (node, value) in fields:
         if node == Nodetype.NAME:
@@ -158,7 +158,7 @@ def test_foxglove_has_a_place_for_every_panel():
 
 
 def test_plotjuggler_finds_as_many_plots_as_are_announced():
-    # Of fewer sizes than the count says it would read one behind the last.
+    # If there are fewer sizes than the count says, PlotJuggler reads beyond the last.
     for splitter in plotjuggler().iter('DockSplitter'):
         assert int(splitter.get('count')) == len(splitter)
         assert len(splitter.get('sizes').split(';')) == len(splitter)
@@ -181,7 +181,7 @@ def test_rviz_shows_the_markers_the_frames_and_the_attitude_of_the_node(written)
 
 
 def test_the_mouse_turns_the_view_of_rviz():
-    # Tools that a file does not list, rviz2 removes.
+    # rviz2 removes tools that a file does not list.
     assert {'Class': 'rviz_default_plugins/MoveCamera'} in rviz()['Tools']
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The managed node: every transition, and the state after it."""
+"""The managed node: every transition, and the resulting state."""
 
 import subprocess
 import sys
@@ -63,7 +63,7 @@ class Managed:
         return messages.QUATERNION.decode(self.attitudes[-1])
 
     def topics(self):
-        """Return the topics that the node publishes, and to which it subscribes."""
+        """Return the topics that the node publishes, and those that it subscribes to."""
         own = '/parameter_events', '/rosout', '/attitude_node/transition_event'
         return ({publisher.topic_name for publisher in self.node.publishers}.difference(own),
                 {subscription.topic_name for subscription in self.node.subscriptions})
@@ -76,7 +76,7 @@ class Managed:
 
 @pytest.fixture
 def managed(context):
-    """Yield a managed node that is not configured."""
+    """Yield a managed node that is not configured yet."""
     managed = Managed(context)
     yield managed
     managed.end()

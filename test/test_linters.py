@@ -31,14 +31,14 @@ PYTHON = ['benchmarks', 'build_kernels', 'docs', 'examples', 'launch', 'rigid_bo
 @pytest.mark.filterwarnings('ignore')  # those about the linters themselves
 @pytest.mark.parametrize(('linter', 'paths'), [
     ('ament_copyright', [*PYTHON, 'CONTRIBUTING.md', 'LICENSE']),
-    # These take a minute, and ruff checks most of what they do.
+    # These take a minute, and ruff checks most of the same rules.
     *at_night(('ament_flake8', PYTHON), ('ament_pep257', PYTHON)),
     ('ament_xmllint', ['package.xml', 'policies'])])
 def test_the_linters_of_ros_find_no_problem(linter, paths):
     pytest.importorskip(f'{linter}.main', reason=f'{linter} is not installed as a whole')
     if linter == 'ament_xmllint' and not shutil.which('xmllint'):
         pytest.skip('xmllint is not installed')
-    # In a process of its own: flake8 forks, and a fork of a process with ROS nodes crashes.
+    # In a new process, because flake8 forks, and a fork of a process with ROS nodes crashes.
     subprocess.run([sys.executable, '-W', 'ignore', '-c', 'import sys; from '
                     f'{linter}.main import main; sys.exit(main(sys.argv[1:]))', *paths],
                    cwd=ROOT, check=True)

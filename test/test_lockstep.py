@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Lockstep: every torque gets a response, and a closed loop has the same numbers every time."""
+"""Lockstep: every torque gets a response, and a closed loop always has the same numbers."""
 
 from contextlib import suppress
 import itertools
@@ -42,7 +42,7 @@ STEP_NS = SECOND // 50
 #: A slew of 170 degrees about an axis that is not a principal axis.
 SLEW = so3.exp(np.radians(170.0) * np.array([2.0, -1.0, 2.0]) / 3.0)
 SLEW_SECONDS = 30.0
-#: Every 0.04 s.
+#: Parameters for lockstep with a step of 0.04 s.
 SLOWLY = ('-p', 'mode:=lockstep', '-p', 'step:=0.04')
 
 
@@ -53,7 +53,7 @@ def start_at(attitude):
 
 
 def controller(live, *arguments):
-    """Start the example controller as a process of its own."""
+    """Start the example controller in a separate process."""
     return subprocess.Popen([sys.executable, ROOT / 'scripts' / 'attitude_controller',
                              '--ros-args', '-p', f'stop_after:={SLEW_SECONDS}', *arguments],
                             env=live.environment)
@@ -77,14 +77,14 @@ def test_a_closed_loop_settles_and_gives_the_same_bits_every_time(tmp_path, doma
     assert len(first.stamps_ns) == SLEW_SECONDS * 25
     np.testing.assert_array_equal(first.committed, first.replay)
     np.testing.assert_array_equal(first.committed, second.committed)
-    # q and -q are one attitude: the controller turns it the same way.
+    # q and -q are the same attitude, so the controller turns both the same way.
     np.testing.assert_array_equal(first.committed * [-1, -1, -1, -1, 1, 1, 1],
                                   negative.committed)
     attitude, rates = np.split(first.committed, [4], axis=1)
     to_go = so3.angle_between(attitude, np.array([0.0, 0.0, 0.0, 1.0]))
     assert to_go[-1] < 1e-4
     assert np.linalg.norm(rates[-1]) < 1e-4
-    # It is the short way: the angle to go hardly grows while the body still turns away.
+    # The controller takes the short way: the remaining angle hardly grows at the beginning.
     assert to_go.max() < np.radians(180.0)
 
 
@@ -171,7 +171,7 @@ def test_a_reset_begins_the_same_run_again(tmp_path, domain):
         assert live.stop() == 0
         run = replayed(tmp_path, live)
     np.testing.assert_array_equal(run.committed, run.replay)
-    assert len(run.stamps_ns) == 40  # the start and the stamps after it, of the second run
+    assert len(run.stamps_ns) == 40  # the start, and the stamps after it, of the second run
     assert len(live.torques) == 2 * 40
     assert len(live.received[COMMITTED]) == 2 * 40
 
@@ -246,7 +246,7 @@ def test_a_torque_whose_response_has_no_valid_stamp_is_rejected(domain):
 def test_a_state_without_a_stamp_holds_at_the_first_torque(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
         live.set_state(State(0, (0, 0, 1, 0), (0.5, 0.2, 0.0)))
-        # Messages on two topics may come in either order.
+        # Messages on two topics may arrive in either order.
         live.wait_until(lambda: responses(live)[-1:] == [(0, [0, 0, 1, 0])], 'the new state')
         for number in range(1, 4):
             ask(live, number * SECOND // 2, [0.0, 1e-3, 0.0])
@@ -278,7 +278,7 @@ def test_a_second_clock_is_rejected(domain):
     with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
         command = [*live.command, '-p', 'mode:=lockstep', '-p', 'publish_clock:=true',
                    '-p', 'use_sim_time:=false', '-r', '__node:=second']
-        for _ in range(3):  # a busy machine may find the first clock too late, and go on
+        for _ in range(3):  # a busy machine may discover the first clock too late
             with suppress(subprocess.TimeoutExpired):
                 result = subprocess.run(command, env=live.environment, capture_output=True,
                                         text=True, timeout=30, check=False)
@@ -287,14 +287,14 @@ def test_a_second_clock_is_rejected(domain):
     message, _, name = result.stderr.splitlines()[-1].rpartition(' ')
     assert message == ('attitude_node: error: publish_clock: expected no other publisher of '
                        '/clock, found')
-    assert name in ('live_session', '_NODE_NAME_UNKNOWN_')  # rclpy's name, where it comes late
+    assert name in ('live_session', '_NODE_NAME_UNKNOWN_')  # or rclpy's placeholder
 
 
 @pytest.mark.nightly
 def test_a_second_clock_that_starts_later_replaces_the_first(domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'publish_clock:=true') as live:
         clock = live.node.create_publisher(Clock, '/clock', 10)
-        for count in (2, 1):  # the node gives up its own
+        for count in (2, 1):  # the node stops its own clock
             live.wait_until(lambda count=count: live.node.count_publishers('/clock') == count,
                             f'{count} clocks')
         assert clock.get_subscription_count() == 0
@@ -321,7 +321,7 @@ def test_a_commit_that_takes_several_slices_repeats_neither_response_nor_log(con
         mode.enqueue(messages.wrench(SECOND + number * STEP_NS, '', [0.1, 0.0, 0.0]), None, 0)
     while not mode.process():
         pass
-    # The response comes first: a controller waits for it.
+    # The response comes first, because a controller waits for it.
     assert found == 4 * ['response', *3 * ['commit'], 'log']
     node.destroy_node()
 
@@ -333,7 +333,7 @@ def test_a_state_may_be_set_before_and_between_torques(tmp_path, domain):
         live.wait_until(lambda: live.received[COMMITTED], 'the new epoch')
         for k in range(5):
             ask(live, 7 * SECOND + k * STEP_NS, [0.01, 0.0, 1e-3 * k])
-        # Between two torques: the one in force continues to act.
+        # Between two torques, so that the torque in force continues to act.
         later = State(7 * SECOND + 4 * STEP_NS + 12345, (0, 0, 0, 1), (0.0, 0.1, 0.0))
         live.set_state(later)
         live.wait_until(lambda: responses(live)[-1] == (later.time_ns, [0, 0, 0, 1]),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Many recordings in one call, and torques as text."""
+"""Replay many recordings in one call, and torques from text files."""
 
 from contextlib import suppress
 import os
@@ -84,7 +84,7 @@ def test_the_page_has_a_row_and_a_picture_for_each_recording(tmp_path, capfd):
 
 @pytest.fixture
 def two_long_ones(tmp_path):
-    """Start to replay two recordings, which takes long; yield the process once both are at it."""
+    """Start to replay two recordings, which takes long; yield the process once both run."""
     names = []
     for name in 'ab':
         names.append(str(tmp_path / f'{name}.mcap'))
@@ -104,7 +104,7 @@ def two_long_ones(tmp_path):
         process.communicate()
 
 
-# Ctrl-C goes to all processes of a terminal; `timeout` sends to its child and to all as well.
+# Ctrl-C signals all processes of a terminal; `timeout` signals its child, and then all as well.
 @pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGINT, *at_night(signal.SIGTERM)])
 @pytest.mark.parametrize('send', [[os.killpg], *at_night([os.kill],
@@ -163,7 +163,7 @@ def test_recordings_whose_names_have_dots_are_different(tmp_path):
 
 @pytest.mark.slow
 def test_the_script_that_ros2_run_starts_replays_several(tmp_path):
-    # Its processes import it again.
+    # The worker processes import the script again.
     names = [tmp_path / name for name in ('a.csv', 'b.csv')]
     for name in names:
         name.write_text('1,0,0,0\n2,0.1,0,0\n')

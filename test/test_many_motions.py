@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Many motions at once: each has the bits of `propagate`, and a bad one does not end the rest."""
+"""Many motions at once: each has the bits of `propagate`, and a bad one does not affect others."""
 
 from itertools import product
 
@@ -37,7 +37,7 @@ AT = np.array([0, 7, 3 * SECOND, SECOND, SECOND // 3])
 
 
 def scattered(seed=0):
-    """Return random bodies, diagonal, full, thin or out of range, and their starts."""
+    """Return random bodies (diagonal, full, thin or out of range), and their starts."""
     random = np.random.default_rng(seed)
     turns = np.stack([np.linalg.qr(one)[0] for one in random.normal(size=(COUNT, 3, 3))])
     moments = np.array([[1.0, 2.0, 2.5], [1e-6, 1.0, 1.0], [1.0, 1.0 + 1e-13, 1.5]])
@@ -59,7 +59,7 @@ def random_log(interpolation='hold', frame='body'):
 
 
 def alone(tensor, start, log, **options):
-    """Return attitude and rates of one motion, or its error."""
+    """Return the attitude and the rates of one motion, or its error."""
     try:
         motion = propagate(RigidBody(tensor, options.pop('damping', None)), State(*start), log,
                            at=AT, **options)
@@ -75,7 +75,7 @@ def rows(motions):
 
 OPTIONS = [{'tolerance': 1e-4}, {'torque_timeout': 0.05}, {'solver': 'rk4', 'max_step': 0.01},
            {'solver': 'strang', 'max_step': 0.02}]
-#: With these, motions under torques that change within a sample take seconds.
+#: Options with which motions under torques that vary between samples take seconds.
 SLOW_OPTIONS = [{}, {'solver': 'taylor', 'max_step': 0.1}]
 PLAIN_LOGS = [None, random_log()]
 LOGS = [random_log(*way) for way in (('hold', 'space'), ('linear', 'body'), ('cubic', 'space'))]
@@ -112,7 +112,7 @@ def test_damping_gains_and_logs_of_each_run_give_the_same_bits():
 
 
 def together(interval_ns, samples, moments=(1.0, 2.0, 2.5), turn=STRAIGHT):
-    """Return bodies, starts and a log for runs of which many steps are taken in lanes."""
+    """Return bodies, starts and a log for runs that take many of their steps together in lanes."""
     random = np.random.default_rng(3)
     scales = 1.0 + 0.02 * random.normal(size=(COUNT, 1))
     tensors = turn @ (np.eye(3) * (np.array(moments) * scales)[:, None]) @ turn.T
@@ -196,7 +196,7 @@ def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
 
 
 def unlike(count, turn=STRAIGHT):
-    """Return bodies and starts for runs of which some take twenty times the steps of others."""
+    """Return bodies and starts for runs, some of which take twenty times the steps of others."""
     random = np.random.default_rng(9)
     moments = np.array([1.0, 2.0, 2.5]) * (1.0 + 0.02 * random.normal(size=(count, 1)))
     tensors = turn @ (np.eye(3) * moments[:, None]) @ turn.T
@@ -250,7 +250,7 @@ def motion_of(body, start, log, at=AT, **options):
 
 
 def with_rotors(seed=4, equal=False):
-    """Return bodies, some damped, and starts, some with rotors of the same or other momenta."""
+    """Return bodies, some damped, and starts, some with rotors of equal or different momenta."""
     random = np.random.default_rng(seed)
     moments = np.array([1.0, 2.0, 2.5]) * (1.0 + 0.1 * random.random((COUNT, 1)))
     tensors = np.eye(3) * moments[:, None]

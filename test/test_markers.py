@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Markers: the shapes that rviz and Foxglove draw for a replay."""
+"""Markers: the shapes of a replay that rviz and Foxglove draw."""
 
 from conftest import CONFIG, RECORDINGS
 import numpy as np
@@ -31,7 +31,7 @@ def brick(sides, mass=3.0):
 
 
 def vectors(values):
-    """Return the directions of arrows, and their lengths."""
+    """Return the directions and the lengths of arrows."""
     return so3.rotate(values[:, 3:7], [1.0, 0.0, 0.0]), values[:, 7]
 
 
@@ -51,8 +51,8 @@ def test_a_rod_has_a_size_along_every_axis():
 
 @pytest.mark.parametrize('turn', [(0, 0, 0, 1), (0.1, 0.7, -0.3, 0.6), (1, 0, 0, 0), (0, 1, 1, 0)])
 def test_the_box_lies_where_the_body_does(turn):
-    # A box turned within the body, and the body in space: its moments in space axes are those of
-    # the body.
+    # The box is turned within the body, and the body in space. The moments of the box, in space
+    # axes, must be those of the body.
     inner = so3.matrix(so3.normalize((0.3, -0.2, 0.5, 0.7)))
     body = RigidBody(inner @ brick(SIDES).inertia @ inner.T)
     _, drawn = columns(body, State(0, turn, (0.3, 1.0, -0.2)))
@@ -81,7 +81,7 @@ def test_a_body_at_rest_has_no_arrows_to_speak_of():
     for topic in (markers.ANGULAR_MOMENTUM, markers.ANGULAR_VELOCITY):
         _, length = vectors(drawn[topic])
         assert np.isfinite(drawn[topic]).all()
-        assert ((length > 0.0) & (length < 0.01)).all()  # rviz refuses a size of zero
+        assert ((length > 0.0) & (length < 0.01)).all()  # rviz rejects a size of zero
 
 
 def test_a_replay_writes_them_on_request(tmp_path):

@@ -90,7 +90,7 @@ def test_every_type_is_read(tmp_path, measured, kind):
 def test_covariances_are_read_in_body_axes(tmp_path, measured, kind):
     found = read_measured(only(tmp_path, kind, measured, KNOWN, KNOWN), '/it')
     expected = np.broadcast_to(KNOWN, (2000, 3, 3))
-    if kind == 'Odometry':  # the pose's is in the axes of the space frame
+    if kind == 'Odometry':  # its covariance of the pose is in space axes
         turn = so3.matrix(measured.attitude)
         expected = turn.transpose(0, 2, 1) @ KNOWN @ turn
     np.testing.assert_allclose(found.attitude_covariance, expected, atol=1e-18)
@@ -242,7 +242,7 @@ def test_transforms_have_any_position_and_byte_order(little_endian):
     rotations = [part.transform.rotation for part in sent]
     assert decoded.values[:, 3:].tolist() == [[q.x, q.y, q.z, q.w] for q in rotations]
     assert found.log_ns.tolist() == (decoded.stamps_ns - EPOCH_NS).tolist()
-    for size in range(len(raws[-1])):  # cut anywhere: an error, and no crash
+    for size in range(len(raws[-1])):  # cut anywhere: an error, but no crash
         cut = recording.bulk.Raw.from_bytes([raws[-1][:size]], times[:1], times[:1])
         with pytest.raises(recording.bulk.BadMessageError):
             recording.transforms.decode(kind, cut, ('abc', 'abc'))
@@ -379,7 +379,7 @@ def test_the_command_aligns_one_sensor_and_checks_it(run, tmp_path):
 
 
 def aligned_in_first_epoch(tmp_path, clock):
-    """Compare with the first of two epochs of ten seconds, and fit how late the sensor is."""
+    """Compare with the first of two epochs of ten seconds, and fit the delay of the sensor."""
     motion, path = truth(seconds=10.0), tmp_path / 'two.mcap'
     with recording.Writer(path) as writer:
         writer.add_topic('/torque', messages.WRENCH)
@@ -474,7 +474,7 @@ def test_bad_input_is_one_line_and_status_2(run, tmp_path, measured, capsys, cas
                  pose=messages_of('PoseStamped', sensor))
     try:
         status, shown, error = run(*arguments, path=path)
-    except SystemExit as exit_:  # of argparse
+    except SystemExit as exit_:  # argparse raises it
         status, shown, error = exit_.code, *capsys.readouterr()
         error = error.splitlines(keepends=True)[-1]
     assert (status, shown) == (2, '')

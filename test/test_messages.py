@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages: the bytes and definitions that other tools expect."""
+"""Messages have the bytes and definitions that other tools expect."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def values(kind):
 
 
 def doubles(message):
-    """Return the doubles of a rosbags message in field order; of a Marker those that change."""
+    """Return the doubles of a rosbags message in field order; for a Marker, those that vary."""
     if isinstance(message, float):
         return [message]
     if isinstance(message, np.ndarray):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A live check of a model: its alarms, also false ones, in any order of arrival."""
+"""A live check of a model: true and false alarms, and any order of arrival."""
 
 import sys
 
@@ -30,9 +30,9 @@ sys.path.insert(0, str(ROOT / 'benchmarks'))
 import monitor as campaign  # noqa: E402, I100
 
 BODY = RigidBody(campaign.INERTIA)
-#: Errors of the model.
+#: Errors of the model, divided into those tested in every run and the others.
 FIRST, LATER = [*campaign.ERRORS][:2], [*campaign.ERRORS][2:]
-#: Late enough for messages in any order.
+#: Settings with a history that is long enough for messages in any order.
 PATIENT = Settings(5.0, campaign.HISTORY, campaign.ATTITUDE_NOISE, campaign.RATE_NOISE, 24.0)
 
 
@@ -47,7 +47,7 @@ def messages(seconds=120, seed=3, **wrong):
 
 
 def put(monitor, time_ns, name, values):
-    """Put a message of `messages` into a monitor; return whether it fits."""
+    """Put a message of `messages` into a monitor; return whether it is accepted."""
     if name == 'torque':
         return monitor.apply([time_ns], values[None])
     none = np.full((1, 4), np.nan)
@@ -71,7 +71,7 @@ def numbers(judgements):
 
 
 def windows(judgements):
-    """Return the numbers of windows of 5 s; the first is that in which messages begin."""
+    """Return the numbers of the judged windows of 5 s; messages begin in the first window."""
     return [(one.error.end_ns - EPOCH_NS) // (5 * SECOND) + 1 for one in judgements]
 
 
@@ -82,7 +82,7 @@ def test_the_errors_of_a_right_model_have_the_covariance_that_is_stated():
                for change in [np.concatenate([one.attitude, one.rate])]]
     torques = [one.torque @ np.linalg.solve(one.torque_covariance, one.torque) for one in found]
     assert len(found) > 100
-    # The sum of chi-squares; the factors of the noise, which begin with caution, widen them.
+    # The sum of chi-squares. The first windows are left out, because they assume more noise.
     for sums, count in ((squares[40:], 6), (torques[40:], 3)):
         share = chi2.cdf(np.sum(sums), count * len(sums))
         assert 1e-3 < share < 1.0 - 1e-3
@@ -105,7 +105,7 @@ def test_the_residual_torque_is_the_torque_that_is_not_logged():
     found = judged(messages(120, bias=tuple(bias)))
     torques = np.array([one.error.torque for one in found])
     sigma = np.sqrt([np.diag(one.error.torque_covariance) for one in found])
-    # The inertia is right, so each window has the torque within a few standard deviations.
+    # The inertia is right, so each window finds the torque within a few standard deviations.
     assert np.abs((torques - bias) / sigma).max() < 5.0
 
 
@@ -154,18 +154,18 @@ def test_a_torque_that_is_not_known_is_no_error_of_the_model():
                     if message[1] != 'torque' or not begin_ns < message[0] < end_ns),
                    key=lambda message: message[0])
     settings = PATIENT._replace(history=1.0)
-    # Held for long, the last torque is another than the one that acts.
+    # If the last torque is held for long, it is not the torque that really acts.
     assert any(one.level == ERROR for one in judged(found, settings, step=1))
     for order, step in ((found, 1), (found, 777)):
         judgements = judged(order, settings._replace(stale_after=1.0), step=step)
         assert not any(one.level == ERROR for one in judgements)
-        # From the first whole window to the last, without those from 29.9 s to 49.9 s.
+        # All complete windows, except for those from 29.9 s to 49.9 s.
         assert windows(judgements) == [2, 3, 4, 5, 6, *range(11, 24)]
 
 
 @pytest.mark.slow
 def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed():
-    # The sixth window ends at 29.9 s. The last torque of before is followed after 0.9 or 1.1 s.
+    # The sixth window ends at 29.9 s. The next torque follows 0.9 s or 1.1 s after its last.
     for next_s, is_judged in ((30.4, True), (30.6, False)):
         begin_ns, end_ns = EPOCH_NS + 29_500_000_000, EPOCH_NS + round(next_s * SECOND)
         found = sorted((message for message in messages(60)
@@ -178,7 +178,7 @@ def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed()
 
 @pytest.mark.slow
 def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
-    # Before the first torque there is none, or it is not known.
+    # Before the first torque, no torque acts, or the torque is unknown.
     for awaited, judged_first in ((), [1, 2]), ({0}, []):
         monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=0.0))
         monitor.awaited.update(awaited)
@@ -244,7 +244,7 @@ def test_the_noise_is_found_whatever_the_model(colour):
     for _ in range(200):
         white = random.normal(size=(250, 3)) * 2e-3 * np.sqrt(1.0 - colour ** 2)
         errors = lfilter([1.0], [1.0, -colour], white, axis=0)
-        level.add(errors + np.linspace(0.0, 1.0, 250)[:, None] ** 2)  # of a wrong model
+        level.add(errors + np.linspace(0.0, 1.0, 250)[:, None] ** 2)  # a wrong model
     assert abs(level.found / 2e-3 - 1.0) < 0.05
     expected = (1.0 + colour) / (1.0 - colour)
     assert abs(level.factor / expected - 1.0) < 0.1

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node `attitude_monitor`: its outputs, and its reports about its inputs."""
+"""The node `attitude_monitor`: its outputs, and what it reports about its inputs."""
 
 from collections import Counter
 import json
@@ -63,7 +63,7 @@ def compared(folder, found):
 
 
 def expected(session, found):
-    """Return the result of a monitor without ROS for the same messages, in the order of stamps."""
+    """Return the result of a monitor without ROS for the same messages, sorted by stamp."""
     monitor = Monitor(session.scene.problem(), settings_of(session.scene.values),
                       session.scene.actuators or ())
     for stamp_ns, topic, data in found:
@@ -111,13 +111,13 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
         session.play(first)
         session.wait(lambda: session.status('model').level == b'\x02')
         assert 'sigma' in session.status('model').message
-        # The mocap sends no more valid messages: its status says so, and the check continues.
+        # The mocap sends only invalid messages: its status says so, and the check continues.
         session.play([(stamp_ns, topic, messages.QUATERNION.encode(
             stamp_ns, 'nowhere', (0.0, 0.0, 0.0, 1.0)) if topic == '/mocap' else data)
             for stamp_ns, topic, data in wrong[len(first):]])
         session.wait(session.is_silent, 'measured /mocap')
         assert len(session.errors['rate_error']) > len(session.errors['attitude_error'])
-        # A crash and a restart.
+        # Kill and restart the monitor.
         session.process.kill()
         session.process.wait()
         session.start()
@@ -142,7 +142,7 @@ def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domai
         session.play([message for message in found if message[0] >= begin_ns])
         session.wait(lambda: session.status('model').level == b'\x00')
         assert b'\x02' not in session.levels()
-        # Only the time is still published.
+        # Publish only the time from here on.
         session.set_clock(found[-1][0] + 20 * SECOND)
         session.wait(lambda: session.status('model').message.startswith('no measurements since'))
         assert session.stop() == 0
@@ -178,7 +178,7 @@ def test_after_a_jump_of_simulated_time_the_check_begins_again(tmp_path, domain)
             found = shifted(found, begin_ns - found[0][0])
             session.set_clock(begin_ns)
             session.wait(session.has_jumped, number)
-            session.publishers[topic].publish(late)  # it was still on its way
+            session.publishers[topic].publish(late)  # as if it was still in transit
             session.received += 1
             session.play(found)
             session.wait(session.has_judged, count + 6)
@@ -229,7 +229,7 @@ def test_restarts_of_the_sources_and_of_the_monitor_are_no_error_of_the_model(tm
         session.start()
         session.connect()
         count = len(session.errors['rate_error'])
-        # The torques are found last.
+        # As if the monitor discovers the publisher of torques last.
         session.play([message for message in found[find(found, 33.5):]
                       if message[1] != '/torque' or message[0] > BEGIN_NS + 37 * SECOND])
         session.wait(session.has_judged, count + 8)
@@ -249,7 +249,7 @@ def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received
     while not publisher.get_subscription_count():
         assert time.monotonic() < until
         inputs.problems()
-    # An executor waits for none of them: the monitor takes all at once.
+    # No executor waits for these topics: the monitor polls them all at once.
     polled = {subscription.topic_name for subscription in inputs.subscriptions}
     assert polled == {'/torque', '/gyro'}
     assert not polled & {subscription.topic_name for subscription in monitor.subscriptions}

@@ -15,7 +15,7 @@
 """
 Mutated scenes, dispersions, fits, CSV files and descriptions of bags.
 
-Each gives a result or one line, within limits, and is left as it is.
+Each gives a result or one error line, within limits, and the file itself does not change.
 """
 
 import json
@@ -33,15 +33,15 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.commands import ensemble as ensemble_command
 from rigid_body_ros.commands.arguments import load_scene
 
-#: For a thorough run 20 000.
+#: Number of examples; a thorough run sets 20 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))
-#: One of each kind of file that a user writes.
+#: Numbers of examples for each kind of file that a user writes.
 WRITTEN = [max(1, EXAMPLES // 9), *at_night(2000)]
 
 LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
     f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
                                                                                   'bcdefghi'))
-#: Text to insert between words or in their place.
+#: Text to insert between words, or to replace words with.
 SNIPPETS = [
     b'\0', b'\r', b'\t', b'\x1b[2J', b'"', b"'", b'\xff\xfe', b'\xed\xa0\x80', b'\xe9', b'\xc3',
     *(text.encode() for text in (
@@ -60,7 +60,7 @@ SNIPPETS = [
 
 
 def words(data):
-    """Return the spans of words and of the space between them."""
+    """Return the spans of words, and of the space between them."""
     return [found.span() for found in re.finditer(rb'[^\s,:]+|[\s,:]+', data)] or [(0, len(data))]
 
 
@@ -74,7 +74,7 @@ def mutations(data):
         st.tuples(place.map(lambda at: (at, at)), snippet), st.tuples(spans, st.just(b'')),
         st.tuples(st.tuples(st.just(0), st.just(0)), snippet),
         st.tuples(st.tuples(st.just(len(data)), st.just(len(data))), snippet),
-        # A copy of existing text: lines and keys that occur twice.
+        # A copy of existing text, so that lines and keys occur twice.
         st.tuples(place.map(lambda at: (at, at)), spans.map(lambda span: data[slice(*span)])))
 
 
@@ -85,7 +85,7 @@ def mutated(data, changes, encoding):
 
 
 def check(target, seed, run, examples):
-    """Run with mutations of a seed, in the place of a file."""
+    """Run a function with a file replaced by its mutations from a seed."""
     target.write_bytes(seed)
     assert run() == ''
 
@@ -136,7 +136,7 @@ VARIED = {
 
 
 def dispersed(path, scene, recorded):
-    """Return the error line of a command that computes three runs, '' if there is none."""
+    """Return the error line of a command that computes three runs; '' if there is none."""
     def run():
         options = ensemble_command.attitude_ensemble.parsed([
             '--scene', str(scene), '--recording', str(recorded), '--vary', str(path), '--runs',

@@ -69,14 +69,14 @@ def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
     assert np.any(np.diff(accepted) < 0)  # they did come out of order
     np.testing.assert_array_equal(run.stamps_ns[1:1 + len(stamps)], stamps)
     np.testing.assert_array_equal(run.committed, run.replay)
-    # The start state comes first, at the time that the dumped parameters name.
+    # The start state comes first, at the time in the dumped parameters.
     assert run.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
 
 
 def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
     torques = recording.read(RECORDINGS / 'tumbler.mcap')
     start_ns, count = int(torques.stamps_ns[0]), 501
-    # The clock waits until every torque is there, so that no prediction lacks one.
+    # The clock waits until every torque has arrived, so that no prediction lacks one.
     with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'use_sim_time:=true',
                      '-p', f'start_time:={start_ns}', '-p', 'max_future:=11.0',
                      '-p', 'history:=12.0') as live:
@@ -115,7 +115,7 @@ def test_parameters_have_descriptions_and_keep_the_scene(domain):
             assert name in result.reason
         result = set_parameter(live, 'publish_rate', 20)
         assert result.successful, result.reason
-        # From a long period to a short one at once, not when the long one is over.
+        # A change from a long to a short period takes effect at once, not after the long period.
         for value in (0.001, 20):
             assert set_parameter(live, 'publish_rate', value).successful
         count = len(live.received[ATTITUDE])
@@ -150,7 +150,7 @@ def test_the_rate_may_change_while_running(domain):
         run_clock(live, start_ns + 2 * SECOND, seconds=5)
         assert live.stop() == 0
     stamps = [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]
-    # By the simulated clock, which moves in steps of 10 ms.
+    # Periods follow the simulated clock, which moves in steps of 10 ms.
     assert np.median(np.diff(stamps[:changed])) == SECOND // 100
     assert np.median(np.diff(stamps[changed + 1:])) == SECOND // 10
 
@@ -274,7 +274,7 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-# Both `ros2 launch` and the terminal send it.
+# Both `ros2 launch` and the terminal send the signal.
 @pytest.mark.parametrize('count', [1, *at_night(1000)])
 def test_signals_end_it_cleanly(domain, number, count):
     with LiveSession(TUMBLER, domain) as live:
@@ -291,7 +291,7 @@ def test_signals_end_it_cleanly(domain, number, count):
 
 
 def run_node(domain, *arguments):
-    """Run the node with arguments that end it at once."""
+    """Run the node with arguments with which it ends at once."""
     command = LiveSession(TUMBLER, domain)
     return subprocess.run([*command.command[:3], *arguments], env=command.environment,
                           capture_output=True, text=True, timeout=60, check=False)

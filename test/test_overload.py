@@ -22,5 +22,5 @@ pytestmark = [pytest.mark.ros, pytest.mark.nightly]
 
 def test_an_overloaded_node_accounts_for_every_torque_and_catches_up(domain):
     lines = overload.overload(rate=5000.0, seconds=5.0, domain=domain)
-    # How long things take depends on what else the machine is doing.
+    # Durations are not checked, because they depend on other load of the machine.
     assert not [line for line in lines if not (line.holds or line.name.endswith(', s'))]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The package: the places of installed files, and a single version."""
+"""The package: installed files are in the right places, and there is only one version number."""
 
 import ast
 from contextlib import contextmanager
@@ -30,7 +30,7 @@ from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
 NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_monitor', 'attitude_node')
-#: These also run in test_readme.py, as pip installs them.
+#: Commands that test_readme.py also runs, as pip installs them.
 OFFLINE = ('attitude_compare', 'attitude_ensemble', 'attitude_identify', 'attitude_regress',
            'attitude_replay', 'attitude_tradeoff')
 
@@ -38,8 +38,8 @@ OFFLINE = ('attitude_compare', 'attitude_ensemble', 'attitude_identify', 'attitu
 @pytest.mark.slow
 @pytest.mark.parametrize('command', [*NODES, *at_night(*OFFLINE)])
 def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
-    # What `ros2 run` does: the package's prefix from the ament index, then an executable file
-    # in lib/<package>.
+    # As `ros2 run` does: find the package's prefix in the ament index, then an executable file in
+    # lib/<package>.
     assert (installed / 'share/ament_index/resource_index/packages' / NAME).exists()
     assert (installed / 'share' / NAME / 'package.xml').exists()
     executable = installed / 'lib' / NAME / command
@@ -107,7 +107,7 @@ def test_the_lowest_versions_are_those_of_the_tested_environment():
     assert len(lists) == 2
     for requirement in required:
         name, bound = re.fullmatch('([A-Za-z0-9]+)>=([0-9.]+).*', requirement).groups()
-        if name != 'zarr':  # which needs a later Python than the others
+        if name != 'zarr':  # zarr needs a later Python than the others
             assert f'{pins.pop(name)}.'.startswith(f'{bound}.'), requirement
     assert {*pins} == {'pillow', 'pyparsing'}
     for depend in ElementTree.parse(ROOT / 'package.xml').getroot().iter('exec_depend'):
@@ -201,7 +201,7 @@ def test_users_of_one_machine_lock_the_same_domains(first):
 
 @contextmanager
 def user(number):
-    """Be another user."""
+    """Act as another user within the context."""
     before, mask = os.geteuid(), os.umask(0o077)
     os.seteuid(0)
     os.seteuid(number)

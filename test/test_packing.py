@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The kernels unpack what Python packs: bodies, states, motions, options and progress."""
+"""The kernels unpack exactly what Python packs: bodies, states, motions, options and progress."""
 
 import numpy as np
 import pytest
@@ -105,7 +105,7 @@ def test_a_kernel_reads_and_writes_progress():
     layout.store_states(layout.load_states(given), progress)
     for name in ('grid_ns', 'begin_ns', 'row', 'done'):
         np.testing.assert_array_equal(progress[name], given[name])
-    for name in ('grid', 'begin', 'latest'):  # the kernels write momenta of wheels on their own
+    for name in ('grid', 'begin', 'latest'):  # the kernels write the momenta of wheels separately
         np.testing.assert_array_equal(*(each[name][:, :state_layout.SIZE]
                                         for each in (progress, given)))
     assert (given['stop'], given['budget']) == (7, layout.BUDGET)

@@ -31,7 +31,7 @@ from rigid_body_ros.report.panels import Drawn, error_panel
 
 TUMBLER = (str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
 FREE = RECORDINGS / 'torque_free_asymmetric'
-#: Seconds of the tumbler.
+#: s; duration of the recording of the tumbler.
 DURATION = 60.0
 
 
@@ -80,7 +80,7 @@ def reported(path, *arguments):
 
 
 def attitudes(seconds):
-    """Return the attitudes of the tumbler, as computed by the library."""
+    """Return the attitudes of the tumbler that the library computes."""
     problem = read(TUMBLER[0], TUMBLER[2])
     times = problem.start.time_ns + np.round(np.array(seconds) * 1e9).astype(np.int64)
     order = np.argsort(times)
@@ -89,7 +89,7 @@ def attitudes(seconds):
 
 
 def cursors(page):
-    """Return where the cursor is in each chart, px, and the time of the body, s."""
+    """Return the position of the cursor in each chart, px, and the time of the body, s."""
     at = page.eval_on_selector_all('.cursor', 'lines => lines.map(one => one.getAttribute("x1"))')
     seconds = page.evaluate('motion.shown().time')
     assert page.text_content('#clock') == f'{seconds:.2f} s'
@@ -97,7 +97,7 @@ def cursors(page):
 
 
 def times_shown(page):
-    """Return the labels of the abscissa of each chart."""
+    """Return the labels on the time axis of each chart."""
     return page.eval_on_selector_all('.plot', """plots => plots.map(plot =>
         Array.from(plot.querySelectorAll('text[text-anchor=middle]'), one => one.textContent))""")
 
@@ -160,9 +160,9 @@ def test_ten_attitudes_are_those_of_the_trajectory(page):
     shown = [page.evaluate('time => { motion.set(time); return motion.shown(); }', time)
              for time in chosen]
     times = [state['time'] for state in shown]
-    np.testing.assert_allclose(times, chosen, rtol=0.0, atol=0.011)  # 1 if between torques
+    np.testing.assert_allclose(times, chosen, rtol=0.0, atol=0.011)  # 1 s if between torques
     apart = so3.angle_between(np.array([state['attitude'] for state in shown]), attitudes(times))
-    assert apart.max() < 1e-8  # with derivatives of lower order, 1e-7
+    assert apart.max() < 1e-8  # interpolation of lower order: 1e-7
 
 
 @pytest.mark.slow
@@ -327,7 +327,7 @@ def test_a_spike_of_one_sample_is_visible(chromium, tmp_path, count):
         assert shown == pytest.approx(seconds, abs=2e-3 * count / (right - left))
         output = page.locator('.panel').last.locator('output').first
         readings = set()
-        for intervals in (-1, 0, 1):  # the cursor stands where the body is known
+        for intervals in (-1, 0, 1):  # the cursor stands at samples of the body
             page.evaluate('time => motion.set(time)', seconds + intervals * 1e-3 * count / 8192)
             readings.add(output.text_content())
         assert '0.0010 to 1.0000' in readings

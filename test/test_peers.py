@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The tables of peers: one measurement gives every number of a table."""
+"""The tables of peers: all numbers of a table are from one measurement."""
 
 import re
 
@@ -33,12 +33,12 @@ def cells(line):
 
 
 def numbers(line):
-    """Return the times of a row by level, NaN where there is none."""
+    """Return the times of a table row by level; NaN where there is none."""
     return np.array([float('nan' if cell == '-' else cell) for cell in cells(line)[1:-1]])
 
 
 def check_ratios(lines):
-    """Check that the last row is the ratio of the least time of a peer to ours, as printed."""
+    """Check that the last row is the ratio of the fastest peer's printed time to ours."""
     ours, *others, last = lines[2:]
     ours, others = numbers(ours), np.array([numbers(line) for line in others])
     best = np.fmin.reduce(others)
@@ -47,13 +47,13 @@ def check_ratios(lines):
             assert cell == ('-' if np.isnan(own) else 'alone')
             continue
         value, _, word = cell.partition(' ')
-        # Each number is printed with three digits.
+        # Allow for the rounding to three printed digits.
         np.testing.assert_allclose(float(value), peer / own, rtol=0.016)
         assert word in ('', '(level)', '(behind)')
 
 
 class Contender:
-    """A contender whose runs are written down."""
+    """A contender that logs its runs."""
 
     def __init__(self, name, log):
         self.name, self._log = name, log
@@ -98,7 +98,7 @@ def test_contenders_run_in_turns_and_slow_ones_sit_rounds_out():
     ran = np.isfinite(times).sum(axis=0).tolist()
     assert ran == [pairs.ROUNDS, pairs.ROUNDS, 7]
     assert np.isfinite(times[0]).all()
-    # Forwards and backwards in turn; a short run comes after one of its own that is not timed.
+    # Rounds alternate between forward and reverse order. An untimed run precedes each short run.
     assert ''.join(log[:14]) == 'cbbaa' + 'aabb' + 'bbaa' + 'a'
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures: data, labels and units."""
+"""Figures show the right data, labels and units."""
 
 from conftest import at_night, EPOCH_NS, SECOND
 from matplotlib.figure import Figure
@@ -46,7 +46,7 @@ def panels(tmp_path, monkeypatch):
 @pytest.mark.parametrize('start_ns', [EPOCH_NS, *at_night(0)])
 @pytest.mark.parametrize('count', [11, 30_000])
 def test_times_are_drawn_to_the_nanosecond_at_any_epoch(panels, start_ns, count):
-    # As floats, times of this century in nanoseconds are 256 ns apart.
+    # Adjacent doubles are 256 ns apart for times of this century in nanoseconds.
     stamps = start_ns + 100 * np.arange(count)
     log = TorqueLog(stamps, np.outer(np.arange(count) % 2, [1.0, 2.0, 3.0]))
     motion = propagate(RigidBody(np.eye(3)), State(start_ns), log, at=stamps)
@@ -57,14 +57,14 @@ def test_times_are_drawn_to_the_nanosecond_at_any_epoch(panels, start_ns, count)
         np.testing.assert_allclose([seconds[-1], panel.get_xlim()[1]], span, rtol=1e-14)
         assert np.all(np.diff(seconds) > 0.0)
         assert np.diff(seconds).max() <= max(100.5e-9, 1.1 * span / 5000)
-    if count == 11:  # both sides of each change
+    if count == 11:  # points on both sides of each change
         drawn = np.round(seconds * 1e9).astype(int)
         assert set(drawn.tolist()) >= {0, *range(99, 1000, 100), *range(100, 1001, 100)}
         np.testing.assert_array_equal(panel.lines[0].get_ydata(), drawn // 100 % 2)
 
 
 def inside(figure):
-    """Return whether every text of a figure that was drawn lies inside the picture."""
+    """Return whether all texts of a drawn figure lie inside the picture."""
     figure.canvas.draw()
     edges = figure.bbox
     axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)]
@@ -72,7 +72,7 @@ def inside(figure):
     boxes = [text.get_window_extent() for text in figure.findobj(Text)
              if text not in ticks and text.get_visible() and text.get_text()]
     renderer = figure.canvas.get_renderer()
-    boxes += [box for axis in axes  # ticks that show
+    boxes += [box for axis in axes  # visible ticks
               if (box := axis.get_tightbbox(renderer)) is not None]
     return all(edges.x0 <= box.x0 and box.x1 <= edges.x1 and edges.y0 <= box.y0
                and box.y1 <= edges.y1 for box in boxes)

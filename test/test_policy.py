@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The security policy: valid, and exactly what the nodes use."""
+"""The security policy is valid, and allows exactly what the nodes use."""
 
 from importlib.util import find_spec
 import json
@@ -25,8 +25,8 @@ from conftest import at_night, CONFIG, ROOT
 import pytest
 
 POLICY = ROOT / 'policies' / 'rigid_body_ros.policy.xml'
-#: The rules of sros2's policies, version 0.2.0: for each element its attributes, those among them
-#: that are optional, and its children. A profile may have any number of each of its children.
+#: The rules for policies of sros2, version 0.2.0: for each element, its attributes, which of these
+#: are optional, and its children. A profile may have any number of each child.
 RULES = {
     'policy': ({'version'}, set(), ['enclaves']), 'enclaves': (set(), set(), ['enclave']),
     'enclave': ({'path'}, set(), ['profiles']), 'profiles': (set(), set(), ['profile']),
@@ -34,7 +34,7 @@ RULES = {
     'topics': (set(), {'publish', 'subscribe'}, ['topic']),
     'services': (set(), {'reply', 'request'}, ['service']),
     'actions': (set(), {'call', 'execute'}, ['action'])}
-#: Single elements.
+#: Elements that occur only once.
 ONCE = ('enclaves',)
 #: The permission of each kind of endpoint.
 KINDS = {'publisher': ('topics', 'publish'), 'subscriber': ('topics', 'subscribe'),
@@ -54,21 +54,21 @@ NODE = 'rigid_body_ros.node.attitude_node', 'AttitudeNode'
 MANAGED = 'rigid_body_ros.node.lifecycle', 'AttitudeLifecycleNode'
 MONITOR = 'rigid_body_ros.node.attitude_monitor', 'AttitudeMonitor'
 CONTROLLER = 'rigid_body_ros.node.attitude_controller', 'AttitudeController'
-#: Together these have every topic of the node but those of further torque_topics.
+#: Together, these configurations use every topic of the node except further torque_topics.
 CONFIGURATIONS = [
     ('-p', 'mode:=lockstep', '-p', 'publish_clock:=true', '-p', 'wheel_names:=[rw]',
      '-p', 'rw.axis.x:=1.0', '-p', 'rw.inertia:=0.001', '-p', 'inertia_topic:=true',
      '-p', 'actuator.topics:=[torque]'),
     ('-p', 'use_sim_time:=true', '-p', 'wheels:=true',
      *(('-p', 'publish_tf:=true') if find_spec('tf2_msgs') else ()))]
-#: And these every topic of the monitor but those that it measures.
+#: Together, these use every topic of the monitor except the measured topics.
 MONITORED = [('-p', 'monitor.measured:=[/measured]', '-p', 'monitor.attitude_noise:=0.001',
               '-p', 'monitor.rate_noise:=0.001', '-p', 'use_sim_time:=true',
               '-p', 'wheels:=true')]
 
 
 def violations(element):
-    """Return the violations of the rules by an element and all in it."""
+    """Return the violations of the rules in an element and its descendants."""
     required, optional, children = RULES.get(element.tag, (set(), set(), []))
     given = {*element.attrib}
     found = [f'{element.tag}: attributes {given}'] if not (
@@ -131,7 +131,7 @@ def test_it_is_installed(installed):
 
 
 def graph(domain, node, *arguments):
-    """Return the names of all endpoints of a node, by kind; a node finds its own at once."""
+    """Return the names of all endpoints of a node by kind; a node knows its own at once."""
     module, name = node
     environment = os.environ | {
         'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
@@ -158,7 +158,7 @@ def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, node, co
         for kind, names in found.items():
             assert {*names} <= {*policy[kind]}, arguments
             used[kind] |= {*names}
-    # Only until the URDF arrives; test_robot_description.py has a node that waits.
+    # Used only until the URDF arrives; the node of test_robot_description.py waits for it.
     used['subscriber'].add('/robot_description')
     if node is not MONITOR and not find_spec('tf2_msgs'):
         used['publisher'].add('/tf')

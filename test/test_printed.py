@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Names and texts from outside are printed as one line, whatever characters they contain."""
+"""Names and texts from outside are printed on one line, whatever characters they contain."""
 
 import json
 
@@ -37,14 +37,15 @@ from rigid_body_ros.commands import main
 import yaml
 
 FORGED = 'check         passed'
-#: Clears the screen, sets a link, adds a line, changes the direction, and starts a formula.
+#: A name that clears the screen, sets a link, adds a line, changes the direction of the text, and
+#: starts a formula.
 NAME = (f'a\x1b[2J\x1b]8;;http://b\x07\n{FORGED}\r\t\x7f\x85\x9b2J\u2028\u2029\u202e\u2066<b>&'
         '$\\frac{$机器😀')
 TOPIC, FILE = f'/{NAME}', NAME.replace('/', '')
 
 
 def printed(capfdbinary):
-    """Return everything that was printed, after a check of each character."""
+    """Return everything that was printed, after checking each character."""
     text = b''.join(capfdbinary.readouterr()).decode()
     assert text.replace('\n', '').isprintable()
     assert FORGED not in text.split('\n')
@@ -81,7 +82,7 @@ def test_names_of_topics_and_files(flight, tmp_path, capfdbinary, command, outpu
     page = outputs['--report'].read_text(encoding='utf-8')
     assert '<b>' not in page
     assert '&lt;b&gt;&amp;$\\frac{$机器😀' in page
-    if '--json' in outputs:  # data keeps the names
+    if '--json' in outputs:  # data files keep the names
         assert json.dumps(f'/imu{NAME}')[1:-1] in outputs['--json'].read_text()
 
 
@@ -142,7 +143,7 @@ def test_names_of_an_ensemble(flight, tmp_path, capfdbinary):
 
 
 def with_type(path):
-    """Write a recording whose schema has a hostile name."""
+    """Write a recording with a hostile schema name."""
     with open(path, 'wb') as stream:
         writer = Writer(stream)
         writer.start('ros2', 'test')
@@ -152,7 +153,7 @@ def with_type(path):
 
 
 def with_frames(path, kind):
-    """Write a recording whose messages have hostile frames."""
+    """Write a recording with hostile frame names."""
     tumble = truth(seconds=1.0, rate=50.0)
     frame = NAME if kind == 'torque' else 'base_link'
     torques = [(stamp, WrenchStamped(header(stamp, frame), message.wrench))

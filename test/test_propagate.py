@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The time loop: the requested times and their order change no number."""
+"""The time loop: neither the requested times nor their order change a number."""
 
 from conftest import chord, EPOCH_NS, Reference, SECOND
 from hypothesis import given, settings, strategies
@@ -31,7 +31,7 @@ HISTORY_NS = SECOND
 
 
 def random_log(seed, count=40, seconds=4.0):
-    """Return stamps from before the start on, torques (some zero, some repeated) and frames."""
+    """Return stamps that begin before the start, torques (some zero or repeated) and frames."""
     random = np.random.default_rng(seed)
     offsets = random.choice(int(seconds * SECOND), count, replace=False)
     stamps = EPOCH_NS - SECOND // 2 + np.sort(offsets)
@@ -62,7 +62,7 @@ def test_any_order_of_arrival_and_any_questions_give_the_states_of_the_log(seed,
     arrival = np.argsort(stamps + random.integers(0, HISTORY_NS, len(stamps)), kind='stable')
     for row in arrival:
         newest = max(newest, int(stamps[row]))
-        # A torque that arrives now cannot change a state that is older by `history`.
+        # A torque that arrives now cannot change states that are older than `history`.
         for stamp in after[(after <= newest - HISTORY_NS)].tolist():
             if stamp not in states:
                 states[stamp] = propagator.at(stamp)
@@ -103,13 +103,13 @@ def test_a_log_longer_than_a_chunk_has_no_seam(monkeypatch, interpolation):
 def test_a_run_restarted_at_any_time_goes_on_bit_for_bit(seed, timeout, solver):
     random = np.random.default_rng(seed)
     stamps, torques, frames = random_log(seed, count=12, seconds=60.0)
-    torques *= 0.1  # 60 s of one torque would be too fast for the steps of rk4
+    torques *= 0.1  # or the body would spin too fast for rk4 after 60 s
     options = {'solver': solver, 'torque_timeout': timeout, 'max_step': 0.1}
     whole = Propagator(BODY, START, history=100.0, **options)
     for stamp, torque, frame in zip(stamps.tolist(), torques, frames):
         whole.apply(stamp, torque, frame)
     middle = whole.at(int(random.integers(EPOCH_NS, stamps[-1] + SECOND)))
-    for _ in range(random.integers(0, 3)):  # a restart may be restarted
+    for _ in range(random.integers(0, 3)):  # a restarted motion may be restarted again
         middle = whole.at(int(middle.time_ns + random.integers(0, SECOND)))
     since = max(np.searchsorted(stamps, middle.time_ns, side='right') - 1, 0)
     resumed = Propagator(BODY, middle, history=100.0, **options)
@@ -137,7 +137,7 @@ def test_a_run_restarted_long_after_its_torque_takes_that_torque():
     whole = Propagator(BODY, START)
     whole.apply(EPOCH_NS, [0.3, 0.1, 0.2])
     resumed = Propagator(BODY, whole.at(EPOCH_NS + 10 * SECOND))
-    assert resumed.apply(EPOCH_NS, [0.3, 0.1, 0.2])  # far older than history, but none came yet
+    assert resumed.apply(EPOCH_NS, [0.3, 0.1, 0.2])  # far older than history, but the first one
     end_ns = EPOCH_NS + 11 * SECOND
     np.testing.assert_array_equal(resumed.at(end_ns).attitude, whole.at(end_ns).attitude)
 
@@ -193,7 +193,7 @@ def test_splitting_a_held_torque_changes_rounding_only():
 
 
 def test_body_and_space_torque_agree_on_a_body_that_does_not_turn_away():
-    # Along a principal axis that stays put in space both are the same torque.
+    # Along a principal axis that is fixed in space, both are the same torque.
     body = RigidBody.from_moments(1.0, 2.0, 2.5)
     start = State(0, angular_velocity=(0.0, 0.0, 1.0))
     ends = [propagate(body, start, TorqueLog([0], [[0.0, 0.0, 0.3]], frame), at=[20 * SECOND])
@@ -212,7 +212,7 @@ def test_space_torque_adds_to_the_space_momentum():
 
 @pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
 def test_interpolated_space_torque_adds_its_integral_to_the_momentum(interpolation):
-    # Both interpolants are exact for a straight line; its integral is a parabola.
+    # Both interpolations are exact for a straight line, whose integral is a parabola.
     stamps = EPOCH_NS + np.cumsum(np.random.default_rng(5).integers(SECOND // 50, SECOND, 30))
     seconds = (stamps - EPOCH_NS) * 1e-9
     slope = np.array([0.01, 0.02, -0.015])
@@ -278,7 +278,8 @@ def test_a_kernel_that_returns_midway_goes_on_with_the_same_bits(monkeypatch, bu
 
 @pytest.mark.parametrize('case', ['stream', 'outputs of a stream', 'coast', 'segment', 'zeros'])
 def test_a_kernel_returns_after_a_bounded_number_of_steps_and_outputs(monkeypatch, case):
-    # However long the log and however many the outputs: between calls Python handles signals.
+    # However long the log is, and however many outputs there are, Python handles signals between
+    # calls of the kernel.
     stamps = EPOCH_NS + np.arange(5000) * SECOND // 1000
     torques = np.tile([0.1, 0.2, -0.1], (5000, 1))
     span_ns = {'coast': 3600 * SECOND, 'segment': SECOND // 1000}.get(case, 5 * SECOND)
@@ -324,7 +325,7 @@ def test_a_body_at_rest_stays_for_a_day_and_for_thirty_years():
 @pytest.mark.parametrize('frame', ['body', 'space'])
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 def test_a_torque_that_grows_from_nothing_starts_a_body_at_rest(interpolation, frame):
-    # The first terms of the series vanish here, and more of them the smoother the torque.
+    # The first terms of the series vanish here; the smoother the torque, the more terms vanish.
     stamps = np.arange(0, 11) * SECOND
     seconds = np.arange(0.0, 11.0)
     body = RigidBody.from_moments(2.0, 3.0, 4.0)
@@ -376,7 +377,7 @@ def test_a_looser_tolerance_is_kept():
     for tolerance in (1e-4, 1e-6, 1e-9, 1e-12):
         apart = chord(reference.attitude, reference.propagate(tolerance=tolerance).attitude)
         assert np.all(apart <= tolerance * (10.0 + phase))
-        assert apart.max() > 1e-5 * tolerance  # it does save work
+        assert apart.max() > 1e-5 * tolerance  # a looser tolerance does save work
 
 
 def test_a_smaller_step_changes_rounding_only():
@@ -413,7 +414,7 @@ class TestPropagator:
             propagator.apply(time_ns, [0.1, 0.0, 0.1 * (number % 3)])
             propagator.at(time_ns + SECOND // 2000)
         assert len(propagator._history.changes) <= 52
-        # What the newest torque has made final stays until the next one.
+        # What the newest torque made final is kept until the next torque.
         assert propagator.earliest_ns >= EPOCH_NS + 1948 * SECOND // 1000
         earliest = f'time_ns: expected {propagator.earliest_ns} ns or later, found'
         with pytest.raises(ValueError, match=earliest):
@@ -421,7 +422,7 @@ class TestPropagator:
 
     @pytest.mark.slow
     def test_an_open_segment_costs_only_what_is_new(self, monkeypatch):
-        # An hour of coast, requested at 10 Hz: each call continues from the previous one.
+        # A coast of an hour, requested at 10 Hz: each call continues from the previous state.
         spans, run = [], kernels.run
 
         def recorded(progress, *rest):
@@ -512,7 +513,7 @@ def test_the_trajectory_says_what_answered_and_why():
 
 @pytest.mark.parametrize('timeout', [0.0, 2.0])
 def test_the_trajectory_names_each_coast_that_was_taken_in_closed_form(timeout):
-    # Torque at 0 s, none from 2 s to 100 s (in one sample, or by the timeout and another).
+    # A torque at 0 s, and none from 2 s to 100 s (by one sample, or by the timeout and a sample).
     zero = 50 if timeout else 2
     stamps = EPOCH_NS + np.array([0, zero, zero + 1, 100, 101]) * SECOND
     log = TorqueLog(stamps, np.outer([1, 0, 0, 1, 1], [0.1, 0.2, 0.1]))
@@ -545,7 +546,7 @@ def test_trajectories_give_euler_angles():
 
 @pytest.mark.slow
 def test_work_may_be_done_in_parts_and_gives_the_same_bits():
-    # A million steps in one segment, and then a thousand segments.
+    # A million steps in one segment, followed by a thousand segments.
     torques = [(EPOCH_NS + 10 * SECOND + k * SECOND // 1000, (1e-3 * k, 0.0, 1e-3))
                for k in range(1000)]
     whole, parts = (Propagator(BODY, START, history=100.0, max_step=1e-5) for _ in range(2))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Wrenches in the frames of propellers, which continuous joints turn about an axis."""
+"""Wrenches in the frames of propellers, which continuous joints rotate about an axis."""
 
 from dataclasses import replace
 import re
@@ -29,7 +29,7 @@ from robots import ROBOT, robot
 from scipy.spatial.transform import Rotation
 import yaml
 
-#: Along the axis of the propeller of ROBOT, with a norm of 3.
+#: A vector along the axis of the propeller of ROBOT, with norm 3.
 AXIS = np.array([1.0, 2.0, 2.0])
 CENTRE = np.array([0.25, 0.0, -0.5])
 EPS = np.finfo(float).eps
@@ -179,7 +179,7 @@ def described(tmp_path):
 
 
 def write(path, *wrenches):
-    """Write a recording of wrenches: frame and six numbers."""
+    """Write a recording of wrenches, each given as a frame and six numbers."""
     with recording.Writer(path) as writer:
         writer.add_topic('/torque', messages.WRENCH)
         for number, (name, values) in enumerate(wrenches):

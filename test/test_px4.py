@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Logs of PX4 as recordings."""
+"""Logs of PX4, read as recordings."""
 
 import json
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The README: the installed package does what it says. `test_doc_commands` runs its commands."""
+"""The installed package does what the README says; `test_doc_commands` runs its commands."""
 
 from contextlib import contextmanager
 import os
@@ -31,13 +31,13 @@ TEXT = (ROOT / 'README.md').read_text(encoding='utf-8')
 FENCED = re.findall(r'^```(\w+)\n(.*?)^```$', TEXT, re.DOTALL | re.MULTILINE)
 BLOCKS = [[line for line in block.replace('\\\n', '').splitlines() if not line.startswith('#')]
           for language, block in FENCED if language == 'bash']
-#: s.
+#: s; how long to wait for anything.
 PATIENCE = 300
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """Work in a folder with the files of the repository that the README names."""
+    """Work in a folder with the repository files that the README names."""
     for folder in ('config', 'test'):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
@@ -77,7 +77,7 @@ def environment(installed):
 
 @contextmanager
 def run(command, installed, domain):
-    """Do what `ros2 run PACKAGE EXECUTABLE ...` does, and leave nothing of it behind."""
+    """Do what `ros2 run PACKAGE EXECUTABLE ...` does, and leave no process behind."""
     package, executable, *arguments = shlex.split(command)[2:]
     process = subprocess.Popen(
         [installed / 'lib' / package / executable, *arguments], text=True,

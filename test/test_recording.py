@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings: we read the files of others, others read ours, and damage is reported."""
+"""Recordings: we read files of other tools, other tools read ours, and damage is reported."""
 
 import itertools
 import re
@@ -39,7 +39,7 @@ ENDINGS = [messages.QUATERNION, messages.VECTOR3, messages.ODOMETRY]
 
 
 def write(path, rows, topic='/torque'):
-    """Write WrenchStamped rows of stamp, frame_id and torque."""
+    """Write WrenchStamped messages from rows of stamp, frame_id and torque."""
     with recording.Writer(path) as writer:
         writer.add_topic(topic, messages.WRENCH)
         for stamp_ns, frame_id, torque in rows:
@@ -65,7 +65,7 @@ def test_what_is_written_is_read(recorded):
 
 
 def interrupted_at(moment, action):
-    """Do something, interrupted at one of the moments when a signal may be heard, or not."""
+    """Perform an action, and interrupt it at one of the moments at which signals are checked."""
     left = moment
 
     def trace(frame, event, argument):
@@ -88,7 +88,7 @@ def interrupted_at(moment, action):
 
 
 @pytest.mark.slow
-# An interrupted write leaves it to Python to close the file.
+# After an interrupted write, Python closes the file.
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnraisableExceptionWarning')
 def test_an_interrupt_at_any_moment_leaves_a_whole_file_or_none(tmp_path):
     path, rows = tmp_path / 'torque.mcap', [(EPOCH_NS, '', TORQUES[0])]
@@ -203,7 +203,7 @@ def test_the_log_of_a_node_is_divided_at_its_markers(tmp_path):
     assert [log.times_ns.tolist() for log in logs] == [[4, 8], [0, 9], []]
     assert [log.torques[:, 0].tolist() for log in logs] == [[1.0, 2.0], [5.0, 4.0], []]
     assert logs[0].in_space.tolist() == [True, False]
-    # The complete file is not a log.
+    # The complete file is not the log of a node.
     with pytest.raises(InputError, match="message 1: frame_id: expected .*, found '/epoch "):
         torque_log(path)
 
@@ -303,7 +303,7 @@ def test_of_a_truncated_file_all_is_used_that_is_there(tmp_path, share):
     (tmp_path / 'cut.mcap').write_bytes(data[:int(len(data) * share)])
     found = recording.read(tmp_path / 'cut.mcap')
     rows = len(found.stamps_ns)
-    assert share - 0.3 < rows / count <= 1.0  # whole chunks, of some 7400 messages
+    assert share - 0.3 < rows / count <= 1.0  # whole chunks of about 7400 messages
     np.testing.assert_array_equal(found.stamps_ns, stamps[:rows])
     np.testing.assert_array_equal(found.values[:, 3:], torques[:rows])
     assert 'cut.mcap: cut off ' in found.damage
@@ -350,7 +350,7 @@ def test_a_failure_leaves_no_file_and_keeps_the_old_one(tmp_path, recorded):
 
 @pytest.mark.parametrize('count', [1, 400, 40_000])
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
-    # It is met at the end or on the way.
+    # The damage is at the end, or somewhere before.
     random = np.random.default_rng(1)
     with files_up_to(512), pytest.raises(InputError,
                                          match='full.mcap: cannot write: File too large'):
@@ -373,7 +373,7 @@ def test_a_double_survives_the_file_to_the_last_bit(tmp_path):
 
 
 def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, message=None):
-    """Write a torque whose schema has a definition."""
+    """Write a torque whose schema has the given definition."""
     message = message or messages.wrench(EPOCH_NS, '', [1.0, 2.0, 3.0])
     with open(path, 'wb') as stream:
         writer = McapWriter(stream)
@@ -388,7 +388,7 @@ def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, messa
 STANDARD = messages.WRENCH.definition
 IDL = ''.join(bags.idl(kind) for kind in reversed(bags.IDL))
 SWAPPED = ('Vector3 force\nVector3 torque', 'Vector3 torque\nVector3 force')
-#: Changes of the definition of a WrenchStamped, and the first difference.
+#: Changed definitions of a WrenchStamped, and the first difference that is reported.
 CHANGES = {
     'swapped': (*SWAPPED, 'float64 wrench.force.x', "'float64 wrench.torque.x'"),
     'float32': ('float64 x', 'float32 x', 'float64 wrench.force.x', "'float32 wrench.force.x'"),
@@ -432,7 +432,7 @@ def test_a_definition_in_an_unknown_language_is_refused(tmp_path):
         recording.read(path)
 
 
-#: The same definition, written in other ways.
+#: The same definition, written in another way.
 COMMENTED = re.sub(r'(?m)^(?!=|MSG)(\S+) (.*)$', r'\n# float32 y\n  \1\t\2 # z\r', STANDARD)
 SAME = {
     'comments': COMMENTED, 'empty': '', 'blank': ' \n', 'root only': STANDARD.split('=')[0],
@@ -448,7 +448,7 @@ def test_the_same_definition_may_be_written_in_other_ways(tmp_path, definition):
     assert recording.read(path).values[0, 3:].tolist() == [1.0, 2.0, 3.0]
 
 
-#: A definition as rosidl writes it.
+#: The definition as rosidl writes it.
 ROSIDL = """{equals}
 IDL: geometry_msgs/msg/PoseWithCovarianceStamped
 // generated from rosidl_adapter/resource/msg.idl.em

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The engine against motions in 50 digits, and against closed forms."""
+"""The engine, compared with motions of 50 digits and with closed forms."""
 
 from conftest import chord, RECORDINGS, Reference, SECOND
 from mpmath import mp
@@ -22,7 +22,7 @@ from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
 
 NAMES = sorted(path.stem for path in RECORDINGS.glob('*.yaml'))
-#: Largest error, rad, of scenes that amplify rounding.
+#: Largest error, rad, in scenes that amplify rounding errors.
 AMPLIFYING = {'separatrix': 1e-7, 'torque_free_intermediate_axis': 5e-12}
 
 
@@ -31,7 +31,7 @@ def test_every_reference_motion_is_here():
 
 
 def cases():
-    """Return each scene with the solvers that it is for."""
+    """Return pairs of a scene and a solver that it applies to."""
     for name in NAMES:
         solvers = ('auto', 'taylor') if Reference(name).log.torques.any() else \
             ('auto', 'taylor', 'exact')
@@ -52,7 +52,7 @@ def test_motion_is_that_of_fifty_digits(name, solver):
 
 
 def euler_error(attitude, angles):
-    """Return the error of 3-1-3 angles; at a pole, of theta and the sum or difference."""
+    """Return the error of 3-1-3 angles; at a pole, of theta and of the sum or difference."""
     errors = []
     with mp.workdps(30):
         for (x, y, z, w), given in zip(attitude.tolist(), angles.tolist()):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_regress: the same bits from the same controller, and one line from one that fails."""
+"""attitude_regress: equal bits from an equal controller, and one line about one that fails."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -49,7 +49,7 @@ SCENE = """
 STEP_NS, END_NS = SECOND // 50, 2 * SECOND
 CONTROLLER = [sys.executable, str(ROOT / 'scripts' / 'attitude_controller')]
 GAINS = {'proportional_gain': 0.05, 'derivative_gain': 0.12}
-#: Sends torques as fast as it can, in the frame and with the stamp that it is given.
+#: A controller that sends torques as fast as it can, in a given frame and with a given stamp.
 FLOOD = """
 import sys
 from geometry_msgs.msg import WrenchStamped
@@ -63,7 +63,7 @@ torque.header.stamp.sec = 1
 while True:
     publisher.publish(torque)
 """
-#: Responds to each state with a torque that no other run has.
+#: A controller that responds to each state with a random torque.
 RANDOM = """
 import random
 from geometry_msgs.msg import WrenchStamped
@@ -82,7 +82,7 @@ def on_state(state):
 node.create_subscription(Odometry, 'odometry', on_state, 10)
 rclpy.spin(node)
 """
-#: Responds to each state on one topic.
+#: A controller that responds to each state on one topic.
 CONSTANT = """
 import sys
 from geometry_msgs.msg import WrenchStamped
@@ -99,7 +99,7 @@ def on_state(state):
 node.create_subscription(Odometry, 'odometry', on_state, 10)
 rclpy.spin(node)
 """
-#: An argument that no other command on this machine has.
+#: An argument that no other command on this machine uses.
 MARK = '98765.4321'
 
 
@@ -128,7 +128,7 @@ def run(folder, *options, command=CONTROLLER):
 
 
 def loop(**gains):
-    """Return the torques of the loop, closed without ROS."""
+    """Close the loop without ROS, and return its torques."""
     gains, run = {**GAINS, **gains}, scene.Scene.from_values(
         {'inertia.ixx': 0.045, 'inertia.iyy': 0.120, 'inertia.izz': 0.140, 'inertia.ixy': 0.002,
          'inertia.ixz': -0.001, 'inertia.iyz': 0.003, 'initial_angular_velocity.x': 0.15,
@@ -150,7 +150,7 @@ def test_a_reference_is_the_loop_that_a_controller_closes(folder):
     assert samples.times_ns.tolist() == [*range(0, END_NS + 1, STEP_NS)]
     assert found.states.times_ns.tolist() == samples.times_ns.tolist()
     np.testing.assert_array_equal(samples.values, loop())
-    # It is a recording of a node as any other.
+    # The reference is a recording of a node like any other.
     assert main.attitude_replay([*arguments(folder, command=())[:-1], '--topic',
                                  '/attitude_node/accepted_torque', '--verify',
                                  str(folder / 'reference.mcap')]) == 0
@@ -218,7 +218,7 @@ def test_a_controller_that_dies_is_one_line(folder, capsys, command, line):
     *at_night(([sys.executable, '-c', FLOOD, ''], 'its torques reach 0 s of the loop'),
               ([sys.executable, '-c', FLOOD, 'nowhere'], 'the node has accepted no torque'))])
 def test_a_controller_that_is_silent_or_floods_is_one_line(folder, capsys, command, line):
-    seconds = '20' if 'flood' in command[-2] else '2'  # on a busy machine a node starts slowly
+    seconds = '20' if 'flood' in command[-2] else '2'  # a node may start slowly
     assert run(folder, '--timeout', seconds, command=command) == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert f'expected the loop to end within --timeout {seconds} s, found that' in last
@@ -227,7 +227,7 @@ def test_a_controller_that_is_silent_or_floods_is_one_line(folder, capsys, comma
 
 
 def test_ctrl_c_ends_all_that_was_started(folder, tmp_path):
-    # As `ros2 launch` does, it starts others; and none of them obeys Ctrl-C.
+    # Like `ros2 launch`, the command starts other processes; none of them reacts to Ctrl-C.
     started = tmp_path / 'started'
     command = ['sh', '-c', f'trap "" INT; sleep {MARK} & touch {started}; sleep {MARK}']
     process = subprocess.Popen([sys.executable, ROOT / 'scripts' / 'attitude_regress',
@@ -245,7 +245,7 @@ def test_ctrl_c_ends_all_that_was_started(folder, tmp_path):
 
 
 def marked():
-    """Return the processes that a test has started, and that still run."""
+    """Return the processes that a test has started and that still run."""
     found = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):
@@ -311,7 +311,7 @@ def test_a_second_node_is_refused(folder, capsys):
 @pytest.mark.parametrize(('name', 'command', 'options'), [
     ('slew', CONTROLLER, []),
     *at_night(*((name, [sys.executable, str(ROOT / 'examples' / f'{name}.py')],
-                 # A sine of another C library may differ in the last bit.
+                 # The sine of another C library may differ in the last bit.
                  ['--tolerance', '1e-9']) for name in ('detumble', 'unload_wheels')))])
 def test_the_examples_close_the_loops_of_their_references(capsys, name, command, options):
     paths = [str(ROOT / 'examples' / f'{name}.{suffix}') for suffix in ('mcap', 'yaml')]
@@ -325,7 +325,7 @@ def test_rods_stop_a_satellite_that_tumbles():
     for seconds in range(4000):
         state = propagator.at(seconds * SECOND)
         propagator.apply(seconds * SECOND, law.torque(float(seconds), state.attitude))
-    # The remaining rate is about that of the rotation of the field.
+    # The remaining rate is about that of the rotating field.
     assert np.linalg.norm(state.angular_velocity) < 3.0 * 1.1068e-3
     assert np.linalg.norm(found.start.angular_velocity) > 0.1
 

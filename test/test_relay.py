@@ -23,7 +23,7 @@ from conftest import ROOT
 import pytest
 
 pytestmark = pytest.mark.ros
-#: s.
+#: s; how long to wait for anything.
 PATIENCE = 300
 
 
@@ -36,7 +36,7 @@ def executor(context):
 
 
 def spun_until(executor, condition):
-    """Spin until something holds; return whether it does."""
+    """Spin until a condition holds; return whether it does."""
     end = time.monotonic() + PATIENCE
     while not condition() and time.monotonic() < end:
         executor.spin_once(timeout_sec=0.1)
@@ -58,7 +58,7 @@ def test_the_relay_publishes_the_torque_of_the_thrusts(context, executor):
     thrusts.publish(Float64MultiArray(data=[3.0, 1.0, 2.0, 1.0]))
     assert spun_until(executor, lambda: torques)
     found = torques[0].wrench.torque
-    # Lever arms of 0.1 m: left minus right, rear minus front, and the drag of each.
+    # Lever arms of 0.1 m: left minus right, rear minus front, and the drag of each propeller.
     assert (found.x, found.y, found.z) == pytest.approx((0.3, -0.1, 0.01), abs=1e-15)
     assert torques[0].header.frame_id == 'base_link'
 

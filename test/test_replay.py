@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_replay: the numbers of the library, a summary, a picture, and errors of one line."""
+"""attitude_replay: the numbers of the library, a summary, a picture, and one-line errors."""
 
 import os
 import signal
@@ -234,7 +234,7 @@ def test_an_output_that_is_needed_is_asked_for(recordings, options, message, cap
 
 
 def bad_input(name, tmp_path):
-    """Return arguments with one mistake in them."""
+    """Return arguments that contain one mistake."""
     good = write_torques(tmp_path / 'good.mcap', [(EPOCH_NS, '', [1.0, 0.0, 0.0])])
     config = tmp_path / 'scene.yaml'
     config.write_text((CONFIG / 'tumbler.yaml').read_text())
@@ -302,7 +302,7 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
     (('-o', 'motion.mcap', '--plot', 'none/p.png'), 'none/p.png: cannot write: No such file')])
 def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    # Not a device: for root, code that is broken would replace it for the whole machine.
+    # Not a device: as root, broken code would replace it for the whole machine.
     pipes = {tmp_path / name for name in ('pipe', 'pipe.mcap')}
     for pipe in pipes:
         os.mkfifo(pipe)
@@ -373,7 +373,7 @@ def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys)
 @pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGINT, *at_night(signal.SIGTERM)])
 def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, number):
-    spin = RECORDINGS / 'fast_spin'  # a day at 6000 rad/s is an hour of work for the series
+    spin = RECORDINGS / 'fast_spin'  # for a day at 6000 rad/s, the series takes an hour
     config = tmp_path / 'spin.yaml'
     config.write_text(f'{spin.with_suffix(".yaml").read_text()}    solver: taylor\n')
     process = subprocess.Popen([*COMMAND, f'{spin}.mcap', '--scene', str(config), '-o',
@@ -530,7 +530,7 @@ def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
 @pytest.mark.slow
 def test_messages_compressed_one_by_one_are_copied_as_they_were(tmp_path):
     sent = bags.torques()
-    sent.values[:6] = 0.0  # there is no motion of it
+    sent.values[:6] = 0.0  # no motion follows from it
     source = bags.FORMS['rosbag2-mcap-message'](tmp_path, bags.traffic(sent))
     replay(source, scene.load(CONFIG / 'tumbler.yaml'), tmp_path / 'motion.mcap', also=('input',))
     read = [recording.read(path) for path in (source, tmp_path / 'motion.mcap')]

@@ -153,7 +153,7 @@ def test_the_rotors_follow_their_measured_momentum(recorded, written, tmp_path):
     for axis in range(3):
         measured = np.interp(seconds, (stamps - stamps[0]) * 1e-9, momenta[:, axis])
         np.testing.assert_allclose(read.values[:, axis], measured, rtol=0.0, atol=1e-16)
-    # The motion begins at the earliest sample, so the start has the momentum of that sample.
+    # The motion begins at the earliest sample, so the start has the momentum from this sample.
     assert read.stamps_ns[0] == stamps[0]
     np.testing.assert_array_equal(read.values[0], momenta[0])
 
@@ -259,7 +259,7 @@ def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatc
     shown, = panels['torque of the fields, body axes']['curves']
     np.testing.assert_allclose(array(shown['low'], '<f4').reshape(3, -1), torque.T, atol=1e-7)
     assert 'torque, body axes' in panels
-    # The moving body has all that acts.
+    # The torque of the animated body includes everything that acts.
     np.testing.assert_allclose(array(data['body']['torque'], '<f4').reshape(-1, 3),
                                torque + values('/control'), atol=1e-7)
     line = next(axes for axes in drawn['figure'].axes
@@ -456,7 +456,7 @@ def test_a_plain_scene_has_the_motion_of_one_torque():
 
 
 def test_the_steps_under_a_field_count_for_the_computing_time():
-    # A pendulum at rest, with a torque of zero: it swings with about 2 rad/s.
+    # A pendulum that starts at rest, with a torque of zero; it swings at about 2 rad/s.
     values = {'inertia.ixx': 0.05, 'inertia.iyy': 0.05, 'inertia.izz': 0.05}
     weight = {'fields': ['pivot'], 'pivot.moment.z': -0.02, 'pivot.field.z': -9.81}
     still = TorqueLog([0], [[0.0, 0.0, 0.0]])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Rerun finds no fault in the recordings we write, and the example shows a motion in it."""
+"""Rerun accepts the recordings of this package, and the example shows a motion in Rerun."""
 
 import importlib.util
 import os
@@ -52,7 +52,7 @@ def plain(tmp_path_factory):
 
 
 def rerun(folder, *arguments):
-    """Run Rerun, which sends no statistics and writes no files of its own elsewhere."""
+    """Run Rerun without statistics, and without its own files elsewhere."""
     environment = {**os.environ, 'HOME': str(folder), 'PYTHONPATH': ''}
     disabled = subprocess.run([RERUN, 'analytics', 'disable'], env=environment,
                               capture_output=True, check=False)
@@ -99,7 +99,7 @@ def test_rerun_finds_no_fault_in_residuals(plain, tmp_path):
 
 
 def shown(folder, motion, scene):
-    """Return the entities of the file that the example writes, with their numbers of rows."""
+    """Return the entities in the file that the example writes, and their numbers of rows."""
     output = folder / 'shown.rrd'
     subprocess.run([sys.executable, ROOT / 'examples' / 'show_in_rerun.py', motion, '--scene',
                     scene, '--save', output], check=True, timeout=120)

@@ -94,7 +94,7 @@ def test_the_parameters_come_first(domain):
 
 
 class WrongSession(DescribedSession):
-    """A session with a robot without an inertia."""
+    """A session with a robot that has no inertia."""
 
     def _connect(self):
         self.wait_until(lambda: WAITS in self.words(), 'the node to wait')
@@ -142,7 +142,7 @@ def test_a_signal_ends_a_node_that_waits(domain, parameters, number):
 
 
 class LonelySession(DescribedSession):
-    """A session that waits until the node has reported that nobody publishes."""
+    """A session that waits until the node reports that nobody publishes the description."""
 
     def _connect(self):
         self.wait_until(lambda: 'still waiting for a URDF on /robot_description: no node '
@@ -160,7 +160,7 @@ def test_a_wrench_across_the_axis_of_a_propeller_is_rejected_with_frame_and_join
     parameters.write_text(yaml.dump({'/**': {'ros__parameters': {
         'robot_description': ROBOT, 'frame_prefix': 'one/'}}}))
     loaded, axis = scene.load(parameters), np.array([1.0, 2.0, 2.0])
-    inputs = Inputs(loaded, None)  # no force without a lever arm is counted here
+    inputs = Inputs(loaded, None)  # does not count forces without lever arms
     along = messages.WRENCH.encode(1, 'one/propeller', [*axis, *(1e-3 * axis)])
     assert inputs.torque(along, 0).values.tobytes() \
         == loaded.links['one/propeller'].torque(axis, 1e-3 * axis).tobytes()

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Thin bodies under torque: rods and plates with full tensors are right to rounding.
+Thin bodies under torque: rods and plates with full tensors are accurate to rounding.
 
-One motion, or as many as the environment variable RODS sets, against 25 digits.
+One motion, or as many as the environment variable RODS sets, is compared with 25 digits.
 """
 
 import os
@@ -43,7 +43,7 @@ def random_motion(seed):
     tensor = axes @ np.diag([ratio, 1.0, larger]) @ axes.T
     rates = axes @ (speed * random.normal(size=3) * [1.0, 0.5, 0.5])
     frame, interpolation = ('body', 'space')[seed // 2 % 2], ('hold', 'linear', 'cubic')[seed % 3]
-    # Along the rod, where a torque in space axes comes to lie, little spins it up.
+    # A torque in space axes sometimes lies along the rod, where a small torque spins it up.
     sizes = [ratio, 0.3, 0.3] if frame == 'body' else 3 * [ratio]
     torques = speed ** 1.5 * random.normal(size=(5, 3)) * sizes @ axes.T
     times_ns = np.cumsum(random.integers(SECOND // 2, 3 * SECOND // 2, 5))

@@ -46,7 +46,7 @@ from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
 TUMBLER = scene.load(CONFIG / 'tumbler.yaml')
 START = replace(TUMBLER.start, time_ns=100 * SECOND)
 NAN = math.nan
-#: rw_z is faster than its limit: a command that would speed it up acts as zero.
+#: The wheel rw_z is faster than its limit, so a command that would speed it up acts as zero.
 WHEELED = {'wheel_names': ['rw_x', 'rw_z'], 'rw_x.axis.x': 1.0, 'rw_x.inertia': 1e-4,
            'rw_x.max_torque': 0.004, 'rw_z.axis.z': 1.0, 'rw_z.inertia': 1e-4,
            'rw_z.initial_speed': 60.0, 'rw_z.max_speed': 50.0}
@@ -58,7 +58,7 @@ def _busy_machines_have_time(monkeypatch):
 
 
 class Session:
-    """A run that has begun, what it logs, in order, and what it counts."""
+    """A run that has begun, with what it logs, in order, and what it counts."""
 
     def __init__(self, **values):
         self.scene = scene.Scene.from_values({**TUMBLER.values, **values})
@@ -103,17 +103,17 @@ class Session:
 
 
 def ns(seconds):
-    """Return a time that is given in s after the start, ns."""
+    """Convert a time, s after the start, to ns."""
     return START.time_ns + round(seconds * SECOND)
 
 
 def at(seconds, values=(0.01, 0.0, 0.0), source=0, frame='body'):
-    """Return a torque."""
+    """Return a torque with a stamp, s after the start."""
     return Torque(ns(seconds), np.array(values), frame, source)
 
 
 def shuffled(count):
-    """Return times, s, and torques in the order of arrival: all are late by less than 0.9 s."""
+    """Return times, s, and torques in the order of arrival, all late by less than 0.9 s."""
     random = np.random.default_rng(7)
     times = np.sort(random.random(count)) * 0.05 * count
     order = np.argsort(times + 0.9 * random.random(count))
@@ -121,7 +121,7 @@ def shuffled(count):
 
 
 def check_motion(states, *logs):
-    """Check that states are those of a propagation of logs (lists of torques), bit for bit."""
+    """Check that states equal a propagation of logs (lists of torques), bit for bit."""
     motion = propagate(TUMBLER.body, states[0], [
         TorqueLog([one.stamp_ns for one in log], [one.values for one in log],
                   [one.frame for one in log]) for log in logs], at=[one.time_ns for one in states])
@@ -186,7 +186,7 @@ def test_the_log_does_not_depend_on_how_the_work_is_divided():
 @pytest.mark.parametrize(('history', 'oldest_ns'), [(1.0, SECOND - 1), (1e-10, 0)])
 def test_a_torque_that_is_too_old_is_rejected(history, oldest_ns):
     live = Session(history=history, max_future=0.0)
-    live.run.check_age(0)  # before the first torque, none is
+    live.run.check_age(0)  # before the first torque, no age is checked
     assert live.send(2.0)
     assert not live.send(2.0 - (oldest_ns + 1) * 1e-9)
     assert live.send(2.0 - oldest_ns * 1e-9)
@@ -235,8 +235,8 @@ def test_torques_of_an_earlier_epoch_go_on_in_the_next():
     begin = State(ns(0.7), (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
     live.run.begin(begin, carried)
     assert [kind for kind, _ in live.logged] == ['begin', 'torque', 'torque', 'torque', 'state']
-    assert live.run.age(0, ns(1.7)) == 1.0  # since the epoch began
-    # The first torque with the stamp of a carried one is no mistake of its publisher.
+    assert live.run.age(0, ns(1.7)) == 1.0  # counted from the start of the epoch
+    # The first torque with the stamp of a carried-over one is no mistake of its publisher.
     for _ in range(2):
         assert live.send(1.0, (0.0, 0.0, -0.03), 1)
     assert live.counts[REPLACED, 1] == 1
@@ -278,7 +278,7 @@ def test_commands_of_wheels_are_counted_one_by_one():
                            (CLIPPED, COMMANDS): 1}
     newest = live.run.epoch.newest_of(COMMANDS)
     assert (newest.stamp_ns, newest.values.tolist()) == (ns(0.7), [0.003, -0.002])
-    # Commands act as zero at the start, too; rw_z may slow down.
+    # Commands may act as zero even at the start, but rw_z may slow down.
     live.run.end()
     assert live.counts[TOO_FAST, COMMANDS] == 2
 
@@ -297,7 +297,7 @@ def test_a_new_state_keeps_the_momentum_of_rotors_and_the_speeds_of_wheels():
         at_start = live.run.with_rotor_momentum(given, ns(0.0), start)
         np.testing.assert_array_equal(at_start.wheel_speeds, start.wheel_speeds)
         np.testing.assert_array_equal(at_start.rotor_momentum, start.rotor_momentum)
-    # 0.003 N m speed a wheel of 1e-4 kg m^2 up by 30 rad/s in a second.
+    # 0.003 N m speeds up a wheel of 1e-4 kg m^2 by 30 rad/s in a second.
     assert wheels.run.last_state(ns(1.0)).wheel_speeds[0] > 20.0
     np.testing.assert_allclose(rotors.run.last_state(ns(1.0)).rotor_momentum, [0.0, 0.0, 0.01])
 
@@ -306,7 +306,7 @@ def test_a_source_is_silent_while_its_torque_acts_and_none_comes():
     live = Session(torque_topics=['a', 'b'], stale_after=0.5)
     assert live.run.age(0, ns(1.0)) is None
     live.send(1.0)
-    live.send(1.0, (0.0, 0.0, 0.0), 1)  # nobody misses a torque of zero
+    live.send(1.0, (0.0, 0.0, 0.0), 1)  # no warning for a torque of zero
     assert live.run.age(0, ns(1.5)) == 0.5
     assert live.run.age(0, ns(0.5)) == 0.0
     assert not live.run.silent(ns(1.5))
@@ -327,7 +327,7 @@ def test_a_torque_acts_from_its_delay_on_until_it_times_out():
              for seconds in expected}
     assert found == expected
     assert live.run.epoch.newest_of(0).stamp_ns == ns(1.0)
-    # What is published says it, too.
+    # The published data say so as well.
     for seconds in expected:
         torque = live.run.snapshot(ns(seconds), math.inf).torque
         np.testing.assert_allclose(torque, [0.01 * (0 in expected[seconds]),
@@ -342,12 +342,12 @@ def test_what_the_imu_measures_is_older_by_its_delay():
         assert (snapshot.state.time_ns, snapshot.sensed.time_ns) == (ns(seconds), ns(sensed))
         np.testing.assert_array_equal(snapshot.sensed.angular_velocity,
                                       live.run.last_state(ns(sensed)).angular_velocity)
-        assert not snapshot.torque.any()  # which only a scene with actuators has
+        assert not snapshot.torque.any()  # only a scene with actuators has one
     assert Session().run.snapshot(ns(1.0), math.inf).sensed.time_ns == ns(1.0)
 
 
 class Rejections:
-    """Torques rejected by a queue, as cause and source."""
+    """Torques that a queue rejected, as cause and source."""
 
     def __init__(self):
         self.found = []

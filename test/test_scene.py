@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Scene files: read as ROS reads them, rejected with one line that helps."""
+"""Scene files are read as ROS reads them, or rejected with one helpful line."""
 
 import subprocess
 import sys

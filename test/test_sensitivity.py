@@ -26,7 +26,7 @@ RATES = (0.5, -0.7, 0.9)
 
 
 def test_a_spin_ends_where_the_last_digit_of_its_rate_leads():
-    # 1.5 rad/s for a million seconds, in closed form: a last digit is 2.2e-16 rad/s.
+    # 1.5 rad/s for a million seconds, in closed form; the last digit is 2.2e-16 rad/s.
     problem = Problem(RigidBody.from_moments(1.0, 2.0, 3.0),
                       State(0, angular_velocity=(0.0, 0.0, 1.5)))
     effect = last_digit_effect(problem, at=[10 ** 6 * SECOND])
@@ -34,7 +34,7 @@ def test_a_spin_ends_where_the_last_digit_of_its_rate_leads():
 
 
 def test_zeros_stay():
-    # About the intermediate axis the smallest product of inertia would end in a tumble.
+    # About the intermediate axis, the smallest product of inertia would cause a tumble.
     problem = Problem(RigidBody.from_moments(1.0, 2.0, 3.0),
                       State(0, angular_velocity=(0.0, 1.0, 0.0)))
     effect = last_digit_effect(problem, at=[1000 * SECOND])
@@ -51,7 +51,8 @@ def rod_under_torque(frame, interpolation):
 @pytest.mark.parametrize('frame', ['body', 'space'])
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 def test_a_full_tensor_of_a_rod_leaves_much_to_its_last_digit(frame, interpolation):
-    # 1.1e-16 of a moment of 1e-6 times that of 1: a torque along the rod is off by 1e-10 of it.
+    # A change of 1.1e-16 in the moments of 1 is 1e-10 of the moment of 1e-6, so the effect of a
+    # torque along the rod changes by 1e-10.
     body, start, log = rod_under_torque(frame, interpolation)
     times = [3 * SECOND, 6 * SECOND]
     effect = last_digit_effect(Problem(body, start, log), at=times)
@@ -74,7 +75,8 @@ def test_mixed_frames_and_timeouts_are_kept():
 
 
 def test_a_changed_tensor_of_no_body_is_left_out():
-    # A last digit more of the largest moment, or less of the others, is more than is accepted.
+    # If the largest moment were one unit in the last place larger, or another one smaller, the
+    # body would be rejected.
     problem = Problem(RigidBody.from_moments(1.0, 1.0, np.nextafter(2.06, 0.0)),
                       State(0, angular_velocity=RATES), TorqueLog([0], [[0.1, 0.2, 0.3]]))
     effect = last_digit_effect(problem, at=[SECOND])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Parameter files that several nodes share: keys of other nodes, and misspelt ones."""
+"""Parameter files that several nodes share: keys of other nodes, and misspelt keys."""
 
 from conftest import at_night
 import pytest

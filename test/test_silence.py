@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Controllers that fall silent, and too many torques: the reports and outputs of the node."""
+"""What the node reports and publishes if controllers fall silent, or send too many torques."""
 
 import re
 
@@ -38,7 +38,7 @@ def stamp_ns(array):
 
 
 def first_warning(live, begin_ns):
-    """Return the stamp of the first warning of a silence after a time, ns, or None."""
+    """Return the stamp, ns, of the first warning of a silence after a time, or None."""
     return next((stamp_ns(array) for array in live.diagnostics if stamp_ns(array) > begin_ns
                  and '/torque: no torque for' in array.status[0].message), None)
 
@@ -55,7 +55,7 @@ def test_a_connected_publisher_that_falls_silent_is_reported_until_its_next_torq
                             'a longer silence')
             assert live.diagnosis('torques')[1] == WARN
             assert live.words().count('still acts') == len(LINE.findall(live.words())) == number
-            live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])  # no torque acts: no warning
+            live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])  # no warning, because no torque acts
             live.wait_until(lambda: torques_of(live)[1:] == (OK, 'OK'), 'the end of the warning')
         live.spin(1.5)
         assert torques_of(live)[1:] == (OK, 'OK')
@@ -100,7 +100,7 @@ def test_an_ordinary_reset_is_no_error(domain):
         live.wait_until(lambda: live.received[ATTITUDE] and decoded(
             live, ATTITUDE, messages.QUATERNION)[-1].stamp_ns > SECOND, 'the response')
         assert live.reset().success
-        # The response of a controller to a state from before the reset.
+        # As a controller would respond to a state from before the reset.
         live.publish(SECOND + 5_000_000, '', HELD)
         live.wait_until(lambda: live.diagnosis('torques')[0]['rejected: before the reset'] == 1,
                         'its rejection')
@@ -120,7 +120,7 @@ def test_outputs_go_on_while_torques_wait(domain):
                 sent_at[topic].append(info['source_timestamp'])), 100_000, raw=True)
         live.wait_until(lambda: sent_at[ATTITUDE], 'an output')
         begin_ns = live.now_ns()
-        for number in range(count):  # some seconds of work, sent at once
+        for number in range(count):  # work for some seconds, sent at once
             live.publish(begin_ns + number * 10_000, '', [1e-3, 0.0, 0.0])
         end_ns = live.now_ns()
         live.wait_until(lambda: len(sent_at[ACCEPTED]) == count, 'all torques')

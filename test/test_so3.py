@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Laws of rotations."""
+"""The functions of `so3` obey the laws of rotations."""
 
 from conftest import EPOCH_NS
 import numpy as np
@@ -57,7 +57,7 @@ def test_convention_is_scipys():
 
 @pytest.mark.parametrize('half_turn', [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)])
 def test_a_matrix_gives_its_quaternion_back(half_turn):
-    # Close to each axis too, where three of the four elements lose their digits.
+    # Also close to each axis, where three of the four elements lose their digits.
     for q in [*Q[0], *so3.normalize(half_turn + 1e-9 * Q[1])]:
         assert so3.angle_between(so3.from_matrix(so3.matrix(q)), q) < 4 * EPS
 
@@ -97,6 +97,6 @@ def test_angle_between_resolves_every_angle(angle):
 
 
 def test_epoch_of_the_recordings_defeats_float_seconds():
-    # The premise of the tests with stamps of today: a sum in float loses tens of nanoseconds.
+    # The premise of tests with present-day stamps: a sum in doubles loses tens of nanoseconds.
     seconds, nanoseconds = divmod(EPOCH_NS, 10 ** 9)
     assert abs(round((seconds + 1e-9 * nanoseconds) * 1e9) - EPOCH_NS) > 10

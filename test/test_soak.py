@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The long run of benchmarks/soak.py, shortened and at half the rate."""
+"""The long run of benchmarks/soak.py, shortened, at half the rate."""
 
 import pytest
 import soak
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.nightly]
 
 
 def test_every_torque_is_accounted_for_memory_is_flat_and_live_is_replay(domain, monkeypatch):
-    # The promises do not depend on the rate; whether a busy machine keeps up does.
+    # The guarantees do not depend on the rate, but a busy machine may not keep up with it.
     monkeypatch.setattr(soak, 'RATE', soak.RATE // 2)
     monkeypatch.setattr(soak, 'STEP_NS', soak.STEP_NS * 2)
     monkeypatch.setattr(soak, 'LONGEST_DELAY', soak.LONGEST_DELAY // 2)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Several sources of torque: their sum, any order of arrival, and terms that are absent."""
+"""Several sources of torque: their sum, any order of arrival, and absent terms."""
 
 from conftest import chord, EPOCH_NS, SECOND
 from hypothesis import given, settings, strategies
@@ -33,7 +33,7 @@ LINEAR_SOLVERS = ['auto', 'taylor', 'rk4', 'explicit_euler']
 
 
 def random_log(random, count=15, seconds=4.0, frame=None):
-    """Return a log from before the start on: multiples of 1/1024 N m, some zero or repeated."""
+    """Return a log that begins before the start: multiples of 1/1024 N m, some zero or equal."""
     offsets = random.choice(int(seconds * SECOND), count, replace=False)
     torques = random.integers(-1024, 1024, (count, 3)) / 1024 * (random.random((count, 1)) > 0.4)
     for row in np.flatnonzero(random.random(count - 1) > 0.7) + 1:
@@ -43,18 +43,18 @@ def random_log(random, count=15, seconds=4.0, frame=None):
 
 
 def scene(seed):
-    """Return body, start, three logs and a log of the wheels; one or another term is absent."""
+    """Return a body, a start, three logs and a log of wheels; some of the terms are absent."""
     random = np.random.default_rng(seed)
     body = RigidBody(FULL, DAMPING if seed % 2 else None)
     start = LOADED if seed % 3 else START
-    # The sum of three such torques is rounded, so it depends on their order.
+    # The sum of three such torques is rounded, so their order matters.
     logs = [log.with_torques(0.1 * log.torques) for log in (
         random_log(random, frame=frame) for frame in ('body', 'space', None, 'body'))]
     return body, start, logs[:3], logs[3] if seed % 5 else EMPTY
 
 
 def common_stamps(random, logs, wheels):
-    """Return the logs with some stamps of the first in the others."""
+    """Return the logs; the others get some stamps of the first."""
     shared = random.choice(logs[0].times_ns, 4, replace=False)
     return [TorqueLog(np.append(log.times_ns, shared), np.vstack([log.torques, log.torques[:4]]),
                       np.append(log.in_space, log.in_space[:4])) if len(log) else log
@@ -77,7 +77,7 @@ def test_any_order_of_arrival_gives_the_states_of_the_logs(seed, timeout):
     for row in np.argsort(due, kind='stable'):
         newest = max(newest, samples[row][0])
         for stamp in after[after <= newest - int(HISTORY * SECOND)].tolist():
-            if stamp not in states:  # no later sample can change it
+            if stamp not in states:  # no later sample can change this state
                 states[stamp] = propagator.at(stamp)
         assert terms.apply(propagator, samples[row])
         for asked in newest + random.integers(-SECOND, SECOND, random.integers(0, 3)):
@@ -101,7 +101,7 @@ def test_a_run_restarted_at_any_time_continues_bit_for_bit(seed, timeout, solver
     times = EPOCH_NS + random.integers(0, 6 * SECOND, 20)
     motion = propagate(body, start, logs, at=times, wheels=wheels, **options)
     middle = whole.at(int(np.sort(times)[random.integers(0, 20)]))
-    for _ in range(random.integers(0, 2)):  # a restart may be restarted
+    for _ in range(random.integers(0, 2)):  # a restarted motion may be restarted again
         middle = whole.at(int(middle.time_ns + random.integers(0, SECOND)))
     later = times >= middle.time_ns
     replayed = propagate(body, middle, logs, at=times[later], wheels=wheels, **options)
@@ -147,7 +147,7 @@ def silent(log, frame):
     return TorqueLog(log.times_ns, np.zeros((len(log), 3)), frame)
 
 
-#: By name: ways to write a scene with a log by terms that have no effect.
+#: Ways, by name, to add terms without effect to a scene with a log.
 ABSENT = {
     'no damping': lambda log: (RigidBody(FULL, np.zeros((3, 3))), START, log, None),
     'no rotors': lambda log: (PLAIN, State(EPOCH_NS, START.attitude, START.angular_velocity,
@@ -169,7 +169,7 @@ ABSENT = {
 def test_an_absent_term_changes_no_bit(written, frame, timeout):
     log = coasting_log(11, frame)
     body, start, logs, wheels = ABSENT[written](log)
-    # In a coast the closed form is used from some length on.
+    # In a coast, the closed form is used from some length on.
     times = EPOCH_NS + np.concatenate([np.arange(0, 6000, 77) * SECOND // 1000,
                                        np.arange(6, 700, 37) * SECOND])
     for solver, max_step in STEPS.items():
@@ -218,7 +218,7 @@ def test_an_absent_term_changes_no_bit_of_a_propagator(solver):
 @pytest.mark.parametrize('offset', [0, SECOND // 2, 7 * SECOND // 2])
 @pytest.mark.parametrize('frames', [('body', 'space'), ('body', 'body'), ('space', 'space')])
 def test_sources_with_the_same_stamps_add_up_as_any_others_do(frames, offset, count):
-    # A sample after the end gives one source another stamp.
+    # A sample after the end gives one source a further stamp.
     random = np.random.default_rng(offset + 1)
     stamps = EPOCH_NS + np.arange(0, 5) * SECOND
     torques = 0.1 * random.normal(size=(3, 5, 3))
@@ -236,7 +236,7 @@ def test_sources_with_the_same_stamps_add_up_as_any_others_do(frames, offset, co
 
 
 def test_each_source_times_out_on_its_own():
-    # The second one stops at 0.5 s, so that from there on the first one acts alone.
+    # The second source times out at 0.5 s; from there on, the first one acts alone.
     first = TorqueLog(EPOCH_NS + np.arange(0, 20) * SECOND // 10, np.full((20, 3), [0.5, 0, 0]))
     second = TorqueLog([EPOCH_NS], [[0.0, 0.25, 0.0]])
     body, start = RigidBody(np.eye(3)), State(EPOCH_NS)
@@ -252,7 +252,7 @@ def interpolated(count, seconds, frame, interpolation, phase):
 
 
 def resampled(log, step):
-    """Return a log of straight lines through what a log is at steps, ns, and at its samples."""
+    """Return a piecewise linear log through the values of a log at steps, ns, and its samples."""
     times = np.union1d(log.times_ns, np.arange(log.times_ns[0], log.times_ns[-1], step))
     torques, in_space = log.at(times)
     return TorqueLog(times, torques, in_space, 'linear')
@@ -260,7 +260,7 @@ def resampled(log, step):
 
 @pytest.mark.parametrize('frames', [('body', 'body'), ('body', 'space'), ('space', 'space')])
 def test_each_source_is_interpolated_on_its_own(frames):
-    # Irregular to each other, and neither begins at the start.
+    # The stamps of the two do not coincide, and neither log begins at the start.
     linear = interpolated(23, 4.1, frames[0], 'linear', 0.0)
     cubic = interpolated(17, 4.7, frames[1], 'cubic', 0.5)
     body, at = RigidBody(FULL, DAMPING), EPOCH_NS + np.arange(1, 6) * SECOND
@@ -268,7 +268,7 @@ def test_each_source_is_interpolated_on_its_own(frames):
     errors = [np.abs(chord(motion.attitude, propagate(
         body, LOADED, [linear, resampled(cubic, step)], at=at).attitude)).max()
         for step in (SECOND // 50, SECOND // 100, SECOND // 1000)]
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)  # those of the straight lines
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)  # second order
     assert errors[2] < 2e-7
     held = propagate(body, LOADED, [linear, TorqueLog(cubic.times_ns, cubic.torques, frames[1])],
                      at=at)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""SQLite files of rosbag2: nothing is written beside them, and hostile ones are refused."""
+"""SQLite files of rosbag2: nothing is written beside them, and hostile files are rejected."""
 
 from contextlib import closing
 import itertools
@@ -32,7 +32,7 @@ RECORDED_MESSAGE = bags.traffic(RECORDED)[0].cdr()
 
 
 def database(folder, *statements, **options):
-    """Return a bag as a single file, after running some SQL statements on it."""
+    """Write a bag as a single file, run some SQL statements on it, and return its path."""
     path = bags.sqlite(folder, bags.traffic(RECORDED), **options)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.executescript(';'.join(statements))
@@ -154,7 +154,7 @@ def test_messages_before_one_that_is_none_are_used(tmp_path, change):
 
 @pytest.mark.slow
 def test_pages_that_refer_to_each_other_come_to_an_end(tmp_path):
-    # Each inner page of a level points 400 times to the only one of the next: 400^9 rows.
+    # Each inner page points 400 times to the only page of the next level, which gives 400^9 rows.
     path = database(tmp_path)
     with closing(sqlite3.connect(path)) as connection:
         root, = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'"

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The start of a command: signals that arrive while the engine is imported."""
+"""Signals that arrive at the start of a command, while the engine is imported."""
 
 from importlib.util import find_spec
 import signal
@@ -23,8 +23,8 @@ from conftest import ROOT
 import pytest
 import rigid_body_ros
 
-#: Run a script with a signal to itself when it imports numpy, which every module of the engine
-#: needs. Then the import goes on, waits for a slow disk, or fails, as it does if C code imports a
+#: Run a script that signals itself when it imports numpy, which every module of the engine needs.
+#: Then the import continues, waits for a slow disk, or fails, as it does if C code imports a
 #: module and the exception of a signal handler arrives there.
 PROGRAM = """
 import os, runpy, sys, time

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The classical fixed-step solvers: orders, conserved quantities, and steps that are too long."""
+"""The classical fixed-step solvers: orders, conserved quantities, and too long steps."""
 
 from conftest import chord, SECOND
 from known import lost_momentum, ODE_LOSSES
@@ -34,8 +34,8 @@ LOGS = {
     'cubic body torque': TorqueLog(STAMPS, TORQUES, interpolation='cubic'),
     'cubic space torque': TorqueLog(STAMPS, TORQUES, 'space', 'cubic'),
 }
-#: Order, and the ladder of steps: halves of a second that are whole nanoseconds, coarse enough
-#: for errors far above rounding.
+#: The order of each solver, and its steps: a second divided by powers of two, in whole
+#: nanoseconds, and coarse enough for errors far above rounding.
 LADDERS = {'explicit_euler': (1, 2.0 ** -np.arange(5, 10)),
            'strang': (2, 2.0 ** -np.arange(4, 10)),
            'rk4': (4, 2.0 ** -np.arange(3, 9))}
@@ -47,13 +47,13 @@ def moved(solver, step, log=None, at=(END,), body=BODY):
 
 
 def slope(steps, errors):
-    """Return the order of errors in the step, and the correlation with a power law."""
+    """Return the order of the errors in the step, and the correlation with a power law."""
     x, y = np.log(steps), np.log(errors)
     return np.polyfit(x, y, 1)[0], np.corrcoef(x, y)[0, 1]
 
 
 def drift(values):
-    """Return how far values ever are from the first of them, relatively."""
+    """Return the largest relative difference of values from the first of them."""
     apart = (values - values[0]).reshape(len(values), -1)
     return np.linalg.norm(apart, axis=1).max() / np.linalg.norm(values[0])
 
@@ -77,7 +77,7 @@ def test_the_order_is_the_one_promised(solver, scene):
 @pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_no_torque_acts_on_a_turned_rod_after_the_timeout(solver, interpolation):
-    # On a rod the kernels also use the rounding errors of the coefficients of the torque.
+    # For a rod, the kernels also use the rounding errors of the coefficients of the torque.
     axis = so3.normalize([0.3, -0.1, 0.7])
     body = RigidBody(np.eye(3) - (1.0 - 1e-6) * np.outer(axis, axis))
     across = TORQUES - np.outer(TORQUES @ axis, axis)
@@ -111,7 +111,8 @@ def test_explicit_euler_gains_energy_in_proportion_to_the_step():
 
 @pytest.mark.parametrize('step', ODE_LOSSES)
 def test_explicit_euler_loses_the_momentum_that_ode_loses(step):
-    # ODE turns the attitude by the rates after the step, this method by those before: the 3 %.
+    # ODE turns the attitude by the rates after the step, and this method by those before, which
+    # explains the 3 %.
     assert lost_momentum('explicit_euler', step) == pytest.approx(ODE_LOSSES[step], rel=0.03)
 
 
@@ -127,8 +128,9 @@ def test_rk4_loses_energy_and_momentum_to_order_four_or_better():
 
 @pytest.mark.parametrize('body', [RigidBody.from_moments(1.1, 2.0, 2.7), BODY])
 def test_strang_keeps_the_momentum_in_space_and_bounds_the_energy(body):
-    # 160 000 steps: the momentum loses rounding, less than half a unit of it per step (most where
-    # a full tensor is turned to its axes and back each time); the energy must not drift at all.
+    # 160 000 steps. The momentum changes by less than half a rounding unit per step, most for a
+    # full tensor, which is turned to its axes and back each time. The energy must not drift at
+    # all.
     motion = moved('strang', 1 / 16, at=np.arange(0, 10_001) * SECOND, body=body)
     size = np.linalg.norm(body.angular_momentum(motion.angular_velocity), axis=1)
     assert drift(motion.angular_momentum_space) < 1e-16 * 160_000
@@ -158,7 +160,7 @@ def test_a_run_that_blows_up_is_refused(solver):
 
 
 def test_strang_never_blows_up():
-    # What it keeps, the momentum, allows no more energy than all of it about the smallest moment.
+    # The conserved momentum limits the energy: it is largest for a spin about the smallest moment.
     smallest, _, largest = BODY.principal_moments
     for step in (0.5, 5.0, 1e3):
         motion = moved('strang', step, at=np.arange(0, 200) * round(step * SECOND))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A Butcher tableau that is not consistent, or not of its order, cannot be built."""
+"""A Butcher tableau that is inconsistent, or does not have its stated order, cannot be built."""
 
 from fractions import Fraction
 

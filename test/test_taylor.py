@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The series: as accurate as asked, in one step and over a thousand turns."""
+"""The Taylor series is as accurate as requested, in one step and over a thousand turns."""
 
 from conftest import chord, SECOND
 import numpy as np
@@ -24,7 +24,7 @@ RANDOM = np.random.default_rng(31)
 
 
 def some_body(kind):
-    """Return a body: a plate, a rod, a near-sphere, any on its axes, any turned."""
+    """Return a plate, a rod, a near-sphere, or any body, along its principal axes or turned."""
     if kind < 3:
         moments = [(1.0, 1.0, 2.0), (1e-6, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.0)][kind]
         return RigidBody(np.diag(moments))

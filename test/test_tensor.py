@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Constants of a tensor against 60 digits."""
+"""Constants of a tensor, compared with 60 digits."""
 
 import mpmath
 from mpmath import mp, mpf
@@ -58,7 +58,7 @@ def test_coefficients_are_eulers_equations_rounded_once(inertia):
 
 
 def test_a_turned_rod_has_no_large_coefficients():
-    # The moments differ a millionfold, the gyroscopic terms do not: |w'| <= w^2.
+    # The moments differ by a factor of a million, but the gyroscopic terms do not: |w'| <= w^2.
     assert np.abs(tensor.euler_coefficients(ROD)[0, :, :6]).max() < 1.0
 
 

@@ -37,7 +37,7 @@ def largest(vectors):
 
 
 def relative(found, expected):
-    """Return errors relative to the largest of the expected vectors; zero ones are exact."""
+    """Return errors relative to the largest expected vector; zero vectors must be exact."""
     return np.linalg.norm((found - expected).astype(float), axis=1) / (largest(expected) or 1.0)
 
 
@@ -55,7 +55,7 @@ def test_every_motion_is_the_one_of_fifty_digits(name, fifty_digits):
 @pytest.mark.parametrize(('step_ms', 'tolerance'), [(1, 1e-15), (10, 1e-12), (30, 1e-9)])
 @pytest.mark.parametrize('tensor', [np.diag([1.0, 2.0, 2.5]), FULL, np.diag([1.0, 1.0, 0.02])])
 def test_torques_that_repeat_give_the_motion_of_held_ones(tensor, step_ms, tolerance):
-    # Short steps from stamp to stamp against long steps of the series.
+    # Compare short steps from stamp to stamp with long steps of the series.
     stamps, at = np.arange(0, 3 * SECOND, step_ms * SECOND // 1000), np.arange(1, 4) * SECOND
     torques = np.array([[0.03, -0.02, 0.004], [-0.02, 0.03, 0.005], [0.01, 0.02, -0.003]])
     body = RigidBody(tensor, 0.05 * np.diag([0.3, 0.2, 0.1]))
@@ -84,7 +84,8 @@ def test_wheels_alone_keep_the_total_momentum_in_space():
 
 @pytest.mark.parametrize('seed', range(3))
 def test_the_energy_of_a_gyrostat_does_not_drift(seed):
-    # Without the low-order part of J^-1 in the linear terms it changes by 1.6e-13 or more.
+    # Without the low-order part of J^-1 in the linear terms, the energy changes by at least
+    # 1.6e-13.
     random = np.random.default_rng(seed)
     start = State(0, angular_velocity=random.normal(size=3),
                   rotor_momentum=2.0 * random.normal(size=3))
@@ -106,7 +107,7 @@ def test_a_wheel_that_speeds_up_about_z_turns_the_body_about_minus_z():
     (2.0, 3.0, 1.5, 4.0), (2.0, 1.0, 1.5, 4.0), (2.0, 3.0, 1.5, -1.5), (2.0, 2.0, -0.25, 1.0)])
 def test_the_rates_of_a_symmetric_gyrostat_turn_at_a_constant_rate(across, along, spin, rotors,
                                                                    fifty_digits):
-    # The third one is constant in the body: the rotors cancel the precession.
+    # In the third case, the rate is constant in the body: the rotors cancel the precession.
     start = State(0, angular_velocity=(0.5, -0.25, spin), rotor_momentum=(0.0, 0.0, rotors))
     times = np.arange(0, 101) * SECOND
     motion = propagate(RigidBody.from_moments(across, across, along), start, at=times)
@@ -117,7 +118,7 @@ def test_the_rates_of_a_symmetric_gyrostat_turn_at_a_constant_rate(across, along
 
 
 def damped_turn(damping, inertia, rate, torque, seconds):
-    """Return rate and angle about a fixed axis, in fifty digits."""
+    """Return the rate and the angle about a fixed axis, with fifty digits."""
     damping, rate, torque = mp.mpf(damping), mp.mpf(rate), mp.mpf(torque)
     decay = damping / mp.mpf(inertia)
     terminal = torque / damping
@@ -142,7 +143,7 @@ def test_a_damped_sphere_slows_down_about_a_fixed_axis(fifty_digits):
 
 @pytest.mark.parametrize('per_second', [50.0, 500.0, 5000.0])
 def test_strong_damping_reaches_the_terminal_velocity(per_second, fifty_digits):
-    # About one principal axis, so that the motion is known; at times within the decay and after.
+    # The motion about one principal axis is known; it is compared during and after the decay.
     inertia, torque = 2.5, 3.0 * 2.5 * per_second
     body = RigidBody(np.diag([1.0, 2.0, inertia]), per_second * np.diag([1.0, 2.0, inertia]))
     times = np.unique(np.geomspace(1e4, 2e9, 40).astype(np.int64))
@@ -164,7 +165,7 @@ def test_strong_damping_of_a_full_tensor_does_not_blow_up(per_second):
     motion = propagate(body, START, TorqueLog([0], [torque]), at=[10 * SECOND, 11 * SECOND],
                        wheels=TorqueLog([0], [[0.1, 0.0, -0.1]]))
     rates, rotors = motion.angular_velocity, motion.rotor_momentum
-    # Nothing is left of the start: the torques balance, up to the slow change of the rotors.
+    # No effect of the start remains: the torques balance, up to the slow change of the rotors.
     balance = (torque - [0.1, 0.0, -0.1] - rates @ body.damping
                - np.cross(rates, body.angular_momentum(rates) + rotors))
     assert np.abs(balance).max() < 0.01 * np.linalg.norm(torque) * 50.0 / per_second
@@ -174,8 +175,8 @@ def test_strong_damping_of_a_full_tensor_does_not_blow_up(per_second):
 @pytest.mark.parametrize('rotors', [0.9, 0.99, -0.9, 1.01, 1.1, -1.1, 3.0])
 def test_a_fast_rotor_stabilises_the_intermediate_axis(rotors):
     # Dual spin (Schaub and Junkins, Analytical Mechanics of Space Systems, chapter 4): a spin W
-    # about axis 2 is stable where k = (I2 - I1 + h / W) (I2 - I3 + h / W) W^2 / (I1 I3) > 0: for
-    # these moments beyond |h| = 1. Small deviations swing at sqrt(k), or grow with sqrt(-k).
+    # about axis 2 is stable if k = (I2 - I1 + h / W) (I2 - I3 + h / W) W^2 / (I1 I3) > 0, or for
+    # these moments, if |h| > 1. Small deviations swing at sqrt(k), or grow with sqrt(-k).
     square = (1.0 + rotors) * (rotors - 1.0) / 3.0
     body, rate = RigidBody.from_moments(1.0, 2.0, 3.0), np.sqrt(abs(square))
     end = 8.0 / rate
@@ -190,7 +191,7 @@ def test_a_fast_rotor_stabilises_the_intermediate_axis(rotors):
 
 
 def everything(at, **options):
-    """Return a motion with all terms at once, every source with its own interpolation."""
+    """Return a motion with all terms at once, and a different interpolation for each source."""
     logs = [TorqueLog(STAMPS, TORQUES[0], interpolation='linear'),
             TorqueLog(STAMPS + SECOND // 2, TORQUES[1], 'space', 'cubic')]
     return propagate(BODY, START, logs, at=at, wheels=TorqueLog(STAMPS, TORQUES[2]), **options)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Measurements from text: CSV files and TUM trajectories."""
+"""Measurements from text files: CSV files and TUM trajectories."""
 
 import measurements
 from measurements import torque_messages

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Thinned series of a page: every extreme value, and rows at equal distances."""
+"""Thinned series of a page contain every extreme value, and evenly spaced rows."""
 
 import base64
 import json
@@ -23,7 +23,7 @@ from rigid_body_ros.report.charts import Curves
 from rigid_body_ros.report.page import embedded, html, Page
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 
-#: Lengths of batches: of all the same length, uneven and odd ones, single samples, empty ones.
+#: Lengths of batches: equal ones, uneven and odd ones, single samples, and empty ones.
 BATCHES = {'even': [64] * 16, 'odd': [1, 7, 0, 333, 2, 13, 5, 600, 63], 'single': [1] * 1024,
            'whole': [1000], 'growing': [*range(45)], 'one sample': [1]}
 

@@ -25,12 +25,12 @@ from rigid_body_ros.live.events import CAUSES
 
 pytestmark = pytest.mark.ros
 NODE = 'attitude_node'
-#: ROS's own topics of a node.
+#: Topics that ROS itself adds to a node.
 ROS = {'/parameter_events', '/rosout', '/clock'}
-#: s; a graph is discovered piece by piece.
+#: s; how long to wait for the graph, which is discovered piece by piece.
 PATIENCE = 300
 
-#: A wheel with a name; the topics of such wheels, and of rotors.
+#: Parameters of a named wheel; the topics of such wheels, and of rotors.
 NAMED = ('-p', 'wheel_names:=[rw]', '-p', 'rw.axis.x:=1.0', '-p', 'rw.inertia:=0.001')
 OF_WHEELS = ('/wheel_command', '/wheel_states', f'/{NODE}/accepted_wheel_command')
 OF_ROTORS = ('/wheel_torque', '/rotor_momentum', f'/{NODE}/accepted_wheel_torque')
@@ -42,7 +42,7 @@ def by_full_name(topics):
 
 
 def found(live, count, names_and_types, infos):
-    """Return types and profile of the node's topics, once there are `count` of them."""
+    """Return the types and the profile of the node's topics, once there are `count` topics."""
     until = time.monotonic() + PATIENCE
     while True:
         live.spin(0.1)
@@ -57,7 +57,7 @@ def found(live, count, names_and_types, infos):
 
 
 def agrees(topic, profile):
-    """Return whether a page describes a profile; DDS does not report the history."""
+    """Return whether the page describes a profile; DDS does not report the history."""
     words = topic.qos.partition(', keep')[0]
     reliable = profile.reliability == ReliabilityPolicy.RELIABLE
     kept = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
@@ -79,7 +79,7 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
     if arguments:
         published |= by_full_name(nodes.OPTIONAL)
         subscribed |= by_full_name(nodes.SUBSCRIBED_IF_ENABLED)
-        # A scene has rotors, or wheels with names.
+        # A scene has either rotors or named wheels.
         for name in ('/tf', '/clock', '/robot_description', *(
                 OF_ROTORS if NAMED[1] in arguments else OF_WHEELS)):
             published.pop(name, None)
@@ -96,7 +96,7 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
         assert {name: types for name, (types, _) in topics.items()} \
             == {name: [topic.kind] for name, topic in page.items()}
     for name in [name for name in readers if name not in ('/initial_state', '/inertia')]:
-        _, torque = readers.pop(name)  # those that depend on the mode
+        _, torque = readers.pop(name)  # these depend on the mode
         assert (torque.reliability == ReliabilityPolicy.RELIABLE) == (mode == 'lockstep')
     for page, topics in ((published, writers), (subscribed, readers)):
         assert [name for name, (_, profile) in topics.items()

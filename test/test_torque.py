@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torque logs: the torque between the samples."""
+"""Torque logs: the torque between samples."""
 
 from fractions import Fraction
 
@@ -28,7 +28,7 @@ TORQUES = RANDOM.normal(size=(40, 3))
 
 
 def spread(times_ns, count):
-    # Not between absolute times: as floats they are 238 ns apart.
+    # Relative times, because adjacent doubles are 238 ns apart for absolute times.
     return times_ns[0] + np.linspace(0, times_ns[-1] - times_ns[0], count).astype(np.int64)
 
 
@@ -118,7 +118,7 @@ def test_timeout_ends_a_torque_that_is_not_renewed():
     assert samples.tolist() == [0, 1, -1, 2, -1]
     assert log.at([29, 30, 39, 40, 59, 60], 20)[0][:, 0].tolist() == [1, 0, 0, 1, 1, 0]
     assert log.at([9, 10, 11], 1)[0][:, 0].tolist() == [0, 1, 0]
-    # One that is renewed when it is due does not time out.
+    # A torque that is renewed just in time does not time out.
     assert log.segments(10)[0].tolist() == [0, 10, 20, 40, 50]
 
 
@@ -143,7 +143,7 @@ def test_rows_of_a_log_keep_their_frames(frame):
     assert not np.shares_memory(flagged.in_space, log.in_space)
 
 
-# Near the ends, cubics depend on more samples of one side.
+# Near the ends, cubics depend on more samples on one side.
 @pytest.mark.parametrize(('first', 'last'), [(11, 19), (0, 1), (38, 39), (39, 39)])
 @pytest.mark.parametrize('interpolation', INTERPOLATIONS)
 def test_the_samples_between_two_times_determine_the_torque_there(interpolation, first, last):
@@ -207,7 +207,7 @@ def test_unsigned_times_that_fit_are_taken():
 
 
 def measured(count, seed=4):
-    """Return stamps and the momentum of rotors that also come to rest and turn back."""
+    """Return stamps and the momentum of rotors, which also come to rest and reverse."""
     random = np.random.default_rng(seed)
     stamps = EPOCH_NS + np.cumsum(random.integers(SECOND // 2000, SECOND // 500, count))
     return stamps, np.cumsum(random.normal(scale=0.01, size=(count, 3)), axis=0)
@@ -221,8 +221,8 @@ def test_rotors_follow_the_measured_momentum():
     at = np.append(stamps, stamps[-1] + [SECOND, 3600 * SECOND])
     motion = propagate(RigidBody(np.diag([10.0, 20.0, 25.0])),
                        State(int(stamps[0]), rotor_momentum=momenta[0]), at=at, wheels=wheels)
-    # A torque in double precision leads from one sample to the next with an error of half an ulp
-    # of the change, which is more than an ulp of a sample close to zero.
+    # A torque in double precision reproduces the change from one sample to the next to half an ulp
+    # of this change, which is more than an ulp of a sample close to zero.
     rows = np.append(np.arange(60_000), [-1, -1])
     change = np.abs(np.diff(momenta, axis=0, prepend=momenta[:1]))
     ulps = np.spacing(np.maximum(np.abs(momenta), change))[rows]

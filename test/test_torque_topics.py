@@ -41,7 +41,7 @@ from rigid_body_ros.replay.verify import verify
 from test_faults import torques_of
 
 pytestmark = pytest.mark.ros
-#: The topics of torques, and the logs of those accepted.
+#: The topics of torques, and the logs of their accepted torques.
 LOGS = {'torque': ACCEPTED, 'disturbance': f'{ACCEPTED}_1',
         'wheel_torque': '/attitude_node/accepted_wheel_torque'}
 WHEELS = 'wheel_torque'
@@ -101,7 +101,7 @@ class Sources(LiveSession):
 
 
 def replayed_sources(tmp_path, live):
-    """Return stamps and states committed in the last epoch, and the motion by `propagate`."""
+    """Return the stamps and states committed in the last epoch, and the motion by `propagate`."""
     path, topics = tmp_path / 'live.mcap', list(LOGS.values())
     live.write(path)
     run = scene.load(tmp_path / 'live.yaml')
@@ -119,7 +119,7 @@ def replayed_sources(tmp_path, live):
 
 
 def plan(live, random, topics):
-    """Return (time of publication, topic, stamp, torque, frame) of torques at 200 Hz for 4 s."""
+    """Return torques at 200 Hz for 4 s: (time of publication, topic, stamp, torque, frame)."""
     start_ns, rows = live.now_ns(), []
     for topic in topics:
         for number in range(800):
@@ -152,10 +152,10 @@ def test_live_is_replay_bit_for_bit_with_several_sources(tmp_path, domain, argum
     for topic in LOGS:
         accepted = [message.stamp_ns for message in live.accepted(topic)]
         if topic == 'torque':
-            accepted.pop()  # the one that is far ahead
+            accepted.pop()  # the torque that is far ahead
         assert sorted(accepted) == sorted(row[2] for row in rows if row[1] == topic)
         assert np.any(np.diff(accepted) < 0)  # they did come out of order
-    # One state for each change, whatever the number of sources.
+    # One state for each change, however many sources there are.
     np.testing.assert_array_equal(stamps_ns[1:1 + len(stamps)], stamps)
     np.testing.assert_array_equal(committed, expected)
     assert run.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
@@ -233,7 +233,7 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         begin_ns = live.now_ns()
         live.publish_on(WHEELS, begin_ns, [0.0, 0.1, 0.0])
         live.wait_until(lambda: live.accepted(WHEELS), 'the torque on the rotors')
-        live.spin(1.2)  # longer than `history`: a slow source also keeps its torque
+        live.spin(1.2)  # longer than `history`: a slow source keeps its torque
         live.publish_on('disturbance', live.now_ns(), [0.0, 0.0, 0.01])
         live.wait_until(lambda: live.accepted('disturbance'), 'the torque')
         live.set_state(State(0, (0, 0, 1, 0), (0.1, 0.2, 0.3)))
@@ -251,14 +251,14 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         assert live.stop() == 0
         _, committed, expected, logs, run = replayed_sources(tmp_path, live)
     assert run.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
-    # Torques in force are logged again in each epoch.
+    # Each epoch logs the torques in force again.
     assert [len(live.accepted(topic)) for topic in LOGS] == [1, 3, 3]
     assert [len(log.times_ns) for log in logs] == [1, 1, 1]
     np.testing.assert_array_equal(committed, expected)
 
 
 def with_fields(path):
-    """Write a scene with fields, an orbit, rotors and two topics, and return its file."""
+    """Write a scene with fields, an orbit, rotors and two topics, and return its path."""
     path.write_text(TUMBLER.read_text() + FIELDS + f'    start_time: {SECOND}\n')
     return path
 
@@ -288,12 +288,12 @@ def test_fields_act_alike_live_and_in_a_replay_of_each_epoch(tmp_path, domain):
         assert live.stop() == 0
         live.write(tmp_path / 'live.mcap')
     run, dumped = scene.load(given), scene.load(tmp_path / 'live.yaml')
-    # The scene that the node was started with gives the bits of both epochs.
+    # The scene with which the node was started reproduces the bits of both epochs.
     topics = recording.Topics((ACCEPTED, LOGS['disturbance']), LOGS[WHEELS])
     result = verify(tmp_path / 'live.mcap', run, tmp_path / 'live.mcap', topics)
     assert result.same.all()
     assert result.epochs == result.compared_epochs == 2
-    # The one that it reports gives those of the last epoch: 0.8 s have passed on the orbit.
+    # The scene that the node reports reproduces the last epoch, 0.8 s later on the orbit.
     problem, again = (read(tmp_path / 'live.mcap', replace(
         each, start=dumped.start), topic=topics.torques, wheel_torque=topics.wheel_torque)
         for each in (run, dumped))
@@ -302,7 +302,7 @@ def test_fields_act_alike_live_and_in_a_replay_of_each_epoch(tmp_path, domain):
     np.testing.assert_array_equal(again.propagate(at=stamps_ns).attitude, motion.attitude)
     np.testing.assert_allclose(problem.fields[-1].position, so3.rotate(
         so3.exp([0.0, 0.0, 0.16]), [0.8, 0.6, 0.0]), atol=1e-15)
-    # The fields matter.
+    # The fields matter: without them, the motion differs.
     without = problem.replaced(fields=()).propagate(at=stamps_ns)
     assert abs(without.attitude - motion.attitude).max() > 0.01
     assert all(each.read_only and each.floating_point_range and each.description
@@ -333,7 +333,7 @@ def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
             live.diagnosis('torques_1')[2]), 'a warning')
         live.node.destroy_publisher(live.publishers['disturbance'])
 
-        def has_responded():  # no longer waits for that topic; a controller repeats its torque
+        def has_responded():  # repeat the torque, as a controller does
             live.publish_on('torque', 21 * STEP_NS, [0.0, 0.0, 1e-3])
             live.spin(0.5)
             return answers(live)[-1] == 22 * STEP_NS
@@ -346,7 +346,7 @@ def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
 
 
 class Thrusters(LiveSession):
-    """A session whose only topic of torques has a name of its own."""
+    """A session whose only topic of torques has another name."""
 
     topic = 'thrusters'
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_tradeoff: true errors, a recommendation that holds, and the output."""
+"""attitude_tradeoff: true errors, recommendations that hold, and the output."""
 
 from dataclasses import replace
 import json
@@ -62,7 +62,7 @@ pytestmark = pytest.mark.usefixtures('short_trades')
 
 @pytest.mark.slow
 def test_errors_are_those_of_a_motion_in_closed_form():
-    # A symmetric top: its rates turn about the axis, its attitude is two rotations.
+    # A symmetric top, whose rates turn about the axis, and whose attitude is two rotations.
     body, rates = RigidBody.from_moments(2.0, 2.0, 3.0), np.array([0.3, -0.2, 1.5])
     result = measure(Problem(body, State(0, angular_velocity=rates)))
     seconds = result.stretch.seconds
@@ -80,7 +80,7 @@ def test_errors_are_those_of_a_motion_in_closed_form():
 
 
 def random_problem(random):
-    """Return a problem with torques on the body or none."""
+    """Return a random problem, with or without torques on the body."""
     axes = so3.matrix(so3.normalize(random.normal(size=4)))
     a, b, c = random.uniform(0.1, 1.0, 3)
     body = RigidBody(axes @ np.diag([b + c, c + a, a + b]) @ axes.T)
@@ -103,13 +103,13 @@ ORBIT = GravityGradient(0.4, (0.0, 0.6, 0.8), (1.0, 0.0, 0.0))
 @pytest.mark.parametrize('fields', [(PIVOT,), (ORBIT,), (PIVOT, ORBIT)])
 @pytest.mark.parametrize('rotors', [0.0, 0.3])
 def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
-    # A pendulum that is let go, and one with a rotor.
+    # A pendulum released from rest, without and with a rotor.
     start = State(0, so3.exp([1.0, 0.5, 0.0]), rotor_momentum=(0.0, rotors, 0.0))
     result = measure(Problem(FREE.body, start, fields=fields), end_ns=20 * 10 ** 9)
     every = {'auto', 'taylor', 'rk4', 'strang', 'explicit_euler'}
     solvers = {one.setting.solver for one in result.measurements}
     assert solvers == (every - {'strang'} if rotors else every)
-    # Euler's method makes a body faster and faster.
+    # Euler's method may fail, because it makes a body faster and faster.
     assert {one.setting.solver for one in result.measurements if one.failure} <= {'explicit_euler'}
     best = {solver: min(one.error.attitude for one in result.measurements
                         if one.setting.solver == solver and not one.failure)
@@ -120,7 +120,7 @@ def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
     motion = result.stretch.run(solver='taylor')
     energy = motion.kinetic_energy + sum(one.potential_energy(
         FREE.body, motion.times_ns, motion.attitude) for one in result.stretch.problem.fields)
-    assert np.ptp(motion.kinetic_energy) > 1e-3  # they do act
+    assert np.ptp(motion.kinetic_energy) > 1e-3  # the torques do act
     if fields == (PIVOT,):
         assert np.ptp(energy) < 1e-13
     text = result.text()
@@ -140,7 +140,7 @@ def test_a_scene_with_fields_may_begin_at_rest(tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize('seed', [*range(5), *at_night(*range(5, 20))])
 def test_the_recommendation_is_right(seed, monkeypatch):
-    # With a small stretch, so that most logs are longer.
+    # Use a small stretch, so that most logs are longer.
     monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 400)
     random = np.random.default_rng(seed)
     problem = random_problem(random)
@@ -198,7 +198,7 @@ def test_what_cannot_be_tried_on_the_whole_log_has_a_margin():
 
 
 def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
-    # Right after another solver's longest run it takes more than twice its time.
+    # Right after the longest run of another solver, a run takes more than twice its time.
     calls, run = [], Case.run
 
     def noted(case, **options):
@@ -229,7 +229,7 @@ def test_the_floor_is_about_the_true_error_or_more(name):
 
 
 def test_the_floor_shows_an_error_that_other_steps_share():
-    # J^-1 in doubles, without its rounding errors, is wrong by 1e-11 rad for this rod.
+    # With J^-1 in plain doubles, the motion of this rod would be wrong by 1e-11 rad.
     known = Known('rod_full_tensor_body_torque')
     body = RigidBody(known.scene.body.inertia)
     body._constants[body_layout.LOST_INVERSE] = 0.0
@@ -263,7 +263,7 @@ def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, c
 
 
 def a_rod(samples, interpolation='hold'):
-    """Return a rod whose last digits matter more and more, under a smooth torque."""
+    """Return a rod under a smooth torque, for which last digits matter more and more."""
     times = np.linspace(0, 610 * SECOND, samples).astype(np.int64)
     waves = np.sin(times[:, None] * 1e-9 * [0.3, 0.2, 0.31] + [0.0, 1.0, 2.0])
     log = TorqueLog(times, waves * [1e-6, 1e-3, 1e-3], interpolation=interpolation)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_tradeoff --ensemble: the error of the setting is small beside the spread."""
+"""attitude_tradeoff --ensemble: the error of the setting is small compared with the spread."""
 
 import json
 import math
@@ -48,7 +48,7 @@ def run(folder, scene, *arguments):
 
 @pytest.fixture(scope='module')
 def spread(tmp_path_factory):
-    """Return a folder with an ensemble of free motions, and one under torques."""
+    """Return a folder with an ensemble of free motions, and an ensemble under torques."""
     folder = tmp_path_factory.mktemp('spread')
     (folder / 'vary.yaml').write_text('initial_attitude: {tilt: 1.0e-4}\n'
                                       'inertia: {relative: 1.0e-4}\n')

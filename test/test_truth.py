@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The judge judged: two computations in fifty digits that share nothing agree."""
+"""The truth itself is tested: two independent computations with fifty digits agree."""
 
 from mpmath import mp
 import numpy as np
@@ -60,7 +60,7 @@ def test_closed_form_is_the_series(name):
 def test_a_million_turns_are_those_of_two_halves(name):
     tensor, rates = MOTIONS[name]
     whole, part = 5_000_000 * SECOND + 1, 1_234_567 * SECOND
-    if 'separatrix' in name:  # where halves disagree by exp(t)
+    if 'separatrix' in name:  # where errors grow as exp(t)
         whole, part = 20 * SECOND, 7 * SECOND
     middle = truth.free(tensor, START, rates, part)
     assert apart(truth.free(tensor, START, rates, whole),

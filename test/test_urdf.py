@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""URDF links against point masses, and links with an invalid inertia."""
+"""URDF links, compared with point masses, and links with an invalid inertia."""
 
 import re
 
@@ -32,14 +32,14 @@ TURNS = [(0.3, 0.0, 0.0), (0.0, -1.1, 0.0), (0.0, 0.0, 2.5), (0.3, -1.1, 2.5), (
 
 
 def inertial(origin='', **entries):
-    """Return an <inertial>; entries that are None are left out."""
+    """Return an <inertial> element; entries that are None are left out."""
     attributes = ' '.join(f'{name}="{value}"' for name, value in {**DIGITS, **entries}.items()
                           if value is not None)
     return f'<inertial>{origin}<mass value="2"/><inertia {attributes}/></inertial>'
 
 
 def robot(**links):
-    """Return a URDF with the given links, a joint between them, and other usual elements."""
+    """Return a URDF with the given links, a joint between them, and other common elements."""
     return ('<?xml version="1.0" encoding="utf-8"?>\n<!-- <xacro:link name="${old}"/> -->\n'
             '<robot name="it" xmlns:xacro="http://www.ros.org/wiki/xacro">'
             + ''.join(f'<link name="{name}"><visual/>{text}</link>'
@@ -48,7 +48,7 @@ def robot(**links):
 
 
 def turned(rpy, xyz=(0.0, 0.0, 0.0)):
-    """Return the body of the point masses, written down as URDF with an origin."""
+    """Return the body of the point masses, written as a URDF with an origin."""
     (ixx, ixy, ixz), (_, iyy, iyz), (*_, izz) = BODY.inertia.tolist()
     text = inertial('<origin xyz="{} {} {}" rpy="{} {} {}"/>'.format(*xyz, *rpy),
                     ixx=ixx, ixy=ixy, ixz=ixz, iyy=iyy, iyz=iyz, izz=izz)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The results agree with published ones, and the page has the output of the command."""
+"""The results agree with published ones, and the page contains the output of the command."""
 
 from conftest import ROOT
 from published import DataNotHereError, ROWS
@@ -40,7 +40,7 @@ def test_the_page_has_what_the_command_prints():
 
 
 def same_row(old, new):
-    """Return whether rows agree, except for rounding differences of another machine."""
+    """Return whether rows agree, except for rounding differences between machines."""
     (name, reference, ours, apart, held), (*begin, found, _, bound) = (
         [cell.strip() for cell in line.strip('|').split('|')] for line in (old, new))
     if found.startswith('needs '):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The committed vectors: every bit of their motions, from compiled kernels and from Python."""
+"""Compiled kernels and plain Python reproduce every bit of the committed vectors."""
 
 from collections import Counter
 import math

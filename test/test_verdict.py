@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a fit says that its model is wrong, and what is wrong; `simulated` makes recordings."""
+"""A fit says whether its model is wrong, and what is wrong; `simulated` makes the recordings."""
 
 from dataclasses import replace
 
@@ -70,7 +70,7 @@ def test_the_suspect_is_what_is_wrong(name, suspects):
     assert result.verdict.reasons
     assert suspects <= {one.name for one in result.verdict.suspects[:2]}
     assert result.verdict.level == 'rejected' or covered(result) >= 5
-    # Even a known motion leaves the mean of the noise of all attitudes.
+    # Even for a known motion, an estimate contains the mean noise of all attitudes.
     for axis in 'xyz':
         assert result.estimates[f'initial_attitude.{axis}'].sigma > 0.95 * 2e-3 / np.sqrt(1200)
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_replay --verify: a motion comes out again to the last bit, or the differences."""
+"""attitude_replay --verify reproduces a motion to the last bit, or reports the differences."""
 
 import ast
 from dataclasses import replace
@@ -36,7 +36,7 @@ TUMBLER, SCENE = RECORDINGS / 'tumbler.mcap', CONFIG / 'tumbler.yaml'
 
 
 def rewritten(source, target, change=lambda values: values, metadata=None):
-    """Write the attitude of a replay again with a change."""
+    """Write a copy of the attitude of a replay with a change."""
     read = recording.read(source, '/attitude', messages.QUATERNION)
     with recording.Writer(target) as writer:
         writer.add_topic('/attitude', messages.QUATERNION)
@@ -146,7 +146,7 @@ def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=ST
     Write the torques and the committed states of a run of a node.
 
     Return the path of the recording, and the path of a scene with a start time. In place of the
-    log of the node, the recording may have the torques that it received.
+    log of the node, the recording may contain the torques that the node received.
     """
     config = folder / 'run.yaml'
     config.write_text(f'{SCENE.read_text()}    start_time: {start_time}\n')

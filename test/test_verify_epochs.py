@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_replay --verify of a node's log: every committed state of every epoch is compared."""
+"""attitude_replay --verify compares every committed state of every epoch in a node's log."""
 
 from dataclasses import replace
 
@@ -63,7 +63,7 @@ def test_the_start_of_the_scene_does_not_matter(two, tmp_path, capsys, start_tim
 
 
 def committed(sent, number, change):
-    """Return messages with another committed state."""
+    """Return messages in which one committed state is changed."""
     place = [place for place, (topic, _) in enumerate(sent) if topic == COMMITTED][number]
     found = messages.ODOMETRY.decode(sent[place][1])
     stamp, values = change(found.stamp_ns, found.values.copy())
@@ -121,7 +121,7 @@ def test_torques_without_a_committed_state_are_counted(run, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    # No torque, and no start of an epoch.
+    # A state has no torque at its stamp, and is not the start of an epoch.
     (lambda sent: without(sent, ACCEPTED, 20), 'expected a torque at the stamp of each state, '
      f'found none for 1 of 40 states, the first at {7 * SECOND - 100 * MS} ns'),
     (lambda sent: without(sent, ACCEPTED, 60), 'found none for 1 of 31 states'),

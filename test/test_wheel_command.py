@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_node with wheels that have names: the topics wheel_command and wheel_states."""
+"""attitude_node with named wheels: the topics wheel_command and wheel_states."""
 
 from dataclasses import replace
 import json
@@ -53,7 +53,7 @@ KINDS = {COMMITTED: messages.ODOMETRY, **dict.fromkeys(TORQUES, messages.WRENCH)
 SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', *RELIABLE,
            '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
            '-p', 'qos_overrides./wheel_command.subscription.reliability:=reliable')
-#: Torques of thrusters, in addition to the wheels.
+#: Parameters of thrusters, in addition to the wheels.
 ACTUATOR = ('-p', 'actuator.topics:=[torque]', '-p', 'actuator.delay:=0.011',
             '-p', 'actuator.time_constant:=0.03', '-p', 'actuator.limit.x:=0.002')
 LOCKSTEP = ('-p', 'mode:=lockstep')
@@ -78,7 +78,7 @@ class Wheels(LiveSession):
         self.wait_until(self._motors.get_subscription_count, 'the node to subscribe')
 
     def turn(self, stamp_ns, efforts, frame_id=''):
-        """Publish efforts, N m, in the order of the wheels; NaN: not listed."""
+        """Publish efforts, N m, in the order of the wheels; a wheel with NaN is not listed."""
         self._motors.publish(COMMANDS.encode(stamp_ns, frame_id, efforts))
 
     def send(self, data):
@@ -90,7 +90,7 @@ class Wheels(LiveSession):
         return decoded(self, ACCEPTED, COMMANDS)
 
     def states(self):
-        """Return by stamp the speeds and the efforts that were published last."""
+        """Return the speeds and the efforts that were published last for each stamp."""
         found = [messages.decoded_joints(data) for data in self.received['wheel_states']]
         return {one.stamp_ns: (one.velocity, one.effort) for one in found}
 
@@ -104,7 +104,7 @@ class Wheels(LiveSession):
 
 
 def checked(tmp_path, live, torques=TORQUES[:1]):
-    """Check that all epochs are replayed bit for bit; return the problem of the last, and it."""
+    """Check that all epochs replay bit for bit; return the last problem, and the result."""
     path = tmp_path / 'live.mcap'
     live.dump_parameters(tmp_path / 'live.yaml')
     assert live.stop() == 0
@@ -115,7 +115,7 @@ def checked(tmp_path, live, torques=TORQUES[:1]):
     assert not result.pending
     assert result.epochs == result.compared_epochs
     problem = read(path, run, topic=torques, wheel_command=ACCEPTED)
-    # The parameters also belong to the epoch.
+    # The parameters belong to the last epoch as well.
     np.testing.assert_array_equal([wheel.initial_speed for wheel in run.named_wheels],
                                   problem.start.wheel_speeds)
     assert not run.start.rotor_momentum.any()
@@ -157,7 +157,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, fr
     assert counts['applied'] == 600
     given = np.array([efforts for *_, efforts in plan])
     assert counts['clipped to max_torque'] == np.sum(np.abs(given) > 0.004)
-    # The published states are the motion, whatever came later.
+    # The published states agree with the motion, whatever commands came later.
     last_ns = max(stamp for _, stamp, _ in plan)
     found = {stamp: values for stamp, values in live.states().items()
              if stamp > last_ns + SECOND // 2}
@@ -172,7 +172,7 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
     run = scene.load(SCENE)
     with Wheels(SCENE, domain, *LOCKSTEP, '-p', 'history:=0.1', '-p', 'max_future:=0.05',
                 '-p', 'rw_x.max_speed:=5.0', '-p', f'rw_skewed.friction:={friction}') as live:
-        # Only the controller of wheels sends.
+        # Only the controller of the wheels sends commands.
         live.disconnect()
         first, *others = run.named_wheels
         others[-1] = replace(others[-1], friction=friction)
@@ -194,10 +194,10 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
         zeros = judge.refused_commands(0, stamp_ns)
         live.wait_until(lambda: live.diagnosis('wheel commands')[0]['applied'] == 100, 'counts')
         counts, _, _ = live.diagnosis('wheel commands')
-        # Only of states that late commands can no longer change.
+        # Counted only for states that late commands can no longer change.
         assert 0 < counts['zero at max_speed'] <= zeros < 100
         assert counts['clipped to max_torque'] == 50
-        # A repeated command is the same, though NaN is not NaN.
+        # A repeated command counts as the same, even though NaN does not equal NaN.
         live.turn(stamp_ns, efforts)
         live.wait_until(lambda: live.diagnosis('wheel commands')[0]['received'] == 101, 'it')
         counts, _, _ = live.diagnosis('wheel commands')
@@ -226,7 +226,7 @@ def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, dom
         live.reset()
         for number in range(31, 40):
             ask(number)
-        # The parameters belong to the last epoch, whose speeds are not the first ones.
+        # The parameters belong to the last epoch, whose initial speeds differ from the first ones.
         live.set_state(State(SECOND + 40 * STEP_NS + 5, (0.0, 0.6, 0.0, 0.8)))
         ask(41)
         _, result = checked(tmp_path, live)
@@ -248,7 +248,7 @@ def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
         live.turn(start_ns, [0.003, NAN, NAN, -0.002])
         run_clock(live, start_ns, until=live.commands)
         run_clock(live, start_ns, seconds=2)
-        # It comes into force after the jump, together with those from before.
+        # The command comes into force after the jump, together with those from before.
         run_clock(live, later_ns, until=lambda: len(live.received[COMMITTED]) > 2)
         live.turn(later_ns + 1, [NAN, 0.001, NAN, NAN])
         run_clock(live, later_ns, seconds=2)
@@ -258,7 +258,7 @@ def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
     found = live.states()
     before, after = (found[max(t for t in found if t < 200 * SECOND)],
                      found[min(t for t in found if t >= later_ns)])
-    # 0.003 N m speed a wheel of 1e-4 kg m^2 up by 0.3 rad/s in 10 ms.
+    # 0.003 N m speeds up a wheel of 1e-4 kg m^2 by 0.3 rad/s in 10 ms.
     np.testing.assert_allclose(before[0], after[0], atol=2.0)
     assert before[0][0] > 50.0
     assert after[1].tolist() == [0.003, 0.0, 0.0, -0.002]
@@ -340,7 +340,7 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
 
 @pytest.fixture
 def flight(tmp_path):
-    """Return a recording of commands of wheels, with the motion as it is measured."""
+    """Return a recording with commands of wheels and with measurements of the motion."""
     path, run = tmp_path / 'flight.mcap', scene.load(SCENE)
     random, stamps = np.random.default_rng(3), SECOND + STEP_NS * np.arange(300)
     log = EffortLog(stamps, 0.003 * random.normal(size=(300, 4)))
@@ -362,7 +362,7 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
     arguments = [str(flight), '--scene', str(SCENE)]
     assert main.attitude_compare([*arguments, '--json', str(tmp_path / 'found.json')]) == 0
     found = json.loads((tmp_path / 'found.json').read_text())
-    # A part of the motion also begins with the momenta of the wheels.
+    # A restarted part of the motion also begins with the momenta of the wheels.
     assert found['attitude_error_rad']['max'] < 1e-15
     assert found['horizons'][-1]['attitude_p95_rad'] < 1e-11
     fitted = tmp_path / 'fitted.yaml'
@@ -421,7 +421,7 @@ def test_a_loop_of_wheels_is_held_by_attitude_regress(tmp_path):
         state = judge.at(stamp_ns)
         expected = four_wheels.efforts(state.attitude, state.angular_velocity)
         np.testing.assert_array_equal(found, expected)
-        # Their sum is the torque of the law.
+        # The sum of the wheel torques is the torque of the control law.
         np.testing.assert_allclose(four_wheels.AXES @ found, np.copysign(
             0.01, state.attitude[3]) * state.attitude[:3] + 0.04 * state.angular_velocity,
             atol=1e-17)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Wheels with names: exact to rounding, and the same bits in any order of arrival."""
+"""Named wheels: exact to rounding, with the same bits in any order of arrival."""
 
 from dataclasses import replace
 from itertools import product
@@ -66,7 +66,7 @@ PYRAMID = [Wheel(name, axis, 0.05, speed, max_torque=0.3) for name, axis, speed 
     ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 40.0), ('c', (-1, -1, 1), -3.0),
     ('d', (1, -1, 1), 9.0))]
 LIMITED = [replace(wheel, max_speed=10.0) for wheel in PYRAMID]
-#: One of them turns without friction.
+#: The same with friction, except that one of them turns without.
 SLOWED = [replace(wheel, friction=friction)
           for wheel, friction in zip(LIMITED, (0.02, 0.05, 0.0, 0.01))]
 
@@ -78,7 +78,7 @@ def same(one, other):
 
 
 def commands(rng, count=40, wheels=4):
-    """Return efforts at irregular stamps, some before the start, a third of them missing."""
+    """Return efforts at irregular stamps, some before the start; a third of them are missing."""
     stamps = np.sort(rng.integers(-SECOND // 4, 3 * SECOND, count))
     efforts = rng.normal(0.0, 0.4, (count, wheels))
     efforts[rng.random(efforts.shape) < 0.3] = np.nan
@@ -173,7 +173,7 @@ def test_friction_takes_energy_until_the_wheels_turn_with_the_body():
     assert change[:100].max() < -1e-4
     loss = 0.02 * (motion.wheel_speeds[:-1] ** 2 + motion.wheel_speeds[1:] ** 2).sum(axis=1) / 2
     assert change[:100] == pytest.approx(-0.1 * loss[:100], rel=1e-2)
-    # In the end the wheels hardly turn relative to the body.
+    # At the end, the wheels hardly turn relative to the body.
     assert abs(motion.wheel_speeds[-1]).max() < 0.1
     momentum = motion.angular_momentum_space
     assert abs(momentum - momentum[0]).max() < 4e-15 * np.linalg.norm(momentum[0])
@@ -214,7 +214,7 @@ def test_friction_far_faster_than_a_step_stops_the_wheels(friction):
     assert abs(motion.wheel_speeds[1:]).max() < 0.3 / friction * 2.0 + 0.05 / friction
     momentum = motion.angular_momentum_space
     assert abs(momentum - momentum[0]).max() < 1e-14 * np.linalg.norm(motion.rotor_momentum[0])
-    # The wheels turn with the body, as if they were locked.
+    # The wheels rotate with the body, as if they were locked.
     whole = so3.rotate(so3.conjugate(motion.attitude[1:]), momentum[1:])
     assert motion.angular_velocity[1:] == pytest.approx(
         np.linalg.solve(BODY.inertia, whole.T).T, abs=1.0 / friction)
@@ -227,7 +227,7 @@ def test_a_command_that_would_speed_up_a_fast_wheel_acts_as_zero():
     wheels = [replace(wheel, max_torque=0.0, max_speed=12.0) for wheel in PYRAMID]
     run = Integration(Problem(BODY, START, wheels=wheels, efforts=efforts))
     motion = run.advance(stamps)
-    # A command sees the speed at its stamp, and nothing that comes later.
+    # Whether a command acts depends on the speed at its stamp, and on nothing later.
     too_fast = (abs(motion.wheel_speeds) >= 12.0) & (efforts.efforts * motion.wheel_speeds > 0.0)
     assert 20 < too_fast.sum() < 200
     np.testing.assert_array_equal(motion.wheel_efforts, np.where(too_fast, 0.0, efforts.efforts))
@@ -261,7 +261,7 @@ def test_a_command_that_acts_goes_on_above_the_largest_speed():
     motion = propagate(BODY, START, at=[SECOND, 2 * SECOND, 3 * SECOND], wheels=[wheel],
                        efforts=efforts)
     assert motion.wheel_efforts.ravel().tolist() == [1.0, 0.0, 0.0]
-    assert motion.wheel_speeds[1, 0] > 15.0  # from its stamp on the command acted
+    assert motion.wheel_speeds[1, 0] > 15.0  # the command acts from its stamp on
     assert abs(motion.wheel_speeds[2] - motion.wheel_speeds[1]) < 2.0
 
 
@@ -276,7 +276,7 @@ def test_commands_are_clipped_held_and_kept():
         [0.1, -0.2, 0.3, 0.0]] * 2 + [[0.2, 0.1, 0.3, 0.0]] * 2
     propagator = Propagator(BODY, START, wheels=PYRAMID, history=2.0)
     assert propagator.apply_efforts(SECOND, {'a': 7.0, 'b': 0.1})
-    assert propagator.apply_efforts(SECOND, {'a': 0.2})  # the later one of equal stamps
+    assert propagator.apply_efforts(SECOND, {'a': 0.2})  # replaces the command with the same stamp
     assert propagator.apply_efforts(0, {'a': 0.1, 'b': -0.2, 'c': 5.0})
     assert np.array_equal(propagator.at(3 * SECOND).wheel_speeds, motion.wheel_speeds[-1])
     assert propagator.at(3 * SECOND).wheel_efforts.tolist() == [0.2, 0.1, 0.3, 0.0]
@@ -358,7 +358,7 @@ def test_a_state_of_public_numbers_restarts_to_rounding():
 
 
 def test_wheels_of_a_heavy_body_turn_it_as_ideal_motors_do():
-    # A wheel whose own inertia is negligible is a motor that pushes against space.
+    # A wheel with negligible inertia acts like a motor that pushes against space.
     wheel = Wheel('w', (1, 2, 2), 1e-12)
     torque = np.array([0.1, 0.2, 0.2])
     motion = propagate(BODY, START, at=[10 * SECOND], wheels=[wheel],
@@ -395,9 +395,9 @@ def test_without_efforts_the_axial_momentum_of_each_wheel_is_constant():
     (lambda: EffortLog([0], [[np.inf]]), 'effort 0 at 0 ns: expected finite numbers, or NaN'),
     (lambda: EffortLog([0], [1.0]), 'efforts: expected shape (1, wheels), found (1,)'),
     (lambda: Problem(BODY, START, wheels=PYRAMID, efforts=EffortLog([0], [[1.0]])),
-     'efforts: expected those of 4 wheels with names, found those of 1'),
+     'efforts: expected those of 4 named wheels, found those of 1'),
     (lambda: Problem(BODY, START, efforts=EffortLog([0], [[1.0]])),
-     'efforts: expected those of 0 wheels with names, found those of 1'),
+     'efforts: expected those of 0 named wheels, found those of 1'),
     (lambda: Problem(BODY, START, wheels=[PYRAMID[0]] * 2), 'wheels: expected each name once, '),
     (lambda: propagate(BODY, START, at=[0], wheels=[Wheel('w', (1, 0, 0), 2.5)]),
      'wheels: expected axial inertia that the body can have, found that the rest is impossible: '),
@@ -408,7 +408,7 @@ def test_without_efforts_the_axial_momentum_of_each_wheel_is_constant():
     (lambda: Propagator(BODY, START, wheels=PYRAMID, fields=[GravityGradient(0.1)]),
      'fields: expected no gravity gradient with wheels that have names, '),
     (lambda: Propagator(BODY, START).apply_efforts(0, {'a': 1.0}),
-     'efforts: expected wheels with names, found none'),
+     'efforts: expected named wheels, found none'),
     (lambda: Propagator(BODY, START, wheels=PYRAMID).apply_efforts(0, {'e': 1.0}),
      "efforts: expected names of wheels (a, b, c, d), found 'e'"),
     (lambda: Propagator(BODY, START, wheels=PYRAMID).apply_efforts(0, {'a': np.nan}),
@@ -493,13 +493,13 @@ def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
 @pytest.mark.parametrize(('other', 'speed'), [(0.0, 7.0), (0.2, 7.0), (1e-9, 7.0), (-1.5, 30.0)])
 def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
     # Rotors without a name also turn. If they cancel the momentum of the wheels, the marker does
-    # not have their speeds.
+    # not contain the speeds of the wheels.
     scene = Scene.from_values({**SCENE, 'initial_rotor_momentum.x': other,
                                'initial_rotor_momentum.y': 0.0})
     start = Run(scene, None, None).initial(SECOND)
     marker = messages.WRENCH.decode(messages.epoch_marker(start))
     found = messages.epoch_start(marker.stamp_ns, marker.frame_id)
-    # As it is read later, with the speeds of another epoch in the scene.
+    # The marker is read later, when the scene has the speeds of another epoch.
     later = Scene.from_values({**scene.values, 'rw_x.initial_speed': speed})
     motion, expected = (run.problem(begin).propagate(at=[2 * SECOND]) for run, begin in (
         (later, found), (scene, replace(scene.start, time_ns=SECOND))))
@@ -563,5 +563,5 @@ def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
 
 
 def test_many_motions_refuse_wheels_with_names():
-    with pytest.raises(ValueError, match='found wheels with names, which only propagate computes'):
+    with pytest.raises(ValueError, match='found named wheels, which only propagate computes'):
         propagate_many(RigidBodies([BODY.inertia]), States(), at=[SECOND], wheels=PYRAMID)

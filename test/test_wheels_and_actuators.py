@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Wheels with names, actuators and changes of the body together: one motion, bit for bit."""
+"""Named wheels, actuators and changes of the body together give one motion, bit for bit."""
 
 from dataclasses import replace
 
@@ -47,7 +47,8 @@ def problem_of(rng, keep, wheels=WHEELS, **options):
     """
     Return a problem with everything, and the calls that apply it.
 
-    Torques, efforts and bodies come into force together, and a torque acts as an effort arrives.
+    Torques, efforts and bodies come into force at the same times, and a torque acts just when an
+    effort arrives.
     """
     stamps = np.arange(-3, 57) * 50_000_000
     logs = [TorqueLog(stamps, rng.normal(size=(60, 3)) * (rng.random(60) < 0.6)[:, None]),

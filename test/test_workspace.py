@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The package in a ROS workspace: built, sourced, found, run and tested by colcon."""
+"""The package in a ROS workspace is built, sourced, found, run and tested with colcon."""
 
 import os
 import shlex
@@ -24,26 +24,26 @@ import pytest
 from rigid_body_ros import messages, recording
 
 pytestmark = pytest.mark.slow
-#: What `ros2 run PACKAGE EXECUTABLE` does: the package's prefix in the ament index, and there an
-#: executable file in lib/PACKAGE.
+#: A command that does what `ros2 run PACKAGE EXECUTABLE` does: it finds the prefix of the package
+#: in the ament index, and there an executable file in lib/PACKAGE.
 RUN = (f'prefix=$({sys.executable} -c "from ament_index_python.packages import '
        f'get_package_prefix; print(get_package_prefix(\'{NAME}\'))") && $prefix/lib/{NAME}/')
 
 
 @pytest.fixture(scope='module')
 def workspace(tmp_path_factory):
-    """Return a built workspace."""
+    """Return a workspace in which the package is built."""
     return built(tmp_path_factory.mktemp('workspace'))
 
 
 def built(folder, *options):
-    """Build the files of this checkout, in a workspace."""
+    """Build the files of this checkout in a workspace."""
     source = folder / 'src' / NAME
     source.mkdir(parents=True)
     listed = subprocess.run(['git', 'ls-files', '--cached', '--others', '--exclude-standard'],
                             cwd=ROOT, check=True, capture_output=True, text=True)
     files = [name for name in listed.stdout.splitlines() if (ROOT / name).exists()]
-    if (ROOT / 'build' / 'kernels').exists():  # generating them takes a minute
+    if (ROOT / 'build' / 'kernels').exists():  # generating the kernels takes a minute
         files.append('build/kernels')
     subprocess.run(['cp', '-r', '--parents', '-t', source, *files], cwd=ROOT, check=True)
     colcon(folder, 'build', *options)
@@ -51,7 +51,7 @@ def built(folder, *options):
 
 
 def colcon(folder, *arguments):
-    # No other package of this machine is to be found.
+    # No other package on this machine must be found.
     environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': '',
                    'COLCON_HOME': str(folder)}
     result = subprocess.run([sys.executable, '-m', 'colcon', *arguments], cwd=folder, text=True,
@@ -61,7 +61,7 @@ def colcon(folder, *arguments):
 
 
 def sourced(folder, command, cwd):
-    """Return the output of a shell that has sourced the workspace."""
+    """Return the output of a command in a shell that has sourced the workspace."""
     return subprocess.run(
         ['bash', '-c', f'. {shlex.quote(str(folder))}/install/setup.bash && {command}'], cwd=cwd,
         env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': ''}, check=False,
@@ -110,7 +110,7 @@ def test_a_command_of_the_workspace_does_its_work(workspace, tmp_path):
 
 
 def test_colcon_runs_the_tests_and_finds_no_failure(workspace):
-    # One file's: all of them are what is being run right now.
+    # Only the tests of one file, because running all tests would run this test again.
     colcon(workspace, 'test', '--pytest-args', 'test/test_euler.py')
     said = colcon(workspace, 'test-result')
     assert ' 0 errors, 0 failures' in said

@@ -15,19 +15,19 @@
 """
 Motions of a rigid body with fifty digits, as references for results in double precision.
 
-There are two methods, which share no code: `series` integrates the equations of motion by Taylor
+There are two methods, which share no code. `series` integrates the equations of motion by Taylor
 series, and `free` evaluates the closed form of torque-free motion. Both treat doubles (or mpmath
 numbers) as exact, and take times in integer nanoseconds. They return numpy arrays of mpmath
-numbers: the attitude (x, y, z, w; body to space; continuous from the start, never flipped) and
-the body rates.
+numbers: the attitude (x, y, z, w; body to space; continuous from the start, without changes of
+sign) and the body rates.
 """
 
 from mpmath import mp
 import numpy as np
 
-#: Additional digits: a phase of 1e7 rad loses 7, a motion close to the separatrix 17.
+#: Additional digits. A phase of 1e7 rad loses 7 digits, and a motion close to the separatrix 17.
 GUARD = 25
-#: Angle of a step of `series`, rad, that needs the least work for 50 digits.
+#: Angle of a step of `series`, rad, that requires the least work for 50 digits.
 STEP_ANGLE = 0.4
 
 exact = np.vectorize(mp.mpf, otypes=[object])
@@ -35,23 +35,23 @@ exact = np.vectorize(mp.mpf, otypes=[object])
 
 def series(tensor, attitude, rates, torques, digits=50):
     """
-    Return the motion under torques as [(attitude, rates)], one for the end of each torque.
+    Return the motion under torques as [(attitude, rates)], one pair for the end of each torque.
 
-    The result has `digits` digits, fewer if the motion amplifies rounding.
+    The result has `digits` digits, or fewer if the motion amplifies rounding errors.
 
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        About the centre of mass, body axes.
+        Inertia about the centre of mass, body axes.
     attitude : array, shape (4,), any norm
-        At the start; x y z w, body to space.
+        Attitude at the start; x y z w, body to space.
     rates : array, shape (3,), rad/s, body axes
-        At the start.
+        Rates at the start.
     torques : [(duration_ns, torque, in_space)]
-        In order; N m, body or space axes. A torque of shape (3,) is held; one of shape
-        (degree + 1, 3) is a polynomial in the fraction of the duration.
+        Consecutive torques, N m, in body or space axes. A torque of shape (3,) is held; one of
+        shape (degree + 1, 3) is a polynomial in the fraction of the duration.
     digits : int
-        Of the result; the computation uses `GUARD` more.
+        Digits of the result; the computation uses `GUARD` more.
 
     """
     with mp.workdps(digits + GUARD):
@@ -82,7 +82,7 @@ def polynomials(times_ns, torques, interpolation):
     Parameters
     ----------
     times_ns : array of int, shape (n,)
-        Ascending.
+        Ascending times of the samples.
     torques : array, shape (n, 3), N m
         The samples.
     interpolation : str
@@ -103,7 +103,8 @@ def polynomials(times_ns, torques, interpolation):
 
 
 def _slope(times, values, i):
-    # The slope at a sample of the polynomial through the five nearest (barycentric weights).
+    # The slope, at a sample, of the polynomial through the five nearest samples (barycentric
+    # weights).
     count = min(5, len(times))
     first = min(max(i - count // 2, 0), len(times) - count)
     near = [k for k in range(first, first + count) if k != i]
@@ -121,9 +122,9 @@ def free(tensor, attitude, rates, time_ns, digits=50):
     """
     Return the torque-free motion at one time after the start as (attitude, rates).
 
-    Celledoni, Fassò, Säfström and Zanna, "The exact computation of the free rigid body motion and
-    its use in splitting methods" (2008), with the corrections of Principia's `EulerSolver`. The
-    parameters are those of `series`.
+    See Celledoni, Fassò, Säfström and Zanna, "The exact computation of the free rigid body motion
+    and its use in splitting methods" (2008), with the corrections of Principia's `EulerSolver`.
+    The parameters are those of `series`.
     """
     with mp.workdps(digits + GUARD):
         tensor, q, w = exact(tensor), _unit(exact(attitude)), exact(rates)
@@ -137,22 +138,22 @@ def free(tensor, attitude, rates, time_ns, digits=50):
 
 
 def chord(truth, attitude):
-    """Return the angle, rad, between a true attitude and one in doubles; q and -q differ."""
+    """Return the angle, rad, between a true and a computed attitude; q and -q differ."""
     with mp.workdps(50):
-        # Rounding can make the chord longer than 2.
+        # Rounding may make the chord longer than 2.
         return float(4 * mp.asin(min(mp.one, _length(truth - _unit(exact(attitude))) / 2)))
 
 
 def rotate(q, v):
-    """Return the vector v turned by the unit quaternion q."""
+    """Return the vector v rotated by the unit quaternion q."""
     return times(times(q, _pure(v)), _conjugate(q))[:3]
 
 
 def _step(q, w, h, tensor, inverse, torque, in_space):
-    # With h as the unit of time and the size of the tensor as the unit of inertia all numbers are
-    # of order one, so fixed-point integers suffice: they are ten times as fast as mpmath's floats.
+    # With h as the unit of time and the size of the tensor as the unit of inertia, all numbers are
+    # of order one. So fixed-point integers suffice, ten times as fast as mpmath's floats.
     size = abs(tensor).max()
-    bits = mp.prec + 16 + 2 * mp.mag(abs(inverse).max() * size)  # which magnifies rounding
+    bits = mp.prec + 16 + 2 * mp.mag(abs(inverse).max() * size)  # the inverse magnifies rounding
     fixed = np.vectorize(lambda x: int(mp.nint(mp.ldexp(x, bits))), otypes=[object])
     if in_space:
         torque = np.array([rotate(_conjugate(q), row) for row in torque])
@@ -178,7 +179,7 @@ def _sums(q, w, m, torque, in_space, inverse, bits):
         qs[k + 1] = (times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
         if in_space:
             ts[:, k + 1] = (_cross(ts[:, :k + 1], past).sum(axis=1) >> bits) // (k + 1)
-        # From rest, only every (degree + 2)nd term is nonzero.
+        # If the body starts at rest, only every (degree + 2)nd term is nonzero.
         last = slice(max(0, k + 1 - len(ts)), k + 2)
         if k >= len(ts) and max(abs(qs[last]).max(), abs(ws[last]).max()) < negligible:
             return qs.sum(axis=0), ws.sum(axis=0)
@@ -195,8 +196,8 @@ def _shifted(torque, fraction, part):
 
 
 def _frame(tensor, m):
-    # The principal moments and right-handed axes, such that m circles the third axis and has
-    # positive components along it and along the first.
+    # The principal moments and right-handed axes, chosen so that m circles the third axis and has
+    # positive components along the first and the third axis.
     moments, axes = map(_array, mp.eigsy(mp.matrix(tensor.tolist())))
     (low, middle, high), p = moments, axes.T @ m
     if p[2] ** 2 * (high - middle) / high < p[0] ** 2 * (middle - low) / low:
@@ -260,7 +261,7 @@ def times(p, q):
 
 
 def _cross(u, v):
-    # np.cross takes twice as long for objects.
+    # For objects, np.cross takes twice as long.
     return u[..., [1, 2, 0]] * v[..., [2, 0, 1]] - u[..., [2, 0, 1]] * v[..., [1, 2, 0]]
 
 

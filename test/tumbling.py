@@ -43,10 +43,10 @@ class Truth:
     damping: np.ndarray = default(default_factory=lambda: np.zeros((3, 3)))
     bias: tuple = (0.0, 0.0, 0.0)
     gain: float = 1.0
-    #: Momentum of the rotors at the torque samples, linear in between.
+    #: Momentum of the rotors at the torque samples, linear between them.
     momentum: np.ndarray | None = None
     axes: tuple = (1.0, 1.0, 1.0)
-    #: A weight: the moment, body axes, in the field, space axes.
+    #: The moment of a weight, body axes, and its field, space axes.
     moment: tuple = (0.0, 0.0, 0.0)
     field: tuple = (0.0, 0.0, -9.81)
 
@@ -77,7 +77,7 @@ class Truth:
         return Experiment(start or self.start, self.log, measured, self.wheels)
 
     def measured(self, attitude=0.0, rate=0.0, seed=0, topic='/imu'):
-        """Return attitudes and rates with noise; None leaves one of them out."""
+        """Return attitudes and rates with noise; a noise of None leaves a quantity out."""
         random = np.random.default_rng(seed)
         turned, added = random.standard_normal((2, len(self.stamps_ns), 3))
         q = None if attitude is None else so3.multiply(self.q, so3.exp(attitude * turned))
@@ -102,7 +102,7 @@ class Truth:
             a, b, c = self.moment
             return b * f[2] - c * f[1], c * f[0] - a * f[2], a * f[1] - b * f[0]
 
-        def slope(t, state, torque, rotors, spin, begin):  # in floats, ten times as fast
+        def slope(t, state, torque, rotors, spin, begin):  # plain floats are ten times as fast
             x, y, z, s, *w = state.tolist()
             a, b, c = (moment + rotor + rate * (t - begin) for moment, rotor, rate
                        in zip(times(inertia, w), rotors, spin))
@@ -130,7 +130,7 @@ class Truth:
 
 
 def shifted(measured, seconds):
-    """Return measurements whose clock is behind by some time."""
+    """Return measurements of a sensor whose clock is late by some seconds."""
     return Measured(measured.topic, measured.stamps_ns - round(seconds * SECOND),
                     measured.attitude, measured.angular_velocity)
 
@@ -143,7 +143,7 @@ def mounted(measured, vector):
 
 
 def with_outliers(measured, fraction, seed=0):
-    """Return measurements of which some are far off."""
+    """Return measurements of which some are outliers."""
     random = np.random.default_rng(seed)
     bad = random.random(len(measured.stamps_ns)) < fraction
     q, w = measured.attitude.copy(), measured.angular_velocity.copy()

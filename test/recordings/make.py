@@ -17,11 +17,14 @@ Write the recordings of this folder.
 
     python make.py TRUTH
 
-TRUTH is a folder of reference motions, JSON files computed with 50 digits. For each of them,
-NAME.json, the script writes NAME.mcap, with the torques on /torque and the reference motion on
-/truth/attitude and /truth/angular_velocity, and the scene file NAME.yaml. It also writes iss.mcap
-and tumbler.mcap, whose scenes are in config/, and flight.mcap: how the body of tumbler.yaml moves
-under the first 20 s of tumbler.mcap, as sensors with noise measure it.
+TRUTH is a folder with reference motions, in JSON files that were computed with 50 digits. For each
+file NAME.json, the script writes the scene file NAME.yaml and the recording NAME.mcap. The
+recording has the torques on /torque, and the reference motion on /truth/attitude and
+/truth/angular_velocity.
+
+The script also writes iss.mcap and tumbler.mcap, whose scenes are in config/, and flight.mcap. The
+latter contains measurements of noisy sensors on the body of tumbler.yaml, which moves under the
+first 20 s of tumbler.mcap.
 """
 
 from __future__ import annotations
@@ -40,8 +43,8 @@ HERE = Path(__file__).parent
 EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
 
-# NASA JEOD, verif/SIM_dyncomp/SET_test_val/RUN_9B: t (s), body rates (rad/s), left quaternion
-# (scalar first), which is the conjugate of the one from body to space.
+# NASA JEOD, verif/SIM_dyncomp/SET_test_val/RUN_9B: t (s), body rates (rad/s), and the left
+# quaternion (scalar first), which is the conjugate of the quaternion from body to space.
 ISS = (
     (0, (0.0, -0.001134454274550824, 0.0),
      (0.2368106365237557, 0.7173117043670278, -0.6140880728910785, 0.2286492509067215)),
@@ -59,7 +62,7 @@ ISS = (
 
 
 def write(path, frames, torques, truth):
-    """Write (time_ns, frame, torque) and (time_ns, q, w) rows in order of time."""
+    """Write rows (time_ns, frame, torque) and (time_ns, q, w), sorted by time."""
     space, body = frames
     rows = [(time_ns, '/torque', messages.wrench(time_ns, frame, torque))
             for time_ns, frame, torque in torques]
@@ -95,7 +98,7 @@ def make_reference(source):
              for row in scene['truth']]
     frame = {'body': 'base_link', 'space': 'world'}[scene['torque_frame']]
     torques = [(EPOCH_NS + row[0], frame, row[1:]) for row in scene['torque_t_ns_x_y_z']]
-    # Without torque, zero torques at each stamp keep the recording from being empty.
+    # Without torque, write a zero torque at each stamp, so that the recording is not empty.
     torques = torques or [(row[0], frame, (0.0, 0.0, 0.0)) for row in truth]
     write(HERE / f'{source.stem}.mcap', ('world', 'base_link'), torques, truth)
     write_scene(HERE / f'{source.stem}.yaml', scene['note'] or source.stem.replace('_', ' '),
@@ -104,7 +107,7 @@ def make_reference(source):
 
 
 def make_iss():
-    """Record the torque of the Space Station every 20 s, with the rows above as reference."""
+    """Record the torque on the Space Station every 20 s, with the rows above as reference."""
     torques = [(EPOCH_NS + t * SECOND, 'iss', (10.0 if 1000 <= t < 2000 else 0.0, 0.0, 0.0))
                for t in range(0, 28801, 20)]
     truth = [(EPOCH_NS + t * SECOND, (-x, -y, -z, w), rates) for t, rates, (w, x, y, z) in ISS]
@@ -128,7 +131,7 @@ def make_tumbler():
 
 
 def make_flight():
-    """Record the tumbler for 20 s at 50 Hz; the noise is 2 mrad and 5 mrad/s."""
+    """Record the tumbler for 20 s at 50 Hz, with noise of 2 mrad and 5 mrad/s."""
     random = np.random.default_rng(1993)
     problem = read(HERE / 'tumbler.mcap', HERE.parents[1] / 'config' / 'tumbler.yaml')
     times_ns = EPOCH_NS + np.arange(20 * 50 + 1) * SECOND // 50
