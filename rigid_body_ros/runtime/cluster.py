@@ -172,7 +172,7 @@ def _client(scheduler: str, address: str) -> Client:
 
 
 async def _kind(address: str) -> str:
-    """Return the kind of server at an address; a client of any other kind would block at exit."""
+    """Return the kind of server at an address; an unconnected `Client` would block at exit."""
     from distributed import rpc, Security
     remote = rpc(address, connection_args=Security().get_connection_args('client'))
     try:
