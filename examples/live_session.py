@@ -112,6 +112,8 @@ class LiveSession:
         self._executor.add_node(self.node)
         try:
             self._connect()
+            if self._waits:  # outputs that are published only once must not be lost
+                self.synchronize()
         except BaseException as error:  # leftovers would disturb the next session
             self.__exit__(type(error), error, None)
             raise
@@ -131,11 +133,7 @@ class LiveSession:
         self._reset = self.node.create_client(Trigger, f'/{NODE}/reset')
         self.wait_until(lambda: self._torque.get_subscription_count()
                         and self._initial_state.get_subscription_count(), 'the node to subscribe')
-        if self._waits:
-            # An answer shows that the node has discovered all subscriptions created before this
-            # call, including those to outputs that it publishes only once.
-            self.call(ListParameters, 'list_parameters')
-        else:
+        if not self._waits:
             self.wait_until(lambda: self.received[COMMITTED], 'the start state')
             self.wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
 
@@ -192,8 +190,9 @@ class LiveSession:
         return self._torque.get_subscription_count()
 
     def disconnect(self):
-        """Destroy the publisher of torques."""
+        """Destroy the publisher of torques, and wait until the node knows that it is gone."""
         self.node.destroy_publisher(self._torque)
+        self.synchronize()
 
     def set_clock(self, time_ns):
         """Publish simulated time."""
@@ -237,6 +236,12 @@ class LiveSession:
             return self._result(client.call_async(kind.Request(**fields)))
         finally:
             self.node.destroy_client(client)
+
+    def synchronize(self):
+        """Wait until the node knows which publishers and subscriptions this session has."""
+        # The middleware announces endpoints, and their end, in order. The node therefore answers
+        # a new client only after it has learned of everything before.
+        self.call(ListParameters, 'list_parameters')
 
     def dump_parameters(self, path):
         """Write the parameters of the node as `ros2 param dump` does."""
