@@ -318,6 +318,22 @@ def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
 
 
 @pytest.mark.slow
+def test_heavy_wheels_need_no_gyro():
+    body, stamps = RigidBody.from_moments(0.045, 0.12, 0.14), np.arange(1, 2000) * (SECOND // 100)
+    times, start = np.arange(400) * (SECOND // 20), State(0, angular_velocity=(0.15, 0.3, -0.1))
+    wheels = [Wheel('x', (1.0, 0.0, 0.0), 5e-3), Wheel('z', (0.0, 0.0, 1.0), 5e-3)]
+    efforts = EffortLog(times, 0.01 * np.stack([np.sin(times / 1e9), np.cos(0.7e-9 * times)], 1))
+    motion = propagate(body, start, at=stamps, wheels=wheels, efforts=efforts)
+    noise = so3.exp(ATTITUDE * np.random.default_rng(1).normal(size=(1999, 3)))
+    camera = Measured('/camera', stamps, so3.multiply(motion.attitude, noise), None)
+    # A rate guessed from noisy attitudes would give the wheels a wrong momentum in later windows.
+    result = identify(body, Experiment(start, None, [camera], wheels, efforts=efforts),
+                      validate=0.2)
+    assert result.verdict.level == 'explained', result.verdict.reasons
+    assert_covered(result, inertia_truth(body.inertia))
+
+
+@pytest.mark.slow
 def test_the_momentum_of_a_rotor():
     truth = Truth(momentum=np.tile([0.0, 0.01, 0.02], (201, 1)))
     unknown = State(0, truth.attitude, truth.rates)

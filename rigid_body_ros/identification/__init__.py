@@ -15,23 +15,24 @@
 """
 Identify the parameters of a body from measurements.
 
-`estimation` defines the public function `identify`. `result` defines the class that `identify`
-returns.
+The entry point is `identify`, in `estimation`. It returns an `Identification`, which is defined in
+`result`.
 
-These modules prepare the inputs: `experiment` defines recordings. `names` and `parameters` define
-the parameters to fit. `clock` guesses the clock offset. `setup` combines the inputs of a fit.
+Several modules prepare the inputs. `experiment` describes a recording. `names` and `parameters`
+describe the parameters that can be fitted. `clock` makes a first guess of the clock offset, and
+`setup` puts all inputs of a fit together.
 
-These modules compute the fit: `windows` predicts the measurements, and uses the models of torques
-and sensors in `actuator` and `sensors`. `problem` defines the least-squares problem, and `solve`
-solves it. `residuals` defines the remaining errors. `identifiability` finds the parameters that
-the data does not determine.
+The fit itself is in `problem`, which sets up the least-squares problem, and in `solve`, which
+solves it. `windows` predicts the measurements, using the torque model in `actuator` and the sensor
+model in `sensors`. `residuals` holds the errors that remain after the fit, and `identifiability`
+finds the parameters that the data does not determine.
 
-These modules judge the model: `findings` tests the remaining errors, and uses the linearized fit
-of `evidence`. `suspects` tries parameters that were not estimated. `verdict` decides whether the
-model explains the measurements.
+After the fit, the model is judged. `evidence` linearizes the fit at its solution, and `findings`
+runs statistical tests on the remaining errors. `suspects` tries out parameters that were not
+estimated. `verdict` decides whether the model explains the measurements.
 
-The command `attitude_identify` reads and writes files with `recorded`, and reports the result with
-`result`, `page` and `plot`.
+The command `attitude_identify` uses `recorded` to read and write files, and uses `result`, `page`
+and `plot` to report the result.
 """
 
 from rigid_body_ros.identification.estimation import identify

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The model of the actuators: gain, delay and lag of the logged torques."""
+"""Actuator model: apply gain, delay and lag to the logged torques."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: s; a torque may affect the motion up to this long after its stamp.
+#: Longest time after its stamp, in seconds, for which a torque can affect the motion.
 MEMORY = 2.0
-#: s; shorter lags are ignored.
+#: Lags shorter than this, in seconds, are ignored.
 _SHORTEST = 1e-6
-#: Times, counted from a sample, at which the piecewise constant torque of `lagged` changes. The
-#: unit is the lag, rounded down to a power of two.
+#: Times after each torque sample at which the torque returned by `lagged` changes. The unit of
+#: these times is the lag, rounded down to a power of two.
 _NODES = np.concatenate([np.arange(1, 16) / 16.0, np.arange(8, 16) / 8.0, np.arange(8, 17) / 4.0,
                          [5.0, 6.0, 8.0]])
 
 
 def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> list[TorqueLog]:
     """
-    Return the torques that act on the body, without the bias.
+    Return the torques that the actuators apply to the body, without the torque bias.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> lis
     physics : Physics
         The parameters, including gain, delay and lag.
     timeout_ns : int
-        The maximum time for which a torque sample acts, ns, as for `TorqueLog.segments`.
+        Longest time for which a torque sample acts, ns; see `TorqueLog.segments`.
 
     """
     gains = physics.number('torque_gain') * physics.value('torque_gains')
@@ -71,20 +71,20 @@ def check_delay(physics: Physics) -> None:
 
 def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
     """
-    Return the torque that follows a command with a first-order lag.
+    Return the torque that an actuator with a first-order lag produces for a command.
 
-    The returned torque is piecewise constant. Between two of its stamps, the returned torque is
-    the mean of the lagged torque, so its impulse is exact. After a step of the command, the
-    returned torque changes several times within one time constant.
+    The result is piecewise constant. Each piece equals the mean of the exact lagged torque over
+    that piece, so the impulse is exact. After a step in the command, the result changes several
+    times within one time constant.
 
     Parameters
     ----------
     log : TorqueLog
         The commanded torque.
     lag : float, s
-        Time constant, positive.
+        Time constant; must be positive.
     timeout_ns : int
-        The maximum time for which a torque sample acts, ns, as for `TorqueLog.segments`.
+        Longest time for which a torque sample acts, ns; see `TorqueLog.segments`.
 
     Raises
     ------
@@ -103,21 +103,22 @@ def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
         slope[:-1] = (log.at(nodes_ns[1:] - 1, timeout_ns)[0] - begin[:-1]) / seconds[:-1, None]
     ratio = seconds / lag
     decay = np.exp(-ratio)
-    ends = begin + slope * (seconds - lag)[:, None]  # the limit of the lagged torque
+    ends = begin + slope * (seconds - lag)[:, None]  # what the lagged torque converges to
     first = begin - slope * lag
     share = -np.expm1(-ratio) / ratio
     middle = 0.5 * slope * seconds[:, None]
     away = np.stack([_away(first[:, axis].tolist(), ends[:, axis].tolist(), decay.tolist())
                      for axis in range(3)], axis=1)
     means = first + middle + share[:, None] * away
-    # The last value applies to all later times. By then, the torque has reached the command.
+    # The last value is held indefinitely. By then, the torque has caught up with the command.
     means[-1] = begin[-1]
     return TorqueLog(nodes_ns, means, 'space' if log.in_space.all() else 'body')
 
 
 def _away(first: list[float], ends: list[float], decay: list[float]) -> list[float]:
-    """Return torque minus command at each stamp, for one axis; the torque starts at zero."""
-    away, state = [], 0.0  # plain numbers: arrays of three numbers take ten times as long
+    """Return the lagged torque minus the commanded torque at each stamp, for a single axis."""
+    # The torque starts at zero. Plain floats are ten times as fast as arrays of three numbers.
+    away, state = [], 0.0
     for command, end, left in zip(first, ends, decay):
         away.append(state - command)
         state = end + left * away[-1]
@@ -126,9 +127,9 @@ def _away(first: list[float], ends: list[float], decay: list[float]) -> list[flo
 
 def _nodes(log: TorqueLog, lag: float, timeout_ns: int) -> NDArray[np.int64]:
     """
-    Return the stamps of the lagged torque, which is constant between two stamps.
+    Return the times at which the piecewise constant lagged torque changes, ns.
 
-    A small change of the lag usually does not change the stamps.
+    The times usually stay the same when the lag changes a little.
     """
     times_ns = log.segments(timeout_ns)[0]
     unit_ns = 1e9 * 2.0 ** math.floor(math.log2(lag))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Guess the clock offset without a guess of the inertia."""
+"""Guess the clock offset without knowing the inertia."""
 
 from __future__ import annotations
 
@@ -24,37 +24,38 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import residual_torque
 
-#: s; largest offset that is tried, and difference between adjacent offsets.
+#: Largest clock offset to try, and spacing of the offsets, both in seconds.
 _LARGEST, _SPACING = 10.0, 0.02
-#: Approximate number of samples that are used to try an offset.
+#: Approximate number of samples used to evaluate each offset.
 _ROWS = 500
-#: Largest offset that is tried, as a fraction of the duration of the measurements.
+#: Largest offset to try, as a fraction of the duration of the measurements.
 _OVERLAP = 0.5
-#: An offset is used only if it reduces the unexplained fraction of the torques to less than this
-#: multiple of the fraction without an offset.
+#: A clock offset is accepted only if the fraction of the torque that stays unexplained at this
+#: offset is less than `_BETTER` times the fraction that stays unexplained at zero offset.
 _BETTER = 0.8
 
 
 def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
     """
-    Return the clock offset at which the logged torques explain the measured motion best.
+    Return the clock offset for which the logged torques best explain the measured motion.
 
-    The torque that a motion requires is linear in the entries of the inertia. Therefore, linear
-    least squares yields the best inertia for each offset without a guess of the inertia.
+    The torque required for a given motion is a linear function of the entries of the inertia. For
+    each trial offset, linear least squares therefore finds the best inertia, and no guess of the
+    inertia is needed.
 
     Parameters
     ----------
     problem : Problem
-        The model. Its inertia is ignored.
+        The model. Its inertia is not used.
     sensors : sequence of Measured
-        The measurements. Only one sensor is used: the gyro with the most samples or, without a
-        gyro, the sensor with the most samples.
+        The measurements. Only one sensor is used: the gyro with the most samples or, if there is
+        no gyro, the sensor with the most samples.
 
     Returns
     -------
     float, s
-        The offset to add to the stamps of the measurements. The offset is 0 unless another offset
-        leaves a much smaller fraction of the torques unexplained.
+        The offset to add to the stamps of the measurements. It is 0 unless some other offset
+        explains the torques much better.
 
     """
     sensor = max(sensors, key=lambda one: (one.angular_velocity is not None, len(one)))
@@ -72,7 +73,7 @@ def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
 
 
 def _unexplained(times: Floats, of_inertia: Floats, seconds: Floats, logged: Floats) -> float:
-    """Return the fraction of the torques at the given times, s, that no inertia explains."""
+    """Return the fraction of the torque at the given times (s) that no inertia can explain."""
     inside = (times >= 0.0) & (times <= seconds[-1])
     torques = np.stack([np.interp(times[inside], seconds, column) for column in logged.T], axis=1)
     matrix, wanted = of_inertia[inside].reshape(-1, 6), torques.ravel()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Identify the parameters of a body from measured motions."""
+"""Identify the parameters of a body from measurements of its motion."""
 
 from __future__ import annotations
 
@@ -75,41 +75,42 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     """
     Estimate parameters of a body from measurements.
 
-    The estimates maximize the likelihood for independent normal errors. Samples with errors much
-    larger than usual are outliers, and are ignored.
+    The estimates are maximum-likelihood estimates for independent, normally distributed errors.
+    Samples whose errors are much larger than the rest are treated as outliers and ignored.
 
     Parameters
     ----------
     body : RigidBody
-        The guess of the inertia and the damping. The guess of the inertia may be wrong by a factor
-        of three.
+        Initial guess of the inertia and the damping. The inertia may be off by a factor of three.
     experiments : Experiment or sequence of Experiment
         Recordings of the same body.
     estimate : sequence of str
-        The parameters to fit. The parameters of the body and the torques are 'inertia' (six
-        entries) or 'inertia_diagonal' (three entries), 'torque_gain' or 'torque_gains' (one for
-        each axis), 'torque_bias', 'torque_delay', 'torque_lag', 'weight' (moment of the weight
-        about a pivot), 'damping', 'rotor_momentum', and 'NAME.moment' of a uniform field. 'start'
-        fits the initial angular velocity, and the initial attitude if attitudes are measured. The
-        parameters of the sensors are 'clock_offset', 'clock_drift', 'mount', 'gyro_bias' and
-        'gyro_scale'. With '@TOPIC' appended, a sensor parameter applies to one sensor only.
+        The parameters to fit. For the body and the torques, these are 'inertia' (all six entries)
+        or 'inertia_diagonal' (the three diagonal entries), 'torque_gain' or 'torque_gains' (one
+        gain per axis), 'torque_bias', 'torque_delay', 'torque_lag', 'weight' (moment of the weight
+        about a pivot), 'damping', 'rotor_momentum', and 'NAME.moment' for a uniform field called
+        NAME. 'start' fits the initial angular velocity and, if attitudes are measured, the initial
+        attitude. For the sensors, the parameters are 'clock_offset', 'clock_drift', 'mount',
+        'gyro_bias' and 'gyro_scale'. Append '@TOPIC' to fit a sensor parameter for only one
+        sensor.
     attitude_noise, rate_noise : float, optional, rad and rad/s
-        Standard deviation of each component of a measurement. None means that the fit estimates
-        the standard deviation for each topic.
+        Standard deviation of each component of a measurement. If None, the fit estimates the
+        standard deviation of each topic.
     validate : float
-        Fraction of each recording, at its end, that is used for validation. The samples in this
-        part are predicted instead of fitted.
+        Fraction of each recording, taken from its end, to hold back for validation. The fit
+        ignores these samples, and the model is then used to predict them.
     priors : dict of str to float or str, optional
-        Standard deviations of the guesses, by the name of a parameter or of a component. A number
-        is in the unit of the component; text such as '5%' is relative to the guess.
+        Standard deviations of the guesses, keyed by the name of a parameter or component. A number
+        has the unit of the component. A string such as '5%' is relative to the guess.
     gravity : sequence of 3 float, m/s^2, space axes
-        The acceleration of gravity, for the parameter 'weight'.
+        Acceleration of gravity, used for the parameter 'weight'.
     accept : float
-        The largest accepted systematic error of an estimate. For an entry of the inertia, the
-        error is divided by the mean moment of inertia; for any other parameter, by the scale of
-        the parameter. The model is rejected if effects outside it may cause a larger error.
+        Largest systematic error to accept in an estimate. For an entry of the inertia, the error
+        is relative to the mean moment of inertia. For any other parameter, the error is relative
+        to the scale of the parameter. If effects missing from the model may cause a larger error,
+        the model is rejected.
     torque_timeout : float, s
-        The maximum time for which a torque acts, as for `propagate`.
+        Longest time for which a torque sample acts, as for `propagate`.
 
     Returns
     -------
@@ -118,8 +119,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     Raises
     ------
     InputError
-        A name is unknown, or refers to a field or a topic that does not exist; a noise or a prior
-        is not positive; a topic has too few finite samples; the fitted torque delay exceeds two
+        A name is unknown or refers to a field or topic that does not exist; a noise or prior is
+        not positive; a topic has too few finite samples; the fitted torque delay exceeds two
         seconds; or the recordings have different wheels.
 
     """
@@ -145,17 +146,20 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     setup = replace(_setup([*problems], training, names, attitude_noise, rate_noise, gravity),
                     axial=axial)
     known = checked_priors(priors or {}, setup.parameters, setup.given)
-    solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
+    setup = replace(setup, parameters=setup.parameters.with_priors(known))
+    solution = solve(setup)
+    if any(axial):
+        solution = solve(replace(setup, axial=_with_fitted_rates(solution)))
     check_delay(solution.physics)
     return _result(examined(solution), every if validate else [], accept)
 
 
 def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, AxialInertia | None]:
     """
-    Return the problem with rotors instead of named wheels, and the axial inertia of the wheels.
+    Replace the named wheels of a problem with rotors.
 
-    In the returned problem, the momentum of the rotors at the start is relative to the rotating
-    body.
+    Return the new problem and the axial inertia of the wheels. In the new problem, the initial
+    rotor momentum is relative to the rotating body.
     """
     if not problem.named_wheels:
         return problem, None
@@ -165,6 +169,22 @@ def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, Axial
     momentum = carried.start.rotor_momentum - tensor @ start.angular_velocity
     return carried.replaced(start=State(start.time_ns, start.attitude, start.angular_velocity,
                                         momentum)), AxialInertia(tensor, rate, start)
+
+
+def _with_fitted_rates(solution: Solution) -> list[AxialInertia | None]:
+    """
+    Return the axial inertia of the wheels, updated with the fitted initial angular velocities.
+
+    If no sensor measures the initial angular velocity, this velocity is first guessed from a few
+    noisy attitudes. The error of the guess would make the wheel momentum wrong in all later
+    windows.
+    """
+    setup, result = solution.problem.setup, []
+    for number, axial in enumerate(setup.axial):
+        start, fitted = _start(solution, number)
+        result.append(replace(axial, rate=start.angular_velocity)
+                      if axial and (fitted or not setup.fits_start) else axial)
+    return result
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:
@@ -209,7 +229,7 @@ def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple
 
 
 def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
-    """Raise InputError if the topic of a name is unknown or lacks the required quantity."""
+    """Raise InputError if the topic in a name is unknown or lacks the required quantity."""
     for name in names:
         kind, topic = split_topic(name)
         known = topics_of(kind, channels)
@@ -219,7 +239,7 @@ def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
 
 
 def _clock_offset(problems: list[Problem], channels: list[list[Measured]], topic: str) -> float:
-    """Return a guess of the clock offset, s; use only the recording with the most samples."""
+    """Guess the clock offset, in seconds, from the recording with the most samples."""
     of_topic = [[one for one in every if topic in ('', one.topic)] for every in channels]
     return likely_offset(*max(zip(problems, of_topic),
                               key=lambda pair: sum(len(channel) for channel in pair[1])))
@@ -227,7 +247,11 @@ def _clock_offset(problems: list[Problem], channels: list[list[Measured]], topic
 
 def _result(findings: Findings, every: Sequence[Sequence[Measured]],
             accept: float) -> Identification:
-    """Return the result; `every` contains all samples or, without a validation, none."""
+    """
+    Assemble the result of a fit.
+
+    The argument `every` holds all samples, or is empty if there is no validation.
+    """
     solution = findings.solution
     setup, physics = solution.problem.setup, solution.physics
     numbers = _numbers(solution)
@@ -264,7 +288,11 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
 
 
 def _first_motion(solution: Solution, end_ns: int) -> Problem:
-    """Return the first motion according to the estimates; a torque bias acts until `end_ns`."""
+    """
+    Return the estimated motion of the first recording.
+
+    If a torque bias was estimated, the motion includes this bias at least until `end_ns`.
+    """
     given, physics = solution.problem.setup.problems[0], solution.physics
     start = _start(solution, 0)[0]
     momentum = given.start.rotor_momentum + physics.value('rotor_momentum') \
@@ -278,7 +306,7 @@ def _first_motion(solution: Solution, end_ns: int) -> Problem:
 
 
 def _numbers(solution: Solution) -> _Numbers:
-    """Return the components of the shared parameters and of the fitted starts."""
+    """Return the components of the shared parameters, then those of the fitted initial states."""
     setup, parameters = solution.problem.setup, solution.problem.setup.parameters
     shared = _Numbers([*parameters.names], parameters.values(solution.physics),
                       parameters.values(setup.given), parameters.scales,
@@ -305,7 +333,7 @@ def _numbers(solution: Solution) -> _Numbers:
 @dataclass(frozen=True, eq=False)
 class _Numbers:
     """
-    Names, values, guesses and scales of components.
+    Components of the estimated parameters, with their values, guesses and scales.
 
     Attributes
     ----------
@@ -329,7 +357,11 @@ class _Numbers:
 
 
 def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
-    """Return the initial state of a recording and, if the state was fitted, its components."""
+    """
+    Return the initial state of a recording, and the components of this state.
+
+    The components are None if the initial state was not fitted.
+    """
     setup = solution.problem.setup
     given = setup.start(number)
     momentum = given.rotor_momentum + solution.physics.value('rotor_momentum')
@@ -353,7 +385,7 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
 
 
 def _change_of_vector(vector: Floats) -> Floats:
-    """Return the derivative of a rotation vector with respect to a small rotation, body axes."""
+    """Return the derivative of a rotation vector with respect to a small body-axes rotation."""
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = float(np.linalg.norm(vector))
@@ -373,7 +405,7 @@ def _block_diagonal(blocks: Sequence[Floats]) -> Floats:
 
 
 def _covariance(known: Certainty, scale: Floats) -> Floats:
-    """Return the exactly symmetric covariance of the estimates in their units."""
+    """Return the exactly symmetric covariance matrix of the estimates, in their own units."""
     result = 0.5 * (known.covariance + known.covariance.T) * np.outer(scale, scale)
     result[~known.identifiable] = result[:, ~known.identifiable] = np.nan
     return result

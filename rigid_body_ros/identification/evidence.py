@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Linearize a fit at its solution, to find out how much additional parameters would explain.
+Linearize a fit at its solution, to find out how much the fit would improve with more parameters.
 
-The derivatives with respect to all parameters, estimated or not, form a linear problem with few
-rows. For a parameter that was not estimated, a *score test* (Rao 1948) computes by how much this
-parameter would lower the sum of squares of the errors. If the parameter has no effect, this
-decrease has a chi-square distribution.
+The derivatives with respect to all parameters, whether estimated or not, form a linear
+least-squares problem with only a few rows. For each parameter that was not estimated, a *score
+test* (Rao 1948) computes how much the sum of the squared errors would drop if the parameter were
+estimated too. If the parameter has no effect, this drop follows a chi-square distribution.
 """
 
 from __future__ import annotations
@@ -37,33 +37,33 @@ from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import Noise, noise_of
 
-#: If a column minus its projection onto other columns is at most this fraction of the column, the
-#: difference is a rounding error.
+#: What remains of a column after its projection onto other columns is subtracted counts as a
+#: rounding error if the norm of the remainder is at most this fraction of the column's norm.
 _ROUNDING = 1e-5
-#: Maximum number of samples of a channel in a window, which bounds the memory.
+#: Maximum number of samples per channel in a window. This limits the memory that is needed.
 _LONGEST = 12_000
-#: Thresholds for the standard deviation of a predicted attitude, rad. Above `_LOST`, the
-#: prediction is useless. Above `_LINEAR`, the linearization is inaccurate.
+#: Limits for the standard deviation of a predicted attitude, rad. Above `_LOST`, the prediction is
+#: useless. Above `_LINEAR`, the linearization is inaccurate.
 _LOST, _LINEAR = 0.1, 0.02
-#: Approximate number of samples from which the noise of a channel is estimated.
+#: Approximate number of samples used to estimate the noise of a channel.
 _ENOUGH = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Linearized:
     """
-    A linear least-squares problem: minimize the sum of the squares of `errors + matrix @ change`.
+    A linear least-squares problem: minimize the sum of squares of `errors + matrix @ change`.
 
     Attributes
     ----------
     names : list of str
-        The components, in the order of the columns of the matrix.
+        The name of the component for each column of the matrix.
     blocks : list of array, shape (m, n + 1)
-        For each window, the triangular factor of a matrix, without the rows and columns of the
-        state of the window. The columns of the matrix are the derivatives and, as the last column,
-        the errors, in standard deviations.
+        One block per window: the triangular factor of the window's derivatives and errors,
+        without the rows and columns for the state of the window. The last column contains the
+        errors. All values are divided by the standard deviations of the errors.
     is_late : list of bool
-        Whether each window is in the second half of its recording.
+        Whether each window lies in the second half of its recording.
 
     """
 
@@ -72,28 +72,31 @@ class Linearized:
     is_late: list[bool]
 
     def columns(self, names: Sequence[str]) -> list[int]:
-        """Return the column numbers of components."""
+        """Return the column indices of the given components."""
         return [self.names.index(name) for name in names]
 
     def stacked(self) -> tuple[Floats, Floats]:
-        """Return `matrix` and `errors` of all windows together."""
+        """Return `matrix` and `errors` for all windows together."""
         rows = np.concatenate(self.blocks)
         return rows[:, :-1], rows[:, -1]
 
     def split(self, columns: Sequence[int], later: Sequence[bool]) -> Floats:
-        """Return columns of the matrix; zero in the rows of windows for which `later` is False."""
+        """Return columns of the matrix, set to zero in the windows whose `later` is False."""
         return np.concatenate([block[:, columns] * late for block, late
                                in zip(self.blocks, later)])
 
 
 def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]:
     """
-    Return by how much `others` lower the sum of squares, and how many of them are independent.
+    Return how much additional parameters would lower the sum of the squared errors.
+
+    The second result is the number of additional parameters that are independent.
 
     Parameters
     ----------
     others, base : array, shape (m, k) and (m, n)
-        Columns of parameters that were not fitted, and of parameters that were fitted.
+        `base` has a column for each parameter that was fitted, and `others` has a column for each
+        additional parameter.
     errors : array, shape (m,)
         The errors, in standard deviations.
 
@@ -108,7 +111,11 @@ def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]
 
 
 def solved(matrix: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """Return the solution `change` of `Linearized`, and the standard deviations of its entries."""
+    """
+    Solve a `Linearized` problem.
+
+    Return the solution `change` and the standard deviation of each of its entries.
+    """
     norms = np.linalg.norm(matrix, axis=0)
     norms = np.where(norms > 0.0, norms, 1.0)
     left, singular, right = np.linalg.svd(matrix / norms, full_matrices=False)
@@ -135,23 +142,23 @@ def _basis(columns: Floats) -> Floats:
 
 def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> LeastSquares:
     """
-    Return the problem of a solution, extended by parameters and cut into `pieces` or more windows.
+    Return the problem of a fit with additional parameters and at least `pieces` windows.
 
     Parameters
     ----------
     solution : Solution
         The fit.
     parameters : Parameters
-        The parameters that were estimated, and additional parameters.
+        The parameters that were estimated, plus the additional ones.
     pieces : int
-        Minimum number of windows in all recordings together.
+        Minimum number of windows, counted over all recordings.
 
     """
     old = solution.problem
     most = max(len(channel) for channels in old.setup.channels for channel in channels)
     parts = -(-max(pieces, -(-most // _LONGEST)) // len(old.windows))
-    # The fitted motion jumps at the beginning of each window of the solution. Therefore, a window
-    # of the new problem must begin at each of these times.
+    # The fitted motion jumps wherever a window of the solution begins. A window of the new problem
+    # must therefore begin at each of these times, too.
     windows = old.setup.windows(solution.length_ns, solution.physics, parts)
     setup = replace(old.setup, parameters=parameters)
     problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
@@ -163,7 +170,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
 
 
 def linear(problem: LeastSquares) -> Linearized:
-    """Linearize the problem of all windows at the guess of the parameters."""
+    """Linearize a problem, with all of its windows, at the guess of the parameters."""
     blocks, is_late = [], []
     middles = [(int(channels[0].stamps_ns[0]) + int(channels[0].stamps_ns[-1])) // 2
                for channels in problem.setup.channels]
@@ -177,10 +184,9 @@ def linear(problem: LeastSquares) -> Linearized:
 
 def noises(problem: LeastSquares) -> list[list[Noise]]:
     """
-    Return the noise of each channel of each recording, relative to the weights of the fit.
+    Estimate the noise of each channel of each recording, relative to the weights of the fit.
 
-    The noise is estimated from the errors that would remain if all parameters of the problem were
-    estimated.
+    The estimate uses the errors that would remain if all parameters of the problem were fitted.
     """
     chosen = [*_few(problem)]
     rows = [_rows(problem, k) for k in chosen]
@@ -205,20 +211,20 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
 @dataclass(frozen=True, eq=False)
 class Foresight:
     """
-    How well a fit predicts the samples of a recording that were not fitted.
+    How well a fit predicts the validation samples of a recording.
 
     Attributes
     ----------
     statistic : float
-        Sum of squares of the errors, except the part that the uncertainty of the fit explains. The
-        sum has a chi-square distribution if the model is right and the noise is white.
+        Sum of the squared errors, minus the part that the uncertainty of the fit explains. If the
+        model is correct and the noise is white, the statistic has a chi-square distribution.
     count : int
-        Number of errors in the sum. Outliers are excluded. The sum ends before the first sample
-        whose predicted attitude is uncertain by more than 0.02 rad, because the linearization
-        fails for larger uncertainties.
+        Number of errors in the sum, not counting outliers. The sum stops before the first sample
+        whose predicted attitude has an uncertainty above 0.02 rad, because the linearization fails
+        at larger uncertainties.
     predictable_s : float
         Time since the start, s, at which the standard deviation of the predicted attitude first
-        exceeds 0.1 rad; infinite if this never happens.
+        exceeds 0.1 rad. Infinite if this never happens.
 
     """
 
@@ -230,14 +236,14 @@ class Foresight:
 def foresight(solution: Solution, number: int, channels: Sequence[Measured],
               residuals: Sequence[Residuals], noises: Sequence[Noise]) -> Foresight:
     """
-    Return how well a fit predicts the samples of a recording that were not fitted.
+    Assess how well a fit predicts the validation samples of a recording.
 
     Parameters
     ----------
     solution : Solution
         The fit.
     number : int
-        Number of the recording.
+        Index of the recording.
     channels : sequence of Measured
         The channels of the recording, including the samples that were not fitted.
     residuals : sequence of Residuals
@@ -251,7 +257,8 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     empty: Any = [None] * len(old.setup.channels)
     roots, spreads = [*empty], [*empty]
     roots[number] = [one.inliers.astype(float) for one in residuals]
-    # The spreads apply to the mean of many errors. Convert them to spreads of single errors.
+    # The spreads in the weights are those of averages over many errors. Convert them to the
+    # spreads of single errors.
     sizes = [spread / noise.lasting
              for spread, noise in zip(solution.weights.spreads[number], noises)]
     spreads[number] = sizes
@@ -277,9 +284,9 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
 
 def _known(solution: Solution, last: int) -> Floats:
     """
-    Return a triangular factor of an information matrix.
+    Return a triangular factor of the information matrix of one state and all parameters.
 
-    The unknowns of the matrix are the state of window `last` and the parameters.
+    The state is the one at the beginning of window `last`. All other states are eliminated.
     """
     problem, blocks = solution.problem, []
     own = len(problem.unknowns[last])
@@ -293,7 +300,7 @@ def _known(solution: Solution, last: int) -> Floats:
 
 
 def _deviations(known: Floats, slopes: Floats) -> Floats:
-    """Return the standard deviations of predictions, infinite if a prediction is undetermined."""
+    """Return the standard deviations of predictions, with infinity for undetermined ones."""
     _, singular, right = np.linalg.svd(known)
     kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
     deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)
@@ -301,7 +308,11 @@ def _deviations(known: Floats, slopes: Floats) -> Floats:
 
 
 def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tuple[int, Floats]]:
-    """For each channel in a window, generate index and errors, (n, 3); NaN for outliers."""
+    """
+    Generate the index of each channel in a window, with the errors of the channel.
+
+    The errors are an array of shape (n, 3), in which the errors of outliers are NaN.
+    """
     window, first = problem.windows[k], 0
     for channel, rows in enumerate(window.rows):
         root = problem.weights.roots[window.experiment][channel][rows]
@@ -313,7 +324,11 @@ def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tu
 
 
 def _few(problem: LeastSquares) -> Iterator[int]:
-    """Generate the indices of the first windows of each recording, up to `_ENOUGH` samples."""
+    """
+    Generate the indices of the first windows of each recording.
+
+    The chosen windows of a recording contain about `_ENOUGH` samples, if there are that many.
+    """
     counts = [0] * len(problem.setup.channels)
     for k, window in enumerate(problem.windows):
         if counts[window.experiment] < _ENOUGH:
@@ -322,7 +337,7 @@ def _few(problem: LeastSquares) -> Iterator[int]:
 
 
 def _rows(problem: LeastSquares, k: int) -> Floats:
-    """Return the derivatives and, as the last row, the errors of a window at the guess."""
+    """Return the derivatives of a window's errors at the guess, with the errors as last row."""
     physics = problem.parameters.guess
     return np.concatenate([problem.derivatives(k, physics),
                            problem.scaled_errors(k, physics)[None]])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings of one body, and their channels. A channel is one quantity of one topic."""
+"""Recordings of a body, divided into channels. Each channel is one quantity of one topic."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.sensing.measured import Measured
 
-#: Minimum number of samples of a channel.
+#: Minimum number of samples in a channel.
 _FEWEST = 8
-#: Approximate time between two attitudes from which a rate is estimated, s, and approximate number
-#: of samples from which a state is estimated.
+#: An angular velocity is estimated from two attitudes that are about `_LAG` seconds apart. A state
+#: is estimated from about `_LOCAL` samples.
 _LAG, _LOCAL = 0.1, 25
 
 
@@ -47,20 +47,20 @@ class Experiment:
     Attributes
     ----------
     start : State
-        The initial state, or a guess of it if the start is fitted. Measurements before the start
-        are ignored.
+        The initial state, or a guess of the initial state if 'start' is fitted. Measurements taken
+        before the start are ignored.
     log : TorqueLog, sequence of TorqueLog or None
         The torques, as for `propagate`.
     measured : sequence of Measured
         The measurements of the sensors.
     wheels : TorqueLog or sequence of Wheel, optional
-        Torque on the rotors, or named wheels, as for `propagate`. All recordings must have the
-        same wheels.
+        The torque on the rotors, or the named wheels, as for `propagate`. All recordings must have
+        the same wheels.
     fields : sequence of Field
         The fields, as for `propagate`. All recordings must have the same fields.
     efforts : EffortLog, optional
-        The commands of named wheels. The motion that follows from the guess decides whether a
-        wheel reaches its maximum speed and refuses a command.
+        Commands for the named wheels. The motion is first computed with the guess, to find out
+        which commands are refused because a wheel has reached its maximum speed.
 
     """
 
@@ -79,12 +79,12 @@ class Experiment:
 
 def channels_of(experiment: Experiment) -> list[Measured]:
     """
-    Return the channels of a recording, without the samples before the start of the motion.
+    Return the channels of a recording, without samples from before the start of the motion.
 
     Raises
     ------
     InputError
-        There is no measured topic, or a topic contains too few finite samples after the start.
+        The recording has no measured topic, or a topic has too few finite samples after the start.
 
     """
     if not experiment.measured:
@@ -113,7 +113,7 @@ def _checked(channel: Measured, start_ns: int) -> Measured:
 
 
 def typical_rate(channels: Sequence[Measured]) -> float:
-    """Return a robust root mean square of the angular velocity, rad/s."""
+    """Return an outlier-resistant estimate of the root-mean-square angular velocity, rad/s."""
     rates = [channel.values if not channel.is_attitude else _rates(channel)
              for channel in channels]
     found = max(float(np.sqrt(np.mean(np.minimum(squares, 25.0 * np.median(squares)))))
@@ -122,7 +122,7 @@ def typical_rate(channels: Sequence[Measured]) -> float:
 
 
 def _rates(channel: Measured) -> Floats:
-    """Return angular velocities, computed from pairs of attitudes that are close in time."""
+    """Compute angular velocities from pairs of attitudes that are close in time."""
     spacing = np.median(np.diff(channel.stamps_ns)) * 1e-9
     lag = min(max(1, round(_LAG / max(spacing, 1e-9))), len(channel) - 1)
     turned = so3.log(so3.multiply(so3.conjugate(channel.values[:-lag]), channel.values[lag:]))
@@ -133,18 +133,18 @@ def _rates(channel: Measured) -> Floats:
 def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
                 fallback: State) -> tuple[Floats, Floats]:
     """
-    Return attitude and angular velocity at a time, estimated from measurements close in time.
+    Estimate the attitude and angular velocity at a given time from nearby measurements.
 
     Parameters
     ----------
     channels : sequence of Measured
-        The measurements of the sensors, converted to the clock of the torques and to body axes.
+        The measurements, already converted to the torque clock and to body axes.
     time_ns : int
-        The time of the state.
+        The time at which the state is wanted.
     rate : float, rad/s
         Typical angular velocity.
     fallback : State
-        The state that provides the quantities that were not measured.
+        A state that provides the quantities that were not measured.
 
     Returns
     -------
@@ -183,7 +183,11 @@ def _near(channel: Measured, time_ns: int, rate: float) -> Measured:
 
 
 def _robust_line(seconds: NDArray[np.floating], values: Floats) -> tuple[Floats, Floats]:
-    """Fit a line or a parabola to each column robustly; return values and slopes at zero."""
+    """
+    Fit a low-order polynomial to each column, giving less weight to outliers.
+
+    Return the values of the polynomials and their slopes at time zero.
+    """
     degree = 0 if len(seconds) < 3 else 1 if len(seconds) < 7 else 2
     columns = np.vander(seconds, degree + 1, increasing=True)
     weights: Floats = np.ones(len(seconds))

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Findings about a model, from tests of the errors of its fit.
+Test the errors of a fit to find out what is wrong with its model.
 
-In each test, the probability of a false alarm is 1e-4. About forty tests apply to a model.
-Therefore, more than 99 of 100 correct models get the verdict 'explained'.
+Each test raises a false alarm with probability 1e-4, and about forty tests apply to a model. More
+than 99 out of 100 correct models therefore get the verdict 'explained'.
 """
 
 from __future__ import annotations
@@ -52,48 +52,52 @@ from rigid_body_ros.sensing.noise import (
     Noise,
 )
 
-#: If the largest spread of the noise exceeds the smallest spread by this factor, the fit is
-#: repeated with weights that follow from the spreads.
+#: If the largest of the noise spreads exceeds the smallest by more than this factor, the fit is
+#: repeated with weights that are computed from the spreads.
 _UNEQUAL = 1.05
-#: Minimum number of windows in the search for a change of the inertia. The search tries a change
-#: at the beginning of each window.
+#: Minimum number of windows in the search for a sudden change in the inertia. The search tests,
+#: for each window, whether the inertia changes at the beginning of the window.
 _PIECES = 16
-#: s; errors are averaged over batches of this length, to find errors that persist.
+#: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0
-#: A normal variable exceeds its mean by at least this many standard deviations with probability
+#: A normal variable exceeds its mean by more than this many standard deviations with probability
 #: 1e-4.
 _FAR = 3.72
-#: Smallest noise that a fit assumes for an axis, relative to the root mean square over the axes.
+#: Smallest noise that a fit assumes for any axis, as a fraction of the root-mean-square noise of
+#: all axes.
 _LEAST = 1e-3
-#: Largest plausible noise of an attitude sensor, rad, and of a gyro, in rad/s and relative to the
-#: rates.
+#: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s and as a fraction
+#: of the measured rates.
 _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
-#: Errors below this number (in rad, in rad/s or relative to the rates) are rounding errors.
+#: Errors smaller than this limit count as rounding errors. The unit is rad for attitudes and rad/s
+#: for angular velocities. If the typical rate is above 1 rad/s, the limit for angular velocities
+#: is multiplied by this rate.
 _TINY = 1e-9
-#: Largest plausible fraction of outliers among the samples of a sensor: for outliers in clusters,
-#: and for scattered outliers.
+#: Largest plausible fractions of outliers among the samples of a sensor: for outliers that come in
+#: clusters, and for scattered outliers.
 _CLUSTERED, _SCATTERED = 0.03, 0.3
-#: Minimum difference between the fractions of outliers before and after a change of the inertia.
+#: A change in the inertia is suspected only if the fractions of outliers before and after the
+#: change differ by at least this much.
 _APART = 0.4
 INERTIA_CHANGE = 'inertia_change'
 
 
 class Reason(NamedTuple):
-    """A reason against a model, and whether this reason alone rejects the model."""
+    """A reason against a model, and whether this reason alone is enough to reject the model."""
 
     text: str
     rejects: bool = False
 
 
 class Score(NamedTuple):
-    """The score of a suspect: how much better the fit would be with an additional parameter."""
+    """How much a fit would improve if a suspect, an additional parameter, were estimated too."""
 
     name: str
-    #: By how much the chi-square of the fit would drop.
+    #: How much the chi-square of the fit would drop.
     drop: float
-    #: Probability of a drop of at least this size if the parameter has no effect.
+    #: Probability of a drop at least this large if the parameter has no effect.
     p: float
-    #: For a change of the inertia, the time from the start to the change, s.
+    #: Time of the change since the start, s, if the suspect is a change in the inertia.
     seconds: float | None = None
 
 
@@ -105,19 +109,19 @@ class Findings:
     Attributes
     ----------
     solution : Solution
-        The fit, with weights that follow from the noise.
+        The fit, with weights derived from the noise.
     reasons : list of Reason
         The reasons against the model.
     scores : list of Score
         The scores of the suspects that explain a significant part of the errors, best first.
     drift : dict of str to float
-        The difference between the estimates from the two halves of the recordings, by component;
-        0 if the difference is not significant.
+        For each component, the difference between the estimates from the first and second halves
+        of the recordings, or 0 if this difference is not significant.
     noises : list of list of Noise
         The noise of each channel of each recording. Empty if all errors are rounding errors.
     predictable_s : float or None, s
-        Time since the start up to which the motion of every recording can be predicted. None if
-        all motions can be predicted up to the last sample, or if there is no validation.
+        How long after the start the motion can be predicted in every recording. None if every
+        motion can be predicted up to its last sample, or if there is no validation.
 
     """
 
@@ -130,7 +134,7 @@ class Findings:
 
     def with_validation(self, every: Sequence[Sequence[Measured]],
                         ahead: Sequence[Residuals]) -> Findings:
-        """Return these findings, extended by those from the errors of the validation."""
+        """Return these findings together with the findings from the validation errors."""
         if not ahead or not self.noises:
             return self
         seconds, reasons = zip(*_validation(self, every, ahead))
@@ -139,7 +143,7 @@ class Findings:
 
 
 def examined(solution: Solution) -> Findings:
-    """Return the findings from the errors of a fit."""
+    """Examine the errors of a fit and return the findings."""
     setup = solution.problem.setup
     if _is_rounding(solution):
         return Findings(solution, [], [], {}, [])
@@ -166,15 +170,19 @@ def _is_rounding(solution: Solution) -> bool:
 
 
 def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
-    """Return the fit with weights that account for how large and how persistent errors are."""
+    """
+    Return a fit with weights that account for the size and persistence of the errors.
+
+    The fit is repeated only if the noise spreads differ by more than the factor `_UNEQUAL`.
+    """
     setup = solution.problem.setup
     spreads: list[list[Floats]] = []
     for channels, every in zip(setup.channels, found):
         spreads.append([])
         for channel, noise in zip(channels, every):
             given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            # Use relative sizes, because the next fit estimates the factor common to all axes. A
-            # stuck sensor may have an axis without errors, which must not dominate the fit.
+            # Use relative sizes, because the next fit estimates the factor common to all axes. If
+            # a sensor is stuck, one axis may have no errors. That axis must not dominate the fit.
             relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
             sizes = np.ones(3) if given else np.maximum(relative, _LEAST)
             spreads[-1].append(sizes * noise.lasting)
@@ -185,7 +193,7 @@ def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
 
 
 def _scores(given: Linearized, known: Sequence[str], names: Sequence[str]) -> Iterator[Score]:
-    """Generate the score of each suspect."""
+    """Generate a score for each suspect."""
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
     base = matrix[:, given.columns(known)]
@@ -197,13 +205,13 @@ def _scores(given: Linearized, known: Sequence[str], names: Sequence[str]) -> It
 
 
 def _largest(*scores: Iterable[Score]) -> list[Score]:
-    """Return the score with the largest drop; empty if there are no scores."""
+    """Return a list with only the score whose drop is largest, or an empty list if none exists."""
     found = [score for each in scores for score in each]
     return [max(found, key=lambda one: one.drop)] if found else []
 
 
 def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Iterator[Score]:
-    """Generate the score of a change of the inertia at the beginning of each window."""
+    """Generate scores for a change in the inertia at the start of each window but the first."""
     from scipy.special import chdtrc
     inertia = given.columns([name for name in known if name.startswith('inertia')])
     matrix, errors = given.stacked()
@@ -214,17 +222,17 @@ def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> 
         later = [other.experiment == window.experiment and i >= k
                  for i, other in enumerate(problem.windows)]
         drop, rank = explained(given.split(inertia, later), base, errors)
-        # Many times of the change are tried, and the best is kept: use Bonferroni's bound.
+        # Only the best of many trial times is kept, so apply the Bonferroni correction.
         p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
         yield Score(INERTIA_CHANGE, drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
 
 
 def _breaks(solution: Solution) -> Iterator[Score]:
     """
-    Generate the score of a change of the inertia where outliers begin or end.
+    Generate scores for a change in the inertia at the time when outliers begin or end.
 
-    After a large change, the fit follows only one part of the motion, and all other samples are
-    outliers.
+    If the inertia changes a lot, the fit follows the motion either before or after the change, and
+    all samples in the other part are outliers.
     """
     from scipy.special import chdtrc
     for problem, channels, every, errors, sigma in zip(
@@ -248,7 +256,7 @@ def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, 
     """
     Compare the estimates from the first and the second halves of the recordings.
 
-    Return a list, which contains a reason if the estimates differ, and `Findings.drift`.
+    Return a list of reasons, which is empty if the estimates agree, and `Findings.drift`.
     """
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
@@ -270,7 +278,12 @@ def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, 
 
 
 def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
-    """Generate a reason for noise that is too large for a sensor, or exceeds the given noise."""
+    """
+    Generate a reason against the model for each channel whose noise is too large.
+
+    Noise is too large if no sensor is plausibly that noisy, or if it exceeds the noise that the
+    user gave.
+    """
     setup = solution.problem.setup
     for number, channels in enumerate(setup.channels):
         for channel, errors, inliers, noise in zip(channels, solution.errors[number],
@@ -293,7 +306,7 @@ def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
 
 
 def _outliers(solution: Solution) -> Iterator[Reason]:
-    """Generate a reason for each channel with clusters of outliers or too many outliers."""
+    """Generate a reason against the model for each channel with clustered or too many outliers."""
     for number, channels in enumerate(solution.problem.setup.channels):
         for channel, inliers in zip(channels, solution.inliers[number]):
             share = float(np.mean(~inliers))
@@ -307,7 +320,11 @@ def _outliers(solution: Solution) -> Iterator[Reason]:
 
 
 def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
-    """Generate a reason for each channel whose errors persist longer than its noise explains."""
+    """
+    Generate a reason against the model for each channel with errors that persist.
+
+    Such errors stay correlated for longer than the noise of the channel explains.
+    """
     problem = solution.problem
     sums: dict[tuple[int, int], list[Floats]] = {}
     for k, window in enumerate(problem.windows):
@@ -331,13 +348,18 @@ def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason
 
 
 def probability(p: float) -> str:
-    """Return a probability as text."""
+    """Format a probability as text."""
     return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
 
 
 def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
                 ahead: Sequence[Residuals]) -> Iterator[tuple[float, Reason | None]]:
-    """For each recording, generate the predictable time, s, and a reason if errors are large."""
+    """
+    Generate two values for each recording: how long its motion is predictable, s, and a reason.
+
+    The reason speaks against the model if the validation errors of the recording are too large.
+    Otherwise, the reason is None.
+    """
     from scipy.special import ndtr
     for number, channels in enumerate(every):
         own = [one for one in ahead if one.recording == number]

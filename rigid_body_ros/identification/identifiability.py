@@ -25,16 +25,18 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.names import field_of
 from rigid_body_ros.scene.fields import MOMENT
 
-#: Relative sizes below which derivatives are rounding errors: derivatives with respect to one
-#: parameter, and with respect to a combination of parameters.
+#: Derivatives whose relative size is below these limits are rounding errors. `_ZERO` is the limit
+#: for derivatives with respect to a single parameter, and `_ROUNDING` is the limit for derivatives
+#: with respect to a combination of parameters.
 _ZERO, _ROUNDING = 1e-9, 1e-6
-#: A direction is undetermined if its standard deviation, relative to the scales of the parameters,
-#: exceeds this number.
+#: The data does not determine a combination of parameters if the standard deviation along this
+#: combination, relative to the scales of the parameters, exceeds this number.
 _WIDEST = 0.5
-#: Thresholds for the size of a component of a direction. Above `_COUNTS`, the component
-#: matters. Above `_LISTED`, the result lists it. Below `_EXACT`, it is a rounding error.
+#: Limits for the components of a `Direction`. A component above `_COUNTS` matters, a component
+#: above `_LISTED` is listed in the result, and a component below `_EXACT` is a rounding error.
 _COUNTS, _LISTED, _EXACT = 0.3, 0.05, 1e-3
-#: Ratios of moments count as equal if their relative difference is less than this number.
+#: Relative changes of the moments of inertia count as equal if they differ by less than this
+#: fraction.
 _SAME = 0.1
 
 
@@ -46,9 +48,9 @@ class Direction:
     Attributes
     ----------
     components : dict of str to float
-        The change of each parameter along the combination, relative to the scale of the parameter.
+        How much each parameter changes along this combination, relative to its scale.
     reason : str
-        Why the data does not determine the combination.
+        Why the data does not determine this combination.
 
     """
 
@@ -59,12 +61,12 @@ class Direction:
 @dataclass(frozen=True, eq=False)
 class Certainty:
     """
-    The certainty of parameters.
+    How well the data determines the parameters.
 
     Attributes
     ----------
     covariance : array, shape (n, n)
-        Covariance of the parameters divided by their scales.
+        Covariance of the parameters after each has been divided by its scale.
     identifiable : array of bool, shape (n,)
         Whether the data determines each parameter.
     directions : list of Direction
@@ -79,12 +81,13 @@ class Certainty:
 
 def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty:
     """
-    Return the certainty of parameters from their information matrix.
+    Compute from the information matrix how well the data determines the parameters.
 
     Parameters
     ----------
     factor : array, shape (m, n)
-        F, where F^T F is the information matrix of the parameters divided by their scales.
+        A matrix F such that F^T F is the information matrix of the parameters divided by their
+        scales.
     names : sequence of str, length n
         The names of the parameters.
     values : array, shape (n,)
@@ -107,7 +110,12 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty
 
 
 def _split(factor: Floats) -> tuple[Floats, Floats]:
-    """Return orthonormal bases (columns): of directions without effect, and of those with one."""
+    """
+    Split the space of the parameters into directions without and with an effect.
+
+    Return two matrices, one for each subspace. The columns are an orthonormal basis of the
+    subspace.
+    """
     norms = np.linalg.norm(factor, axis=0)
     zero = norms <= _ZERO * norms.max(initial=1e-300)
     norms = np.where(zero, 1.0, norms)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The names of the parameters of a fit, with their components, units and sensors."""
+"""Names, components and units of the parameters that a fit can estimate."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from rigid_body_ros.scene.fields import MOMENT, moment_unit
 
 
 class Kind(NamedTuple):
-    """A parameter: the names and the unit of its components, and the value that has no effect."""
+    """A parameter: its component names, their unit, and the value at which it has no effect."""
 
     components: tuple[str, ...]
     unit: str
     neutral: float = 0.0
-    #: Whether each sensor can have a separate value.
+    #: Whether each sensor can have a separate value of this parameter.
     is_of_sensor: bool = False
 
 
@@ -41,9 +41,9 @@ def _axes(name: str) -> tuple[str, ...]:
     return tuple(f'{name}.{axis}' for axis in 'xyz')
 
 
-#: The name of the parameter for the weight, and also of the field that represents the weight.
+#: Name of the weight parameter, and also of the field that represents the weight.
 WEIGHT = 'weight'
-#: Parameters by name, except `start` and the moments of fields.
+#: All parameters by name, except `start` and the moments of fields.
 KINDS = {
     'inertia': Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
     'inertia_diagonal': Kind(tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]), 'kg m^2'),
@@ -61,19 +61,19 @@ KINDS = {
     'damping': Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad'),
     'rotor_momentum': Kind(_axes('initial_rotor_momentum'), 'N m s'),
 }
-#: The name of the parameter for the initial attitude and angular velocity.
+#: Name of the parameter for the initial attitude and angular velocity.
 START = 'start'
-#: The names of all parameters, in the order in which a fit lists them.
+#: Names of all parameters, in the order in which a fit lists them.
 NAMES = (*KINDS, START)
-#: Names of parameters that a scene cannot contain.
+#: Names of the parameters that cannot be stored in a scene.
 NOT_IN_SCENES = tuple(name for name in KINDS if name not in (
     'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum', WEIGHT))
 #: Pairs of names that cannot be fitted together.
 _EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
-#: Units by the first part of the name of a component: the part before the dot.
+#: Units, keyed by the part of a component name before the dot.
 _UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in KINDS.values()},
           'initial_attitude': 'rad', 'initial_angular_velocity': 'rad/s'}
-#: Parameters that shift stamps. Shifts are rounded to whole nanoseconds.
+#: Parameters that shift the stamps of samples. The shifts are rounded to whole nanoseconds.
 SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
 _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 
@@ -94,19 +94,23 @@ def unit_of(component: str) -> str:
 
 
 def split_topic(name: str) -> tuple[str, str]:
-    """Split a name into the part before `@TOPIC` and the topic, which may be empty."""
+    """Split a name `NAME@TOPIC` into `NAME` and `TOPIC`; without `@`, the topic is empty."""
     kind, _, topic = name.partition('@')
     return kind, topic
 
 
 def field_of(name: str) -> str:
-    """Return NAME for the parameter NAME.moment of a field; empty for other parameters."""
+    """Return the field's name if the parameter is `NAME.moment`, or an empty string otherwise."""
     found = _OF_FIELD.fullmatch(name)
     return found[1] if found else ''
 
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names in the order of `NAMES`; raise InputError if they cannot be fitted."""
+    """
+    Return the given names in the order of `NAMES`.
+
+    Raise InputError if the parameters with these names cannot be fitted.
+    """
     for name in names:
         kind, topic = split_topic(name)
         if kind not in NAMES and not field_of(name):
@@ -131,18 +135,19 @@ def checked_names(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def of_sensors() -> tuple[str, ...]:
-    """Return the names of the parameters that each sensor can have separately."""
+    """Return the names of the parameters that can have a separate value for each sensor."""
     return tuple(name for name, kind in KINDS.items() if kind.is_of_sensor)
 
 
 def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Floats]:
     """
-    Return the given moments of the fields whose moments are fitted, by the name of the parameter.
+    Return the given moments of the fields whose moments are fitted, keyed by parameter name.
 
     Raises
     ------
     InputError
-        The field of a moment does not exist or is zero, or a field has the name of the weight.
+        A field whose moment is fitted does not exist or has zero strength, or the weight is fitted
+        and a field already has the name of the weight.
 
     """
     given = {f'{one.name}.{MOMENT}': np.asarray(one.moment) for one in fields

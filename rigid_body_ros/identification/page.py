@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the page of an identification."""
+"""Assemble the page that reports an identification."""
 
 from __future__ import annotations
 
@@ -40,31 +40,31 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.residual_torque import residual_torque, with_attitude
 from rigid_body_ros.sensing.torque_panels import residual_panels
 
-#: Largest lag at which an autocorrelation is drawn, s, and minimum number of lags.
+#: Largest lag in the plot of an autocorrelation, s, and minimum number of lags in that plot.
 _LAG, _FEWEST = 2.0, 20
-#: Half the width of a 95 % interval, in standard deviations.
+#: Half-width of a 95 % interval, in standard deviations.
 _NORMAL_95 = 1.96
 
 
 def page(fit: Identification, first: Experiment, name: str, scene: Scene,
          command: str, degrees: bool = False) -> Page:
     """
-    Return the page of an identification.
+    Return the page that reports an identification.
 
     Parameters
     ----------
     fit : Identification
         The result, with at least one sample.
     first : Experiment
-        The first recording. The page shows the motion, errors and torques of this recording.
+        The first recording. The page shows its motion, errors and torques.
     name : str
         Name of the first recording.
     scene : Scene
-        The scene with the guess.
+        The scene that provides the guess.
     command : str
-        The command line.
+        The command line to show on the page.
     degrees : bool
-        Whether the page shows angles in degrees.
+        Whether to show angles in degrees.
 
     """
     (_, headline), *reasons = fit.verdict.rows()
@@ -81,7 +81,7 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
 
 
 def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:
-    """Generate a note that explains jumps of the computed curves, if there are jumps."""
+    """Generate a note on why the computed curves jump; generate nothing if they do not jump."""
     stamps_ns = np.concatenate([part.stamps_ns for part in fit.residuals
                                 if part.is_training and not part.recording])
     if 1e-9 * np.ptp(stamps_ns) > 1.5 * fit.window_s:
@@ -111,7 +111,7 @@ def _stamps_ns(fit: Identification) -> NDArray[np.int64]:
 
 
 def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
-    """Generate panels with the measured and the computed values, and with the errors."""
+    """Generate one panel with the measured and computed values, and one with the errors."""
     stamps_ns, inliers, measured, computed, errors = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))
@@ -126,7 +126,12 @@ def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
 
 
 def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> dict[str, float]:
-    """Return when the validation begins and when the motion ceases to be predictable, s."""
+    """
+    Return the times to mark in the plots, s, keyed by their labels.
+
+    One is the time at which the validation begins. The other is the time at which the motion
+    becomes unpredictable.
+    """
     ahead = [part for part in parts if not part.is_training]
     lines = {}
     if ahead:
@@ -138,7 +143,7 @@ def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> di
 
 
 def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:
-    """Generate panels with the part of the torque that the estimates do not explain."""
+    """Generate panels that show the torque that the estimates do not explain."""
     sensors = sorted(fit.aligned, key=len, reverse=True)
     attitudes = [one for one in sensors if one.is_attitude and len(one) > 1]
     rates = [one for one in sensors if not one.is_attitude]
@@ -150,7 +155,7 @@ def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:
 
 
 def _correlations(errors: Residuals) -> Iterator[Panel]:
-    """Generate a panel with the autocorrelation of the errors of the fit."""
+    """Generate a panel with the autocorrelation of a channel's fit errors."""
     if len(errors.stamps_ns) < 4 * _FEWEST or not errors.is_training:
         return
     spacing = 1e-9 * float(np.median(np.diff(errors.stamps_ns)))
@@ -166,7 +171,7 @@ def _correlations(errors: Residuals) -> Iterator[Panel]:
 
 
 def _body(fit: Identification) -> dict[str, Any]:
-    """Return an animation of the motion with all estimates, and of the measured attitudes."""
+    """Return an animation of the estimated motion, with the measured attitudes if available."""
     stamps_ns = _stamps_ns(fit)
     body = moving_body.of_motion(fit.motion, stamps_ns)
     ghosts = [one for one in fit.aligned if one.attitude is not None]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of a fit: names, scales, and coordinates without bounds."""
+"""The parameters of a fit: their names, their scales, and coordinates that need no bounds."""
 
 from __future__ import annotations
 
@@ -38,32 +38,32 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field, UniformField
 from rigid_body_ros.scene.fields import MOMENT
 
-#: m/s^2, space axes
+#: Default acceleration of gravity in space axes, m/s^2.
 GRAVITY = 0.0, 0.0, -9.80665
-#: Smallest second moment that a body can have, as a fraction of the trace of its second moments.
+#: Smallest second moment that a body may have, as a fraction of the trace of its second moments.
 _THINNEST = 1e-5
-#: Smallest second moment from which a fit starts, as a fraction of the trace.
+#: Smallest second moment with which a fit may start, as a fraction of the trace.
 _FLATTEST = 0.02
-#: Damping that is added at the start of a fit, so that the Cholesky factor exists even without
-#: damping, as a fraction of the scale.
+#: Damping that is added to the guess of a fit, as a fraction of the scale of the damping. Because
+#: of this addition, the Cholesky factor exists even if the body has no damping.
 _LITTLE = 1e-3
-#: s; the lag from which a fit starts. A fit cannot start from a lag of zero, because the
-#: derivatives with respect to lag and delay are equal there.
+#: The lag with which a fit starts, in seconds. It must not be zero, because at zero lag the
+#: derivatives with respect to lag and delay are equal.
 SHORT_LAG = 0.02
-#: Six directions n. Weighted sums of their tensors n n^T yield every symmetric tensor.
+#: Six directions n. Every symmetric tensor is a weighted sum of the six tensors n n^T.
 _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
-#: Column i contains the entries xx ... yz of the tensor n n^T of direction i.
+#: Column i contains the entries xx ... yz of the tensor n n^T for direction i.
 _OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(ROWS, COLUMNS)])
 
 
-#: The values of parameters that are not fitted. The arrays are cached, because creating new arrays
-#: at each use takes a tenth of the time of a fit.
+#: Values of the parameters that are not fitted. They are stored here because creating these arrays
+#: at each use would take a tenth of the time of a fit.
 _NEUTRAL = {name: np.broadcast_to(kind.neutral, len(kind.components))
             for name, kind in KINDS.items()}
 
 
 class Prior(NamedTuple):
-    """Prior knowledge of a component: the expected value and its standard deviation."""
+    """Prior knowledge of a component: the expected value and the standard deviation."""
 
     value: float
     sigma: float
@@ -72,17 +72,17 @@ class Prior(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Physics:
     """
-    The values of the parameters that all recordings share.
+    Values of the parameters that all recordings share.
 
     Attributes
     ----------
     inertia : array, shape (3, 3), kg m^2, body axes
     damping : array, shape (3, 3), N m s/rad, body axes
     values : dict of str to array
-        The other fitted parameters by name. A name ends in `@TOPIC` if the parameter applies to
-        one sensor.
+        The other fitted parameters by name. If a parameter applies to only one sensor, its name
+        ends in `@TOPIC`.
     gravity : array, shape (3,), m/s^2, space axes
-        The gravitational field that acts on the weight.
+        The acceleration of gravity that acts on the weight.
 
     """
 
@@ -93,19 +93,22 @@ class Physics:
 
     @cached_property
     def body(self) -> RigidBody:
-        """Return a body with the fitted inertia and damping."""
+        """Return the body with the fitted inertia and damping."""
         return _body(self.inertia.tobytes(), self.damping.tobytes())
 
     def value(self, name: str, topic: str = '') -> Floats:
         """
-        Return the value of a parameter for a topic or, without such a value, for all sensors.
+        Return the value of a parameter for a topic, or else the value for all sensors.
 
-        These formulas define the parameters. The logged torque is multiplied by `torque_gain` and
-        `torque_gains`, delayed by `torque_delay`, and filtered with the first-order lag
-        `torque_lag`. This torque plus `torque_bias` acts on the body. A sensor measures the
-        angular velocity times `gyro_scale` plus `gyro_bias`, in the axes of the sensor. The
-        rotation vector `mount` turns the body axes to the axes of the sensor. The time of a sample
-        is its stamp plus `clock_offset`, plus `clock_drift` times the time since the start.
+        The value for all sensors is used if no topic is given, or if the topic has no value of its
+        own. A parameter that is not fitted has the value that has no effect.
+
+        The parameters are defined as follows. The logged torque is multiplied by `torque_gain` and
+        `torque_gains`, delayed by `torque_delay`, and passed through a first-order lag with time
+        constant `torque_lag`. The result plus `torque_bias` acts on the body. A gyro measures the
+        angular velocity in sensor axes, times `gyro_scale`, plus `gyro_bias`. The rotation vector
+        `mount` rotates the body axes into the sensor axes. A sample was taken at its stamp, plus
+        `clock_offset`, plus `clock_drift` times the time since the start.
         """
         found = self.values.get(f'{name}@{topic}') if topic else None
         found = self.values.get(name) if found is None else found
@@ -116,7 +119,7 @@ class Physics:
         return float(self.value(name, topic)[0])
 
     def acting(self, fields: Sequence[Field]) -> list[Field]:
-        """Return the fields with the fitted moments, and the weight if it is fitted."""
+        """Return `fields` with fitted moments, followed by the weight if the weight is fitted."""
         acting: list[Field] = [
             replace(one, moment=self.values[f'{one.name}.{MOMENT}'])
             if isinstance(one, UniformField) and f'{one.name}.{MOMENT}' in self.values else one
@@ -127,14 +130,14 @@ class Physics:
 
 @lru_cache(maxsize=64)
 def _body(inertia: bytes, damping: bytes) -> RigidBody:
-    # Cache bodies, because bodies are expensive to create. In a fit, a third of the evaluations
-    # change neither inertia nor damping.
+    # Cache the bodies, because they are expensive to create. In a fit, a third of the evaluations
+    # change neither the inertia nor the damping.
     return RigidBody(*(np.frombuffer(each).reshape(3, 3) for each in (inertia, damping)))
 
 
 class Magnitudes(NamedTuple):
     """
-    The magnitudes that determine the scales of parameters.
+    Typical magnitudes, from which the scales of the parameters are computed.
 
     Attributes
     ----------
@@ -143,7 +146,7 @@ class Magnitudes(NamedTuple):
     span_s : float, s
         Duration of the longest channel.
     strengths : dict of str to float
-        Magnitude of each uniform field, by the name of the parameter for its moment.
+        Magnitude of each uniform field, keyed by the name of the parameter for its moment.
 
     """
 
@@ -165,11 +168,11 @@ def inertia_of(moments: Floats) -> Floats:
 
 def lifted(inertia: Floats) -> Floats:
     """
-    Return an inertia whose second moments are large enough for the start of a fit.
+    Return an inertia whose second moments are large enough to start a fit.
 
-    For a flat plate or a thin rod, one second moment is almost zero. Derivatives with respect to
-    the logarithm of this moment are too small to be useful. Therefore, the same amount is added to
-    all second moments; the products of inertia do not change.
+    A flat plate or a thin rod has at least one second moment that is almost zero, and derivatives
+    with respect to its logarithm are too small to be useful. If necessary, this function adds the
+    same amount to all three second moments. The products of inertia do not change.
     """
     moments = second_moments(inertia)
     lack = _FLATTEST * np.trace(moments) - np.linalg.eigvalsh(moments)[0]
@@ -180,23 +183,25 @@ class Parameters:
     """
     The fitted parameters that all recordings share.
 
-    In the coordinates of the fit, every point is a possible body. The coordinates of the inertia
+    The fit uses coordinates in which every point describes a possible body. For the inertia, these
     come from the Cholesky factor of the scaled second moments of mass (Rucker and Wensing 2022):
-    the logarithms of its diagonal entries, and its off-diagonal entries. The coordinates of the
-    damping are the entries of its Cholesky factor. The coordinates of other parameters are their
-    values divided by their scales.
+    three coordinates are the logarithms of the diagonal entries of the factor, and the others are
+    its off-diagonal entries. For the damping, the coordinates are the entries of the Cholesky
+    factor of the damping. For all other parameters, the coordinates are the values divided by
+    their scales.
 
-    Close to a solution, *plain* coordinates are used: all values divided by their scales. For the
-    damping, the plain coordinates are the weights of six tensors, and need no bounds.
+    Close to a solution, *plain* coordinates are used instead, which are simply the values divided
+    by their scales. Only the damping is different: its plain coordinates are the weights of six
+    tensors, and need no bounds.
 
     Parameters
     ----------
     names : sequence of str
-        The names that `checked_names` returns.
+        The names returned by `checked_names`.
     guess : Physics
     magnitudes : Magnitudes
     priors : dict of str to Prior
-        Priors by component.
+        Priors, keyed by component name.
 
     """
 
@@ -218,7 +223,7 @@ class Parameters:
             self._scales[name] = np.full(3, max(weak, float(np.linalg.norm(given))))
 
     def with_priors(self, priors: Mapping[str, Prior]) -> Parameters:
-        """Return the same parameters with priors."""
+        """Return the same parameters with the given priors."""
         return Parameters(self.groups, self.guess, self.magnitudes, priors)
 
     @property
@@ -228,7 +233,7 @@ class Parameters:
 
     @property
     def scales(self) -> Floats:
-        """Return the magnitude of each component, in its unit."""
+        """Return the scale of each component, in the unit of the component."""
         return np.concatenate([np.empty(0), *(self._scale(name) for name in self.groups)])
 
     @property
@@ -238,13 +243,13 @@ class Parameters:
 
     @property
     def steps(self) -> Floats:
-        """Return finite-difference steps; those of components that shift stamps are longer."""
+        """Return finite-difference steps, which are longer for components that shift stamps."""
         steps: Floats = np.full(self.size, 1e-7)
         steps[self.shifts] = 1e-5
         return steps
 
     def surprise(self, physics: Physics) -> Floats:
-        """Return the differences between values and priors, in standard deviations."""
+        """Return how far each value is from its prior, in standard deviations of the prior."""
         values = dict(zip(self.names, self.values(physics)))
         return np.array([(values[name] - prior.value) / prior.sigma
                          for name, prior in self.priors.items()])
@@ -259,21 +264,29 @@ class Parameters:
         return np.concatenate([np.empty(0), *(_values(name, physics) for name in self.groups)])
 
     def coordinates(self, physics: Physics) -> Floats:
-        """Return the values as coordinates of the fit."""
+        """Convert the values to the coordinates of the fit."""
         return np.concatenate([np.empty(0), *(self._coordinates(name, physics)
                                               for name in self.groups)])
 
     def physics(self, coordinates: Floats) -> Physics:
-        """Return the values at a point of the fit; far from the guess, they may not be finite."""
+        """
+        Convert coordinates of the fit to parameter values.
+
+        Values may not be finite if the coordinates are far from the guess.
+        """
         with np.errstate(over='ignore', invalid='ignore'):
             return self._at(coordinates, False, self.guess)
 
     def near(self, physics: Physics, steps: Floats) -> Physics:
-        """Return the values after small, positive steps in plain coordinates from a solution."""
+        """Return the parameters after small positive steps from `physics` in plain coordinates."""
         return self._at(steps, True, physics)
 
     def from_plain(self, derivatives: Floats) -> Floats:
-        """Convert derivatives from plain coordinates to values divided by their scales."""
+        """
+        Convert derivatives with respect to plain coordinates.
+
+        The returned derivatives are with respect to the values divided by their scales.
+        """
         result = derivatives.copy()
         if 'damping' in self.groups:
             rows = self.columns(['damping'])
@@ -333,23 +346,23 @@ class Parameters:
 def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
                    guess: Physics) -> dict[str, Prior]:
     """
-    Check the priors that a user gave, and return the prior of each component.
+    Check the priors given by the user, and return the prior of each component.
 
     Parameters
     ----------
     priors : dict of str to float or str
-        Standard deviations by the name of a parameter or of a component. A number is in the unit
-        of the component; text such as '5%' is relative to the guess.
+        Standard deviations, keyed by the name of a parameter or component. A number has the unit
+        of the component. A string such as '5%' is relative to the guess.
     parameters : Parameters
         The fitted parameters.
     guess : Physics
-        The guess that the user gave.
+        The guess given by the user.
 
     Raises
     ------
     InputError
-        A name refers to no estimated component, a number is not positive, or a percentage applies
-        to a guess of 0.
+        A name does not refer to any estimated component, a number is not positive, or a percentage
+        is given for a guess of 0.
 
     """
     values = dict(zip(parameters.names, parameters.values(guess)))
@@ -380,7 +393,11 @@ def _possible(moments: Floats) -> Floats:
 
 
 def _with_products(diagonal: Floats, moments: Floats) -> Floats:
-    """Return the Cholesky factor with a given diagonal that yields the off-diagonal `moments`."""
+    """
+    Return the Cholesky factor that has the given diagonal.
+
+    The off-diagonal entries of the factor times its transpose equal those of `moments`.
+    """
     factor = np.diag(diagonal)
     factor[1, 0] = moments[1, 0] / diagonal[0]
     factor[2, 0] = moments[2, 0] / diagonal[0]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Draw an identification."""
+"""Plot the errors and torques of an identification."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from rigid_body_ros.report.labels import literal
 
 def draw(path: str | Path, fit: Identification, experiment: Experiment, name: str) -> None:
     """
-    Plot the errors and the torques of the first recording over time, and write a PNG file.
+    Plot the errors and torques of the first recording over time, and save the plot as a PNG file.
 
-    Outliers are not drawn. Each plot of errors shows the fitted samples, followed by the
-    validation.
+    Outliers are left out. Each error plot shows the fitted samples, followed by the samples held
+    back for validation.
 
     Parameters
     ----------
     path : str or Path
-        The PNG file. Its name may have any suffix. An existing file is overwritten.
+        The PNG file. The name can have any suffix. An existing file is overwritten.
     fit : Identification
         The result.
     experiment : Experiment
         The first recording.
     name : str
-        Name of the first recording, for the title.
+        Name of the first recording, used in the title.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def draw(path: str | Path, fit: Identification, experiment: Experiment, name: st
         The file cannot be written.
 
     """
-    from rigid_body_ros.report import figures  # matplotlib takes long to load
+    from rigid_body_ros.report import figures  # matplotlib is slow to load
     panels = []
     for parts in fit.first_errors():
         quantity, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')

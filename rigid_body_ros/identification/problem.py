@@ -13,15 +13,15 @@
 # limitations under the License.
 
 """
-Multiple shooting: the least-squares problem for the parameters and the states of all windows.
+Multiple shooting: one least-squares problem for the parameters and the states of all windows.
 
-The residuals of a window depend on the parameters that all windows share, and on the state at the
-beginning of the window. A QR decomposition of the derivatives separates the parameters from the
-state. The first rows of the triangular factor yield the change of the state for a given change of
-the parameters. The remaining rows depend only on the parameters, as in the variable projection of
-Golub and Pereyra (1973). The solver uses only the remaining rows, which are few. Therefore, the
-memory and the work of the solver do not grow with the number of samples, and grow little with the
-number of windows.
+The residuals in a window depend on the state at the beginning of the window, and on parameters
+that all windows share. A QR decomposition of the derivatives separates the state from the
+parameters. The first rows of the triangular factor tell how the state must change for a given
+change in the parameters. The remaining rows depend only on the parameters, as in the variable
+projection of Golub and Pereyra (1973). The solver uses only these remaining rows, and there are
+few of them. The memory and work of the solver therefore do not grow with the number of samples,
+and grow only slowly with the number of windows.
 """
 
 from __future__ import annotations
@@ -40,20 +40,22 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
-#: Standard deviation of the weak prior that keeps undetermined coordinates near the guess.
+#: Standard deviation of the weak prior that keeps undetermined coordinates close to the guess.
 _PRIOR = 3.0
-#: Largest change of an unknown of a state, and of a prediction, in a finite difference.
+#: Largest finite-difference step of a state component. A step is made even smaller if it would
+#: otherwise change a prediction by more than this amount.
 _STEP = 1e-7
-#: At the solution, derivatives use second-order differences, with steps longer by this factor.
+#: Derivatives at the solution are second-order differences, whose steps are longer than those of
+#: other derivatives by this factor.
 _FINAL = 100.0
-#: Each step that the solver rejects multiplies the next correction of the states by this factor.
+#: Each time the solver rejects a step, the next state correction is multiplied by this factor.
 _SHORTER = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
     """
-    The weights of the samples of each channel.
+    The weights of the samples in each channel.
 
     Attributes
     ----------
@@ -62,8 +64,8 @@ class Weights:
     roots : list of list of array, shape (n,)
         Square root of the weight of each sample.
     spreads : list of list of array, shape (3,)
-        For each axis, the effective noise divided by `sigma`. The effective noise is larger if
-        errors persist over many samples.
+        For each axis, the effective noise divided by `sigma`. Errors that persist over many
+        samples make the effective noise larger.
 
     """
 
@@ -82,9 +84,9 @@ class _Linearization:
     point : array, shape (n,)
         Coordinates of the shared parameters.
     changes : array, shape (k, 6)
-        Scaled changes of the states relative to the reference states.
+        Scaled differences between the states and the reference states.
     triangles : list of array
-        The triangular factor of the rows of each window.
+        For each window, the triangular factor of its rows.
     residuals, jacobian : array, shape (m,) and (m, n)
 
     """
@@ -98,7 +100,7 @@ class _Linearization:
 
 class LeastSquares:
     """
-    The least-squares problem of some windows.
+    The least-squares problem for a set of windows.
 
     Parameters
     ----------
@@ -115,45 +117,48 @@ class LeastSquares:
         self.setup, self.windows, self.reference, self.weights = setup, windows, states, weights
         self.parameters = parameters = setup.parameters
         fits_attitude = setup.fits_attitude
-        #: For each state, the indices of its unknown components: 0 to 2 for the rotation vector of
-        #: the attitude, 3 to 5 for the angular velocity.
+        #: Indices of the unknown components of each state. Components 0 to 2 are the rotation
+        #: vector of the attitude; components 3 to 5 are the angular velocity.
         self.unknowns = [np.arange(0 if fits_attitude[window.experiment] else 3,
                                    6 if setup.fits_start or not window.is_first else 0)
                          for window in windows]
         self.guess = parameters.coordinates(parameters.guess)
         self.evaluations = 0
-        #: Finite-difference steps of the shared parameters and of each state.
+        #: Finite-difference steps for the shared parameters and for each state.
         self.steps = parameters.steps, np.full((len(windows), 6), _STEP)
-        #: The problem, linearized at the last point that the solver accepted, and at the last
-        #: point that the solver tried.
+        #: `_base` is the problem linearized at the last point that the solver accepted. `_trial`
+        #: is the problem linearized at the last point that the solver tried.
         self._base: _Linearization | None = None
         self._trial: _Linearization | None = None
         self._rejected = 0
 
     def weighted(self, weights: Weights) -> LeastSquares:
-        """Return this problem with the given weights."""
+        """Return a copy of this problem with the given weights."""
         other = LeastSquares(self.setup, self.windows, self.reference, weights)
         other.steps = self.steps
         return other
 
     @property
     def size(self) -> int:
-        """Return the number of unknowns: shared parameters, and components of all states."""
+        """Return the number of unknowns: shared parameters and unknown components of states."""
         return self.parameters.size + sum(len(unknown) for unknown in self.unknowns)
 
     def states(self) -> Poses:
-        """Return the states at the latest point that the solver accepted."""
+        """Return the states at the last point that the solver accepted."""
         assert self._base is not None
         return self._changed(slice(None), self._base.changes)
 
     def settle(self, tolerance: float, most: int) -> bool:
         """
-        Fit only the states, without shared parameters, and return whether the fit converged.
+        Fit the window states of a problem that has no shared parameters.
+
+        Return whether the fit converged.
 
         Parameters
         ----------
         tolerance : float
-            Relative decrease of the sum of squares below which the Gauss-Newton steps end.
+            The fit has converged when a Gauss-Newton step reduces the sum of squares by at most
+            this fraction.
         most : int
             Maximum number of steps.
 
@@ -174,7 +179,7 @@ class LeastSquares:
         return False
 
     def fun(self, point: Floats) -> Floats:
-        """Return the residuals at a point of the shared parameters, with the states eliminated."""
+        """Return the residuals for the given shared parameters, with the states eliminated."""
         if self._trial is None or not np.array_equal(self._trial.point, point):
             self._trial = self._linearized(point)
             self._rejected += 1
@@ -212,7 +217,11 @@ class LeastSquares:
                               np.concatenate(jacobian))
 
     def _changes(self, point: Floats) -> Floats:
-        """Return the scaled changes of all states for a point of the solver, shape (k, 6)."""
+        """
+        Return the scaled changes of all states, shape (k, 6).
+
+        The changes are computed from the linearization at the last point that the solver accepted.
+        """
         base = self._base
         if base is None:
             return np.zeros((len(self.windows), 6))
@@ -227,9 +236,10 @@ class LeastSquares:
 
     def _changed(self, k: int | slice, changes: Floats) -> Poses:
         """
-        Return reference state `k` after each of the scaled changes, shape (c, 6).
+        Apply each row of `changes`, shape (c, 6), to reference state `k`.
 
-        If `k` is a slice, each of its states is changed by one row of `changes`.
+        If `k` is a slice, each row of `changes` is instead applied to one of the reference states
+        in the slice.
         """
         return Poses(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
                      self.reference.angular_velocity[k] + self.setup.rate * changes[:, 3:])
@@ -239,9 +249,9 @@ class LeastSquares:
         """
         Return the triangular factor of a window.
 
-        The columns of the factor belong to the unknowns of the state, to the shared parameters,
-        and to the errors. The method also writes to the array `largest`: for each unknown, the
-        largest derivative of any prediction.
+        The columns correspond to the unknowns of the state, then the shared parameters, and
+        finally the errors. The method also fills the array `largest` with the largest derivative
+        of any prediction with respect to each unknown.
         """
         window, unknown, steps = self.windows[k], self.unknowns[k], self.steps[0]
         own, free = len(unknown), self._free(k)
@@ -272,14 +282,22 @@ class LeastSquares:
         return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 
     def _adapt(self, largest: Floats) -> None:
-        """Choose difference steps so that no prediction changes much, even in unstable motion."""
+        """
+        Choose finite-difference steps that change the predictions only a little.
+
+        In unstable motion, this requires smaller steps.
+        """
         shared = self.parameters.steps / np.maximum(largest[:, 6:].max(axis=0), 1.0)
         shifts = self.parameters.shifts
         shared[shifts] = self.parameters.steps[shifts]
         self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
 
     def _turned(self, k: int, base: list[Floats], attitude: Floats, step: Floats) -> list[Floats]:
-        """Return slopes with respect to the initial attitude; all torques must be in body axes."""
+        """
+        Return the derivatives of the predictions with respect to the initial attitude.
+
+        The result is valid only if all torques are in body axes.
+        """
         space = 2.0 * so3.multiply(attitude[1:] - attitude[0],
                                    so3.conjugate(attitude[0]))[:, None, :3] / step[:, None, None]
         return [so3.rotate(so3.conjugate(one), space) if channel.is_attitude
@@ -287,7 +305,11 @@ class LeastSquares:
                 for channel, one in zip(self.windows[k].channels, base)]
 
     def _rows(self, k: int, errors: list[Floats]) -> Floats:
-        """Convert the errors or slopes of all channels, shape (c, n, 3), to c weighted rows."""
+        """
+        Multiply the errors or slopes of all channels by their weights, and join them into c rows.
+
+        The array of each channel has shape (c, n, 3).
+        """
         window = self.windows[k]
         sigma = self.weights.sigma[window.experiment]
         roots = self.weights.roots[window.experiment]
@@ -297,7 +319,11 @@ class LeastSquares:
                                in zip(errors, sigma, spreads, roots, window.rows)], axis=1)
 
     def residuals(self, physics: Physics) -> list[list[Floats]]:
-        """Return the errors if all windows begin at the reference states; NaN outside windows."""
+        """
+        Return the errors of each channel for the reference states of all windows.
+
+        The errors of samples that lie outside all windows are NaN.
+        """
         result = [[np.full((len(root), 3), np.nan) for root in roots]
                   for roots in self.weights.roots]
         for k, window in enumerate(self.windows):
@@ -309,13 +335,14 @@ class LeastSquares:
 
     def information(self, physics: Physics) -> Floats:
         """
-        Return F, where F^T F is the information matrix of the unknowns divided by their scales.
+        Return F such that F^T F is the information matrix of the unknowns divided by their scales.
 
         Returns
         -------
         array, shape (m, n)
-            The columns belong to the shared parameters and to the state at each fitted start. The
-            states of all other windows are eliminated.
+            The first columns correspond to the shared parameters. The others correspond to the
+            initial state of each recording whose start is fitted. The states of all other windows
+            are eliminated.
 
         """
         kept = [k for k, window in enumerate(self.windows)
@@ -341,20 +368,21 @@ class LeastSquares:
         return triangle(np.concatenate(blocks).T.copy())
 
     def scaled_errors(self, k: int, physics: Physics) -> Floats:
-        """Return the errors in a window, in standard deviations, shape (m,)."""
+        """Return the errors in a window, divided by their standard deviations, shape (m,)."""
         window = self.windows[k]
         predicted = window.predict([physics], self.reference.rows([k]))
         return self._rows(k, errors_of(window.channels, predicted))[0]
 
     def derivatives(self, k: int, physics: Physics) -> Floats:
         """
-        Return the derivatives of the errors in a window, in standard deviations.
+        Return the derivatives of the errors that `scaled_errors` returns for a window.
 
         Returns
         -------
         array, shape (c, m)
-            Derivatives with respect to the unknown components of the state, and with respect to
-            the shared parameters divided by their scales.
+            The first rows are the derivatives with respect to the unknown components of the state.
+            The others are the derivatives with respect to the shared parameters divided by their
+            scales.
 
         """
         window, unknown = self.windows[k], self.unknowns[k]
@@ -368,8 +396,8 @@ class LeastSquares:
                                     for unit in np.eye(shared)] for times in (1, 2)]
         predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
             k, np.concatenate([np.zeros((1, 6)), *moves])))
-        # Use one-sided differences, because steps in the other direction may yield an impossible
-        # body.
+        # Use one-sided differences, because a step in the other direction could lead to an
+        # impossible body.
         rows = self._rows(k, slopes(window, [one[0] for one in predicted], [
             (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
             / (2.0 * step[:, None, None]) for one in predicted]))
@@ -378,13 +406,21 @@ class LeastSquares:
 
 
 def errors_of(channels: Sequence[Measured], predicted: Sequence[Floats]) -> list[Floats]:
-    """Return predicted minus measured values, (c, n, 3); rotation vectors for attitudes."""
+    """
+    Return the predicted minus the measured values of each channel, shape (c, n, 3).
+
+    For attitudes, the difference is a rotation vector.
+    """
     return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
             if channel.is_attitude else here - channel.values
             for channel, here in zip(channels, predicted)]
 
 
 def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> list[Floats]:
-    """Return changes of predictions, shape (c, n, 3); rotation vectors for attitudes."""
+    """
+    Return the changes of the predictions in each channel, shape (c, n, 3).
+
+    For attitudes, a change is a rotation vector.
+    """
     return [2.0 * so3.multiply(so3.conjugate(here), change)[..., :3] if channel.is_attitude
             else change for channel, here, change in zip(window.channels, predicted, changes)]

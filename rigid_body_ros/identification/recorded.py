@@ -40,7 +40,8 @@ def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experim
     """
     Read the torques and the measurements of a recording, as `read_observed` does.
 
-    If the scene has actuators, the returned torques are the torques that act, not the commands.
+    If the scene has actuators, the returned torques are the torques that act on the body, not the
+    commands to the actuators.
     """
     problem, measurements = read_observed(path, scene, reading, may_command=True)
     logs, timeout_ns = list(problem.acting_logs), problem.options.timeout_ns
@@ -55,13 +56,13 @@ def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experim
 def read_experiments(paths: Sequence[str | Path], scene: Scene,
                      reading: Reading) -> list[Experiment]:
     """
-    Read several recordings, each as `read_experiment` does.
+    Read several recordings, each with `read_experiment`.
 
     Raises
     ------
     InputError
-        `read_observed` rejects a recording, or the same measurements occur twice, so they are not
-        independent.
+        `read_observed` rejects a recording, or the same measurements appear twice and are
+        therefore not independent.
 
     """
     experiments, known = [], dict[bytes, str]()
@@ -82,12 +83,12 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene,
 def identified(paths: Sequence[str | Path], scene: Scene, experiments: Sequence[Experiment],
                **options: Any) -> Identification:
     """
-    Fit the recordings of a scene, with the options of `identify`.
+    Fit the recordings of a scene with `identify`, to which all options are passed.
 
     Raises
     ------
     InputError
-        `identify` raises this error, or a motion cannot be computed.
+        `identify` raises this error, or the motion of a recording cannot be computed.
 
     """
     try:
@@ -98,9 +99,9 @@ def identified(paths: Sequence[str | Path], scene: Scene, experiments: Sequence[
 
 def fitted_scene(scene: Scene, fit: Identification) -> str:
     """
-    Return the text of a scene file with the estimates of the first recording.
+    Return the text of a scene file with the estimates for the first recording.
 
-    Estimates that a scene cannot contain are written as comments.
+    Estimates that cannot be stored in a scene are added as comments.
     """
     others = [name for name in fit.estimates if _group(name) in NOT_IN_SCENES]
     return '\n'.join([*(f'# {line}' for line in _comments(fit, others)),
@@ -109,9 +110,9 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
 
 def fitted_urdf(scene: Scene, fit: Identification) -> str:
     """
-    Return a URDF with the inertia of the fitted body; other estimates are written as comments.
+    Return a URDF with the inertia of the fitted body; comments list all other estimates.
 
-    The name of the link is the parameter `link` of the scene or, if that is empty, `body_frame`
+    The link is named after the scene parameter `link` or, if that is empty, after `body_frame`
     without `frame_prefix`.
     """
     about = 'the pivot' if any(one.name == WEIGHT for one in _uniform(fit)) else \
@@ -123,7 +124,7 @@ def fitted_urdf(scene: Scene, fit: Identification) -> str:
 
 
 def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
-    """Return comments with the reasons of the verdict, and with the named estimates."""
+    """Return comments that list the reasons for the verdict and the named estimates."""
     estimates = [(name, fit.estimates[name]) for name in names]
     return ['Fitted by attitude_identify.',
             *(f'{fit.verdict.level}: {reason}' for reason in fit.verdict.reasons),
@@ -131,17 +132,21 @@ def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
 
 
 def _group(name: str) -> str:
-    """Return the name of the parameter to which a component belongs."""
+    """Return the name of the parameter that a component belongs to."""
     return split_topic(name)[0].split('.')[0]
 
 
 def _uniform(fit: Identification) -> list[UniformField]:
-    """Return the uniform fields that have names."""
+    """Return the named uniform fields."""
     return [one for one in fit.fields if isinstance(one, UniformField) and one.name]
 
 
 def _changed(fit: Identification) -> dict[str, Any]:
-    """Return the estimated values of scene parameters, and all parameters of the named fields."""
+    """
+    Return the scene parameters that the fit has estimated.
+
+    The result also contains all parameters of the named uniform fields.
+    """
     names = {name.split('.')[0] for name in fit.estimates}
     start = fit.starts[0]
     groups = {

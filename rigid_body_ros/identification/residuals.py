@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors of a fit: the errors of the fitted samples, and the errors of the validation."""
+"""The errors of a fit, for the fitted samples and for the samples held back for validation."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from rigid_body_ros.sensing.measured import Measured
 
 #: Largest lag at which an autocorrelation is computed, in samples.
 _LONGEST = 2000
-#: A sample of the validation is an outlier if its error exceeds both the median error and the
-#: noise by this factor.
+#: A validation sample is an outlier if its error exceeds this multiple of both the median error
+#: and the noise.
 _OUTLIER = 8.0
 
 
@@ -46,23 +46,23 @@ class Residuals:
     Attributes
     ----------
     recording : int
-        Number of the recording, from 0.
+        Index of the recording, starting from 0.
     topic : str
     is_attitude : bool
-        Whether the quantity is the attitude, rather than the angular velocity.
+        True for attitudes, False for angular velocities.
     is_training : bool
-        Whether the samples were fitted.
+        Whether the fit used these samples.
     stamps_ns : array of int64, shape (n,), ns
-        The stamps as measured.
+        The stamps as recorded.
     errors : array, shape (n, 3)
-        Predicted minus measured, in the axes of the sensor: rotation vectors (rad) or angular
+        Predicted minus measured values in sensor axes, as rotation vectors (rad) or angular
         velocities (rad/s).
     measured : array, shape (n, 4) or (n, 3)
         The measured attitudes or angular velocities.
     inliers : array of bool, shape (n,)
         Which samples are not outliers.
     noise : float
-        Standard deviation of each component of a measurement, given or estimated.
+        Standard deviation of each component of a measurement, whether given or estimated.
 
     """
 
@@ -78,18 +78,22 @@ class Residuals:
 
     @property
     def name(self) -> str:
-        """Return topic, quantity and, for all recordings but the first, `[number]`."""
+        """
+        Return the topic and the quantity as text.
+
+        In all but the first recording, the number of the recording follows in brackets.
+        """
         quantity = 'attitude' if self.is_attitude else 'angular_velocity'
         return f'{self.topic} {quantity}' + (f'[{self.recording + 1}]' if self.recording else '')
 
     @property
     def kept(self) -> Floats:
-        """Return the errors that are not outliers."""
+        """Return the errors without outliers."""
         return self.errors[self.inliers]
 
     @property
     def kept_ns(self) -> NDArray[np.int64]:
-        """Return the stamps, ns, of the errors that are not outliers."""
+        """Return the stamps of the errors in `kept`, ns."""
         return self.stamps_ns[self.inliers]
 
     @property
@@ -100,7 +104,7 @@ class Residuals:
 
     @property
     def autocorrelation(self) -> float:
-        """Return the correlation of the errors of adjacent samples; 0 for white noise."""
+        """Return the correlation between adjacent errors, which is 0 for white noise."""
         total = float(np.sum(self.kept ** 2))
         return float(np.sum(self.kept[1:] * self.kept[:-1])) / total if total else 0.0
 
@@ -113,13 +117,14 @@ class Misfit:
     Attributes
     ----------
     samples, outliers : int
-        Number of samples, and number of outliers. The other attributes ignore outliers.
+        Total number of samples, and number of outliers among them. All other attributes ignore
+        the outliers.
     attitude_rms, rate_rms : float or None
-        Root mean square of the errors, rad and rad/s; None if the quantity was not measured.
+        Root-mean-square errors, rad and rad/s. None if the quantity was not measured.
     chi2_per_dof : float or None
-        Sum of the squared errors, each divided by its variance, over the degrees of freedom: the
-        number of errors minus the number of unknowns. The result is 1 if the noise was estimated
-        from these errors.
+        Chi-square per degree of freedom. Chi-square is the sum of the squared errors, each divided
+        by its variance, and the degrees of freedom are the number of errors minus the number of
+        unknowns. If the noise was estimated from these same errors, the ratio is 1.
 
     """
 
@@ -131,7 +136,7 @@ class Misfit:
 
     @classmethod
     def of(cls, residuals: Sequence[Residuals], unknowns: int) -> Misfit:
-        """Compute the misfit from the errors of a fit with the given number of unknowns."""
+        """Compute the misfit from the errors of a fit that has the given number of unknowns."""
         def rms(is_attitude: bool) -> float | None:
             values = np.concatenate([np.empty(0), *(one.kept.ravel() for one in residuals
                                                     if one.is_attitude == is_attitude)])
@@ -143,7 +148,7 @@ class Misfit:
                    chi2 / count if count > 0 else None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields under the names that the JSON file uses."""
+        """Return the fields under the names used in the JSON file."""
         return {'samples': self.samples, 'outliers': self.outliers,
                 'attitude_rms_rad': self.attitude_rms, 'rate_rms_rad_s': self.rate_rms,
                 'chi2_per_dof': self.chi2_per_dof}
@@ -151,10 +156,10 @@ class Misfit:
 
 def correlations(residuals: Residuals) -> Floats:
     """
-    Return the autocorrelation of errors for lags from 0 to m samples, shape (m + 1, 3).
+    Return the autocorrelation of the errors for lags of 0 to m samples, shape (m + 1, 3).
 
-    The largest lag m is a quarter of the number of samples, but at most 2000. The function ignores
-    outliers.
+    The largest lag m is a quarter of the number of samples, but at most 2000. Outliers are
+    ignored.
     """
     kept = residuals.inliers[:, None]
     errors = np.where(kept, residuals.errors, 0.0)
@@ -165,7 +170,7 @@ def correlations(residuals: Residuals) -> Floats:
 
 
 def _products(values: Floats, most: int) -> Floats:
-    """Return the sums of the products of rows that are 0 to `most` rows apart."""
+    """For each lag from 0 to `most`, return the sum of the products of rows `lag` rows apart."""
     size = 2 * len(values)
     power = np.abs(np.fft.rfft(values, size, axis=0)) ** 2
     return np.asarray(np.fft.irfft(power, size, axis=0)[:most + 1])
@@ -173,7 +178,7 @@ def _products(values: Floats, most: int) -> Floats:
 
 def inliers_of(residuals: Sequence[Residuals], physics: Physics, origin_ns: int
                ) -> list[Measured]:
-    """Return the measurements without outliers, on the clock of the torques and in body axes."""
+    """Return the measurements without outliers, on the torque clock and in body axes."""
     channels: dict[str, list[Residuals]] = {}
     for one in residuals:
         channels.setdefault(one.name, []).append(one)
@@ -187,13 +192,14 @@ def inliers_of(residuals: Sequence[Residuals], physics: Physics, origin_ns: int
 
 
 def of_training(solution: Solution) -> list[Residuals]:
-    """Return the errors of the fitted samples."""
+    """Return the errors of the samples that the fit used."""
     result = []
     for number, channels in enumerate(solution.problem.setup.channels):
         for channel, errors, inliers, noise in zip(
                 channels, solution.errors[number], solution.inliers[number],
                 solution.weights.sigma[number]):
-            used = np.isfinite(errors[:, 0])  # with a clock offset, samples may precede the start
+            # With a clock offset, some samples may precede the start. Their errors are NaN.
+            used = np.isfinite(errors[:, 0])
             result.append(Residuals(number, channel.topic, channel.is_attitude, True,
                                     channel.stamps_ns[used], errors[used],
                                     channel.values[used], inliers[used], float(noise)))
@@ -202,10 +208,10 @@ def of_training(solution: Solution) -> list[Residuals]:
 
 def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> tuple[int, Window]:
     """
-    Return the index of the last fitted window of a recording, and a window for the validation.
+    Return the index of the last fitted window of a recording, and a new window for validation.
 
-    The window for the validation contains the samples of the recording that were not fitted. The
-    motion in this window begins with the state of the last fitted window.
+    The validation window contains the samples of the recording that the fit did not use. Its
+    motion starts from the state at the beginning of the last fitted window.
     """
     problem = solution.problem
     setup = problem.setup
@@ -221,14 +227,14 @@ def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> t
 
 def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> list[Residuals]:
     """
-    Return the errors of the samples that were not fitted, predicted from the fitted samples.
+    Return the errors of the model's predictions of the samples that the fit did not use.
 
     Parameters
     ----------
     solution : Solution
         The fit.
     every : sequence of sequence of Measured
-        The channels of each recording, including the samples that were not fitted.
+        The channels of each recording, including the samples that the fit did not use.
 
     """
     problem, result = solution.problem, []

@@ -34,31 +34,31 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.text import lines, rounded, scaled
 from rigid_body_ros.sensing.measured import Measured
 
-#: Half the width of a 95 % interval of a normal variable, in standard deviations.
+#: Half-width of the 95 % interval of a normal variable, in standard deviations.
 _NORMAL_95 = 1.959963984540054
-#: Correlation above which a pair of estimates is listed, and maximum number of listed pairs.
+#: The text lists at most `_PAIRS` pairs of estimates whose correlation exceeds `_CORRELATED`.
 _CORRELATED, _PAIRS = 0.95, 6
-#: Autocorrelation above which errors are reported as not white.
+#: Errors whose autocorrelation exceeds this limit are reported as not white.
 _COLOURED = 0.2
 
 
 @dataclass(frozen=True)
 class Estimate:
     """
-    An estimated number.
+    The estimate of one number.
 
     Attributes
     ----------
     name, unit : str
     value, start : float
-        The estimate, and the guess.
+        The estimate, and the initial guess.
     sigma : float
-        Standard deviation of the estimate; infinite if the data does not determine the number.
+        Standard deviation of the estimate. Infinite if the data does not determine the number.
     identifiable : bool
         Whether the data determines the number.
     systematic : float
-        The largest error of the estimate that effects outside the model may cause; 0 if the model
-        explains the measurements.
+        Largest error that effects missing from the model may cause in the estimate, or 0 if the
+        model explains the measurements.
 
     """
 
@@ -72,65 +72,70 @@ class Estimate:
 
     @property
     def interval_95(self) -> tuple[float, float] | None:
-        """Return the limits of the 95 % interval; None if the number is not determined."""
+        """Return the limits of the 95 % interval, or None if the number is not determined."""
         half = _NORMAL_95 * self.sigma + self.systematic
         return (self.value - half, self.value + half) if self.identifiable else None
 
     @property
     def uncertainty(self) -> float:
-        """Return the standard deviation of a normal variable with the interval `interval_95`."""
+        """
+        Return the standard uncertainty of the estimate, including systematic errors.
+
+        This is the standard deviation of a normal variable that has the same 95 % interval.
+        """
         return self.sigma + self.systematic / _NORMAL_95
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
     """
-    Estimated parameters of a body.
+    The parameters of a body, as estimated by `identify`.
 
     Attributes
     ----------
     body : RigidBody
         The body with the estimated inertia and damping.
     fields : list of Field
-        The fields of the first recording with the estimated moments, and the estimated weight.
+        The fields of the first recording with their estimated moments, followed by the weight if
+        it was estimated.
     starts : list of State
         The initial state of each recording, estimated if 'start' was fitted.
     estimates : dict of str to Estimate
-        The estimates by component name.
+        The estimates, keyed by component name.
     covariance : array, shape (n, n)
-        Covariance of the estimates, in the products of their units; NaN for estimates that are not
+        Covariance of the estimates in their own units. NaN for estimates that are not
         identifiable.
     guess_attitude : array, shape (4,)
-        The initial attitude that was given for the first recording: a quaternion x y z w. The
-        estimate `initial_attitude` is the rotation vector, in body axes, from this attitude to the
-        estimated one.
+        The initial attitude given for the first recording, as a quaternion x, y, z, w. The
+        estimate `initial_attitude` is the rotation vector, in body axes, that leads from this
+        attitude to the estimated one.
     unidentifiable : list of Direction
         Combinations of parameters that the data does not determine.
     residuals : list of Residuals
-        The errors of the fitted samples, and of the samples that were kept for validation.
+        The errors of the samples that the fit used and of those held back for validation.
     training : Misfit
-        How well the model fits the fitted samples.
+        How well the model fits the samples that the fit used.
     validation : Misfit or None
-        How well the model fits the samples that were kept for validation.
+        How well the model predicts the samples held back for validation.
     window_s : float, s
-        Length of the windows into which the fit divides a recording. The state at the beginning of
-        each window is fitted separately.
+        Length of the windows into which the fit divides each recording. The state at the beginning
+        of each window is fitted separately.
     evaluations : int
-        Number of function evaluations in all fits.
+        Number of function evaluations, counted over all fits.
     converged : bool
         Whether the fit converged.
     verdict : Verdict
         Whether the model explains the measurements.
     has_torque : bool
-        Whether a logged torque acts.
+        Whether any logged torque is nonzero.
     predictable_s : float or None, s
-        Time since the start at which the standard deviation of the predicted attitude exceeds 0.1
-        rad in any recording. None if this never happens, or if there is no validation.
+        Time since the start at which the standard deviation of the predicted attitude first
+        exceeds 0.1 rad in any recording. None if this never happens, or if there is no validation.
     motion : Problem
-        The motion of the first recording with all estimates.
+        The motion of the first recording according to all estimates.
     aligned : list of Measured
-        The measurements of the first recording without outliers, converted to the clock of the
-        torques and to body axes. Each element contains one quantity of one topic.
+        The measurements of the first recording without outliers, converted to the torque clock and
+        to body axes. Each element contains one quantity of one topic.
 
     """
 
@@ -155,26 +160,26 @@ class Identification:
 
     @property
     def is_complete(self) -> bool:
-        """Return whether the fit converged and the data determines all estimates."""
+        """Return whether the fit converged and the data determines every estimate."""
         return self.converged and not self.unidentifiable and all(
             one.identifiable for one in self.estimates.values())
 
     @property
     def correlation(self) -> Floats:
-        """Return the correlations of the estimates; NaN if an estimate is not identifiable."""
+        """Return the correlation matrix of the estimates, with NaN for unidentifiable ones."""
         sigma = np.sqrt(np.diag(self.covariance))
-        with np.errstate(invalid='ignore'):  # without any errors, this is 0 / 0
+        with np.errstate(invalid='ignore'):  # the division is 0 / 0 if all errors are zero
             return self.covariance / np.outer(sigma, sigma)
 
     @property
     def holds_for_exact_torque(self) -> bool:
-        """Return whether the inertia depends on a torque whose gain was not estimated."""
+        """Return whether the estimated inertia is correct only if the logged torque is exact."""
         return self.has_torque and 'inertia.ixx' in self.estimates and not any(
             name.startswith('torque_gain') for name in self.estimates)
 
     @property
     def is_flat(self) -> bool:
-        """Return whether the body may be a flat plate or a thin rod, within the uncertainty."""
+        """Return whether the body could be a flat plate or a thin rod, given the uncertainty."""
         names = [name for name in self.estimates if name.startswith('inertia.')]
         if not names:
             return False
@@ -186,7 +191,7 @@ class Identification:
         return bool(smallest[0] <= np.sqrt(variance))
 
     def first_errors(self) -> list[list[Residuals]]:
-        """Return the errors of each quantity in the first recording; fitted samples come first."""
+        """Return the errors of each quantity in the first recording, validation samples last."""
         quantities: dict[str, list[Residuals]] = {}
         for errors in self.residuals:
             if errors.recording == 0 and errors.inliers.any():
@@ -200,11 +205,11 @@ class Identification:
 
     @property
     def autocorrelation(self) -> dict[str, float]:
-        """Return the correlation of adjacent errors of the fitted samples; 0 for white noise."""
+        """Return the correlation between adjacent fit errors, which is 0 for white noise."""
         return {one.name: one.autocorrelation for one in self.residuals if one.is_training}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as JSON types; numbers that are not finite become None."""
+        """Return the result as JSON types, with None for numbers that are not finite."""
         return {
             'estimates': {name: {
                 'value': one.value, 'unit': one.unit, 'start': one.start,
@@ -227,7 +232,7 @@ class Identification:
             'evaluations': self.evaluations, 'converged': self.converged}
 
     def text(self, degrees: bool = False) -> str:
-        """Return as text the verdict, a table of the estimates, and a line for each other fact."""
+        """Return the verdict, a table of the estimates, and one line for each other fact."""
         verdict, facts = ([f'{name:17}{text}' for name, text in rows]
                           for rows in (self.verdict.rows(), self.rows(degrees)))
         return lines([*verdict, *_aligned(self.table(degrees)), *facts])
@@ -236,14 +241,18 @@ class Identification:
         return self.text()
 
     def table(self, degrees: bool = False) -> list[list[str]]:
-        """Return a row of titles and a row for each estimate, rounded to its uncertainty."""
+        """
+        Return a table with a header row and a row for each estimate.
+
+        The numbers of an estimate are rounded to suit the uncertainty of the estimate.
+        """
         every = [['parameter', 'value', 'sigma', 'systematic', '95 % interval', 'guess', 'unit'],
                  *(_cells(one, degrees) for one in self.estimates.values())]
         has_systematic = any(one.systematic for one in self.estimates.values())
         return every if has_systematic else [[*row[:3], *row[4:]] for row in every]
 
     def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
-        """Generate the facts other than verdict and estimates, as pairs of a name and a text."""
+        """Generate all facts except the verdict and the estimates, each as a name and a text."""
         for direction in self.unidentifiable:
             yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
         for first, second, value in _correlated(self):
@@ -271,7 +280,7 @@ class Identification:
 
 
 def _aligned(every: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Generate the rows of a table as lines with aligned columns."""
+    """Generate the rows of a table as lines of text with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*every)]
     for row in every:
         name, *middle = (f'{cell:>{width}}' if column else f'{cell:{width}}'

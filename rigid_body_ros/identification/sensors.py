@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The model of a sensor: its clock, its axes, its bias and its scale."""
+"""Sensor model: the clock, axes, bias and scale of each sensor."""
 
 from __future__ import annotations
 
@@ -29,13 +29,21 @@ from rigid_body_ros.sensing.measured import Measured
 
 
 def topics_of(kind: str, channels: Sequence[Measured]) -> list[str]:
-    """Return the topics to which a parameter applies; gyro parameters need measured rates."""
+    """
+    Return the topics to which a sensor parameter applies.
+
+    Gyro parameters apply only to topics with angular velocities.
+    """
     return [*{channel.topic: None for channel in channels
               if not (kind.startswith('gyro') and channel.is_attitude)}]
 
 
 def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.int64]:
-    """Return the stamps of a channel, ns, plus offset and drift; the drift is 0 at `origin_ns`."""
+    """
+    Return the stamps of a channel, ns, corrected for clock offset and clock drift.
+
+    The drift is zero at `origin_ns`.
+    """
     offset_ns = round(1e9 * physics.number('clock_offset', channel.topic))
     drift = physics.number('clock_drift', channel.topic)
     stamps_ns = channel.stamps_ns + offset_ns if offset_ns else channel.stamps_ns
@@ -46,16 +54,17 @@ def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.i
 
 def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Floats | None]:
     """
-    Return the rotations from sensor axes to body axes for each channel.
+    Return the rotation from sensor axes to body axes for each channel.
 
     If any topic contains attitudes, the parameter `mount` applies only to topics with attitudes.
-    The angular velocities of any other topic are in body axes, unless `mount@TOPIC` is fitted.
+    The angular velocities on all other topics are then assumed to be in body axes, unless
+    `mount@TOPIC` is fitted.
 
     Returns
     -------
     list of array, shape (c, 1, 4), or None
-        For each channel, a quaternion for each of the c elements of `physics`, or None if there is
-        no rotation.
+        One entry for each channel. The entry contains a quaternion for each of the c elements of
+        `physics`, or is None if there is no rotation.
 
     """
     result: list[Floats | None] = []
@@ -66,7 +75,12 @@ def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Flo
 
 
 def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
-    """Return the rotation vector `mount@TOPIC` of a sensor; without it, `mount` or zero."""
+    """
+    Return the rotation vector from body axes to the axes of a sensor.
+
+    The vector is the parameter `mount@TOPIC` or, if this parameter is not fitted, `mount`. The
+    vector is zero if neither parameter applies to the sensor.
+    """
     topic = split_topic(name)[1]
     attitudes = {channel.topic for channel in channels if channel.is_attitude}
     if topic and attitudes and topic not in attitudes and name not in physics.values:
@@ -75,7 +89,12 @@ def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Float
 
 
 def corrected(channels: Sequence[Measured], physics: Physics, origin_ns: int) -> list[Measured]:
-    """Convert channels to the clock of the torques and to body axes; remove bias and scale."""
+    """
+    Return the channels with all fitted sensor errors removed.
+
+    The stamps are converted to the torque clock and the values to body axes, and the bias and
+    scale of each gyro are removed.
+    """
     result = []
     for channel, mount in zip(channels, mounts([physics], channels)):
         moved = replace(channel, stamps_ns=clocked(channel, physics, origin_ns))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a fit, and the division of recordings into windows."""
+"""The inputs of a fit, and how its recordings are divided into windows."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 
-#: rad; the body turns by about this angle in the first windows.
+#: Approximate angle through which the body turns in each window of the first fit, rad.
 _FIRST = 8.0
-#: Minimum and maximum number of samples of a channel in a window.
+#: Minimum and maximum number of samples per channel in a window.
 _SHORTEST, _LONGEST = 20, 60_000
-#: ns; if a parameter shifts stamps, a window begins this long before the span of its samples.
+#: Time by which a window begins before the first of its samples, ns, if a parameter shifts stamps.
 _LEAD_NS = 200_000_000
 _MEMORY_NS = round(1e9 * MEMORY)
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """The inputs of a fit, derived from the arguments of `identify`."""
+    """All inputs of a fit, derived from the arguments of `identify`."""
 
     problems: Sequence[Problem]
     channels: list[list[Measured]]
@@ -54,27 +54,35 @@ class Setup:
 
     @property
     def given(self) -> Physics:
-        """Return the guess that the user gave; the fit may start from a less flat body."""
+        """
+        Return the guess given by the user.
+
+        The fit may start from a different inertia if the given body is too flat.
+        """
         return replace(self.parameters.guess, inertia=self.problems[0].body.inertia)
 
     @property
     def axial_tensor(self) -> Floats:
-        """Return the axial inertia of named wheels, which the fitted inertia does not include."""
+        """
+        Return the axial inertia of the named wheels, as a tensor.
+
+        The fitted inertia does not include this tensor.
+        """
         return self.axial[0].tensor if self.axial[0] else np.zeros((3, 3))
 
     def body(self, physics: Physics) -> RigidBody:
-        """Return the body including its wheels."""
+        """Return the fitted body including its wheels."""
         return RigidBody(physics.inertia + self.axial_tensor, physics.damping) \
             if self.axial[0] else physics.body
 
     def start(self, number: int) -> State:
-        """Return the start that the user gave for a recording."""
+        """Return the initial state given by the user for a recording."""
         axial = self.axial[number]
         return axial.start if axial else self.problems[number].start
 
     @property
     def fits_attitude(self) -> list[bool]:
-        """Return whether attitudes are measured, for each recording."""
+        """Return, for each recording, whether attitudes are measured."""
         return [any(channel.is_attitude for channel in channels) for channels in self.channels]
 
     @property
@@ -92,7 +100,7 @@ class Setup:
 
     @property
     def shortest_ns(self) -> int:
-        """Return the length of the first windows, ns."""
+        """Return the length of the windows of the first fit, ns."""
         spacing = max(float(np.median(np.diff(channel.stamps_ns))) for channels in self.channels
                       for channel in channels)
         return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
@@ -112,7 +120,7 @@ class Setup:
         Parameters
         ----------
         number : int
-            Number of the recording.
+            Index of the recording.
         channels : sequence of Measured
             The channels of the recording.
         length_ns : int
@@ -120,15 +128,14 @@ class Setup:
         physics : Physics
             The parameters, including the clocks of the sensors.
         lead_ns : int
-            Time from the beginning of each window, except the first, to the beginning of its
-            samples.
+            How long each window except the first begins before its samples.
         parts : int
-            Number of windows to return for each `length_ns` of the recording.
+            Number of windows to make from each `length_ns` of the recording.
 
         Returns
         -------
         list of Window
-            The windows in order of time, without windows that contain no samples.
+            The windows in chronological order. Windows without samples are left out.
 
         """
         problem, axial = self.problems[number], self.axial[number]

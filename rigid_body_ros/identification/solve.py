@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Fit the model with windows that grow, and estimate the noise and the outliers.
+Fit the model in windows of increasing length, and estimate the noise and the outliers.
 
-The first fit uses short windows. The guess of the state of each window comes from the
-measurements. In short windows, a bad guess does no harm, because errors have no time to grow. The
-next fits use longer and longer windows, and each fit starts from the result of the previous fit.
-In the last fit, one window contains the whole recording, if possible. If such a fit is not good,
-for example because the motion magnifies errors too much, the last fit uses the longest windows
-for which the fit is good.
+The first fit uses short windows and guesses the state of each window from the measurements. A bad
+guess does no harm in a short window, because errors have no time to grow. The following fits use
+longer and longer windows, each starting from the result of the previous fit. If possible, the last
+fit covers the whole recording with a single window. Sometimes such a fit is not good, for example
+because the motion magnifies errors too much. The last fit then uses the longest windows that still
+give a good fit.
 """
 
 from __future__ import annotations
@@ -40,37 +40,39 @@ from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
-#: If the first fit may have found a wrong minimum, a fit with windows shorter by this factor is
-#: tried.
+#: If the first fit may have ended in the wrong minimum, another fit is tried with windows that are
+#: shorter by this factor.
 _CLOSER = 8
-#: If the correlation of adjacent errors exceeds this, the minimum of the first fit may be wrong.
+#: The first fit may have ended in the wrong minimum if adjacent errors have a correlation above
+#: this limit.
 _LASTING = 0.5
-#: Maximum number of windows in the first fit, which only estimates approximate parameters.
+#: Maximum number of windows in the first fit, which only needs to find approximate parameters.
 _FEW = 8
-#: Factors by which windows grow, in the order in which they are tried.
+#: Factors by which the windows may grow, in the order in which they are tried.
 _GROWTH = (8, 4, 2)
-#: Largest error of a prediction at which derivatives are useful, in rad or relative to the rate.
+#: Derivatives are useful only if the prediction errors are below this number. The unit is rad for
+#: attitudes; errors of angular velocities are relative to the rate.
 _LINEAR = 0.3
-#: Maximum number of evaluations in a fit with longer windows. A fit that needs more
-#: evaluations is too nonlinear, and yields no reliable intervals.
+#: Maximum number of evaluations in a fit with longer windows. A fit that needs more evaluations is
+#: too nonlinear to give reliable intervals.
 _FAST = 6
-#: A fit with longer windows is good if the errors of all windows together grow at most by the
-#: factor `_WORSE`, and the errors in each window at most by the factor `_WORST`.
+#: A fit with longer windows is good if the errors grow by a factor of at most `_WORSE` in all
+#: windows together, and by a factor of at most `_WORST` in each single window.
 _WORSE, _WORST = 1.1, 2.0
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
 #: Smallest standard deviation that the search for outliers assumes, rad or rad/s. Rounding errors
-#: are smaller, so they are never outliers.
+#: are smaller than this and therefore never count as outliers.
 _NO_OUTLIER = 1e-8
 #: Scale of the Cauchy loss, in standard deviations.
 _CAUCHY = 2.4
-#: Standard deviations below this number (in rad or relative to the rate) are rounding errors.
+#: Standard deviations below this number come from rounding errors. The unit is rad for attitudes;
+#: standard deviations of angular velocities are relative to the rate.
 _ROUNDING = 1e-11
-#: ns; if a new window begins at most this long before an old window, it starts from the state of
-#: the old window. The two windows begin at slightly different times, because a fit changes the
-#: clock offsets.
+#: A new window that begins at most this long before an old window, ns, starts from the state of
+#: the old window. The times may differ slightly because a fit changes the clock offsets.
 _SAME_NS = 1_000_000
-#: Standard deviation of normal noise, divided by the median magnitude of the noise.
+#: Standard deviation of normal noise divided by its median magnitude.
 _NORMAL = 1.4826
 
 
@@ -83,17 +85,17 @@ class Solution:
     ----------
     length_ns : int
     problem : LeastSquares
-        The problem that was solved. Its reference states are the states of the solution.
+        The problem that was solved. Its reference states are those of the solution.
     physics : Physics
         The fitted parameters.
     errors : list of list of array, shape (n, 3)
         Predicted minus measured values of each channel of each recording, rad or rad/s.
     weights : Weights
-        The weights that follow from these errors, for the next fit.
+        The weights for the next fit, computed from these errors.
     inliers : list of list of array of bool, shape (n,)
         Which samples of each channel of each recording are not outliers.
     evaluations : int
-        Number of function evaluations in this fit and all previous fits.
+        Number of function evaluations in this fit and all fits before it.
     converged : bool
 
     """
@@ -109,7 +111,11 @@ class Solution:
 
 
 def solve(setup: Setup) -> Solution:
-    """Fit with longer and longer windows; return the result for the longest possible windows."""
+    """
+    Fit with longer and longer windows.
+
+    Return the fit with the longest windows that still give a good fit.
+    """
     solution = _rough(setup)
     solution = fitted(solution, solution.length_ns, 1e-2, 12)
     while solution.length_ns < setup.longest_ns:
@@ -122,11 +128,11 @@ def solve(setup: Setup) -> Solution:
 
 def _rough(setup: Setup) -> Solution:
     """
-    Return a first solution: all windows of the shortest length; parameters fitted to some of them.
+    Fit the parameters to a few of the shortest windows, and return a solution for all windows.
 
-    If the remaining errors persist over many samples, the fit may have ended in a wrong minimum.
-    In this case, a fit to even shorter windows provides another guess, because errors have less
-    time to grow in shorter windows.
+    If the remaining errors persist over many samples, the fit may have ended in the wrong minimum.
+    In that case, another guess comes from a fit to even shorter windows, in which errors have less
+    time to grow.
     """
     guess = setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
     found = _from_few(setup, setup.shortest_ns, guess)
@@ -137,7 +143,7 @@ def _rough(setup: Setup) -> Solution:
 
 
 def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
-    """Fit a few windows; the guesses of their states come from the measurements."""
+    """Fit a few windows, starting from states that are guessed from the measurements."""
     windows = setup.windows(length_ns, guess)
     few = windows[::-(-len(windows) // _FEW)]
     return fitted(_first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
@@ -146,14 +152,14 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
 def _lasts(solution: Solution) -> bool:
     """Return whether the errors of adjacent samples are strongly correlated in any channel."""
     for error, middle in _with_middles(solution):
-        clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # an outlier would dominate
+        clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # so that outliers do not dominate
         if np.nansum(clipped[1:] * clipped[:-1]) > _LASTING * np.nansum(clipped ** 2):
             return True
     return False
 
 
 def _misfit(solution: Solution) -> float:
-    """Return a measure of the errors of a fit, to compare fits to the same samples."""
+    """Return a measure of the errors of a fit, for comparison with fits to the same samples."""
     return sum(float(np.log(max(middle, _ROUNDING))) for _, middle in _with_middles(solution))
 
 
@@ -162,7 +168,7 @@ def _with_middles(solution: Solution) -> list[tuple[Floats, float]]:
 
 
 def _longer(solution: Solution) -> Solution | None:
-    """Return a good fit with longer windows; None if there is no such fit."""
+    """Return a good fit with longer windows, or None if there is no such fit."""
     setup = solution.problem.setup
     for factor in _GROWTH:
         length_ns = min(factor * solution.length_ns, setup.longest_ns)
@@ -191,7 +197,11 @@ def polished(solution: Solution) -> Solution:
 
 
 def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
-    """Return a solution to start from: the given parameters, and states from the measurements."""
+    """
+    Return a solution from which the first fit can start.
+
+    The parameters are given, and the states of the windows are guessed from the measurements.
+    """
     sensors = [corrected(channels, physics, problem.start.time_ns)
                for problem, channels in zip(setup.problems, setup.channels)]
     pairs = []
@@ -213,7 +223,7 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
 
 def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
             ) -> tuple[Floats, Floats]:
-    """Return which of the given states predicts the measurements in a window best."""
+    """Return whichever of the given states best predicts the measurements in a window."""
     predicted = window.predict([physics] * len(states),
                                Poses(*(np.array(values) for values in zip(*states))))
     errors = [np.median(np.linalg.norm(one, axis=2), axis=1)
@@ -223,7 +233,7 @@ def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
 
 def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
            is_last: bool = False, windows: list[Window] | None = None) -> Solution:
-    """Return a fit with windows of a given length that starts from the previous fit."""
+    """Fit with windows of a given length, starting from the previous fit."""
     from scipy.optimize import least_squares
     setup = previous.problem.setup
     windows = windows or setup.windows(length_ns, previous.physics)
@@ -243,7 +253,7 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
 
 
 def states_at(solution: Solution, windows: list[Window]) -> Poses:
-    """Return the states of a solution at the times when the given windows begin."""
+    """Return the states of a solution at the beginning of each given window."""
     old, pairs = solution.problem, []
     begins = [(one.experiment, one.anchor_ns) for one in old.windows]
     for window in windows:
@@ -282,12 +292,12 @@ def _solution(problem: LeastSquares, physics: Physics, length_ns: int, evaluatio
 
 
 def _level(error: Floats, channel: Measured, setup: Setup, share: float) -> float:
-    """Return a robust standard deviation of the errors of a channel."""
+    """Return an outlier-resistant estimate of the standard deviation of a channel's errors."""
     return max(_NORMAL * _middle(error) * share, _floor(channel, setup))
 
 
 def _middle(error: Floats) -> float:
-    """Return the median magnitude of errors; ignore NaN, which marks samples outside windows."""
+    """Return the median magnitude of errors, ignoring samples outside windows, which are NaN."""
     finite = np.abs(error[np.isfinite(error)])
     return float(np.median(finite)) if finite.size else 0.0
 
@@ -297,7 +307,7 @@ def _floor(channel: Measured, setup: Setup) -> float:
 
 
 def _predicts(problem: LeastSquares, physics: Physics) -> bool:
-    """Return whether the errors at the start of a fit are small enough for useful derivatives."""
+    """Return whether the initial errors of a fit are small enough for useful derivatives."""
     setup, errors = problem.setup, problem.residuals(physics)
     for window in problem.windows:
         every = setup.channels[window.experiment]
@@ -313,8 +323,9 @@ def _fits(longer: Solution, shorter: Solution) -> bool:
     """
     Return whether a fit with longer windows is good.
 
-    A good fit has converged, and its errors are not much larger than those of the fit with
-    shorter windows, in all windows together (`_WORSE`) and in each window (`_WORST`).
+    A good fit has converged, and its errors are not much larger than those of the fit with shorter
+    windows. `_WORSE` limits how much the errors of all windows together may grow, and `_WORST`
+    limits how much the errors in a single window may grow.
     """
     usual = [[_middle(error) for error in every] for every in shorter.errors]
     pairs = [(error, _WORSE * middle) for every, middles in zip(longer.errors, usual)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Repeat a fit with suspects: parameters that were not estimated."""
+"""Repeat a fit with additional parameters, the suspects, which it did not estimate before."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import fitted, Solution
 from rigid_body_ros.scene.fields import MOMENT
 
-#: Maximum number of function evaluations in a fit with a suspect, and tolerance of this fit.
+#: Limits of a fit with a suspect: the maximum number of function evaluations, and the tolerance.
 _MOST, _TOLERANCE = 15, 1e-6
 
 
 @dataclass(frozen=True)
 class Suspect:
     """
-    A parameter that was not estimated, but would explain a part of the errors.
+    A parameter that was not estimated but would explain part of the errors.
 
     Attributes
     ----------
     name : str
         The parameter, or `inertia_change`.
     chi2_drop : float
-        By how much the chi-square of the fit drops if the parameter is also estimated. The
-        chi-square is the sum of the squared errors in standard deviations.
+        How much the chi-square of the fit drops if the parameter is estimated as well. The
+        chi-square is the sum of the squared errors, each divided by its variance.
     p : float
-        Probability of a drop of at least this size if the parameter has no effect.
+        Probability of a drop at least this large if the parameter has no effect.
     value : list of float
-        The estimated components, in their units. For `inertia_change`, the time from the start to
-        the change, s.
+        The estimated components, in their own units. For `inertia_change`, this is the time of the
+        change since the start, s.
     validation_chi2_per_dof : float or None
-        Chi-square of the validation, per degree of freedom, if the parameter is also estimated;
+        Chi-square per degree of freedom of the validation if the parameter is estimated as well.
         None if there is no validation.
     command : str
-        The command-line option with which a fit also estimates the parameter. For
-        `inertia_change`, advice in words.
+        The command-line option that adds the parameter to the fit. For `inertia_change`, this is
+        advice in words.
 
     """
 
@@ -74,14 +74,14 @@ class Suspect:
     command: str
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields under the names that the JSON file uses."""
+        """Return the fields under the names used in the JSON file."""
         return {'name': self.name, 'chi2_drop': self.chi2_drop,
                 'validation_chi2_per_dof': self.validation_chi2_per_dof, 'p': self.p,
                 'value': as_json(np.array(self.value)), 'command': self.command}
 
 
 def candidates(setup: Setup) -> list[str]:
-    """Return the names of the parameters that were not estimated, but can be estimated."""
+    """Return the names of the parameters that could be estimated but were not."""
     given = setup.parameters.groups
     names = [name for name in _of_body(setup) if name not in given]
     channels = [channel for every in setup.channels for channel in every]
@@ -110,7 +110,7 @@ def _of_body(setup: Setup) -> list[str]:
 
 
 def extended(setup: Setup, physics: Physics, names: Sequence[str]) -> Parameters:
-    """Return the parameters of a fit plus `names`, with the fitted values as the guess."""
+    """Add `names` to the parameters of a fit, with the fitted values as the guess."""
     groups = [name for name in setup.parameters.groups
               if not (name == 'inertia_diagonal' and 'inertia' in names)]
     given = moments_of(names, setup.problems[0].fields)
@@ -134,7 +134,7 @@ def with_suspect(solution: Solution, name: str) -> Solution:
             name: np.full(3, physics.number('torque_gain'))})
         setup = replace(setup, parameters=Parameters(
             [group for group in groups if group != 'torque_gain'], physics,
-            setup.parameters.magnitudes))  # ignore the prior of the gain
+            setup.parameters.magnitudes))  # without priors, so the prior of the gain is ignored
     wider = replace(setup, parameters=extended(setup, physics, [name]))
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
@@ -143,7 +143,7 @@ def with_suspect(solution: Solution, name: str) -> Solution:
 
 
 def sum_of_squares(solution: Solution) -> float:
-    """Return the sum of squares of the fitted errors, each divided by its standard deviation."""
+    """Return the sum of squares of all fit errors, each divided by its standard deviation."""
     problem = solution.problem
     return sum(float(np.sum(problem.scaled_errors(k, solution.physics) ** 2))
                for k in range(len(problem.windows)))
@@ -157,7 +157,7 @@ def value_of(solution: Solution, name: str) -> list[float]:
 
 
 def command_with(setup: Setup, name: str) -> str:
-    """Return the command-line option with which the fit also estimates a suspect."""
+    """Return the command-line option that adds a suspect to the fit."""
     kind, topic = split_topic(name)
     names = [*setup.parameters.groups, *([START] if setup.fits_start else [])]
     replaced = {'inertia': 'inertia_diagonal', 'torque_gains': 'torque_gain'}.get(name)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""QR decomposition of tall matrices, without LAPACK: its threads would slow down a fit."""
+"""QR decomposition of tall matrices without LAPACK, whose threads would slow down a fit."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def triangle(columns: Floats) -> Floats:
     Parameters
     ----------
     columns : array, shape (n, m)
-        The transposed matrix. The array is overwritten.
+        The transpose of the matrix. This array is overwritten.
 
     Returns
     -------
     array, shape (n, n)
-        Upper triangular matrix, with rows of zeros if m is less than n.
+        An upper triangular matrix. Some rows are zero if m is less than n.
 
     """
     result = np.zeros((len(columns), len(columns)))

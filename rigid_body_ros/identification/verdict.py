@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a model explains the measurements: explained, approximate or rejected."""
+"""Decide whether a model explains the measurements, is only approximate, or is rejected."""
 
 from __future__ import annotations
 
@@ -40,26 +40,26 @@ from rigid_body_ros.identification.suspects import (
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import ALARM
 
-#: Default of `accept`: the largest accepted systematic error of an estimate, relative to the scale
-#: of the estimate.
+#: Default of `accept`, the largest acceptable systematic error of an estimate relative to its
+#: scale.
 ACCEPT = 0.05
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
 _MEANINGS = {
     EXPLAINED: 'no test rejects the model',
     APPROXIMATE: 'the model lacks something; the intervals are wider to cover its effect',
     REJECTED: 'the model does not explain the measurements; do not use the estimates'}
-#: Maximum number of suspects that are fitted, and maximum number that are listed.
+#: Maximum number of suspects to fit, and maximum number of suspects to list.
 _TRIED, _LISTED = 5, 3
-#: Fractions of the largest drop of chi-square. A suspect with a drop above `_ALIKE` explains
-#: about as much as the best suspect. A suspect with a drop above `_COUNTS` adds to the systematic
-#: part of the intervals.
+#: Limits for a suspect's drop in chi-square. A suspect explains about as much as the best suspect
+#: if its drop is at least `_ALIKE` times the drop of the best suspect. A suspect adds to the
+#: systematic part of the intervals if its drop is at least `_COUNTS` times the largest drop.
 _ALIKE, _COUNTS = 0.98, 0.1
 
 
 @dataclass(frozen=True)
 class Verdict:
     """
-    Whether a model explains the measurements.
+    The verdict on whether a model explains the measurements.
 
     Attributes
     ----------
@@ -82,12 +82,12 @@ class Verdict:
         return self.level == EXPLAINED
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the verdict under the names that the JSON file uses."""
+        """Return the verdict under the names used in the JSON file."""
         return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
                 'suspects': [one.as_dict() for one in self.suspects]}
 
     def rows(self) -> Iterator[tuple[str, str]]:
-        """Generate the verdict, the reasons and the suspects, as pairs of a name and a text."""
+        """Generate the verdict, the reasons and the suspects, each as a name and a text."""
         yield 'verdict', f'{self.level}: {_MEANINGS[self.level]}'
         for reason in self.reasons:
             yield 'reason', reason
@@ -102,15 +102,15 @@ class Verdict:
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]
           ) -> list[tuple[Suspect, Solution]]:
     """
-    Return the most likely suspects, each with a fit that also estimates the suspect.
+    Fit the most likely suspects, and return each of them with its fit.
 
     Parameters
     ----------
     findings : Findings
         The reasons against the model.
     every : sequence of sequence of Measured
-        The channels of each recording, including the samples of the validation. Empty if there is
-        no validation.
+        The channels of each recording, including the validation samples. Empty if there is no
+        validation.
 
     """
     from scipy.special import chdtrc
@@ -118,7 +118,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     setup = solution.problem.setup
     names = [one.name for one in findings.scores if one.name != INERTIA_CHANGE][:_TRIED]
     if findings.reasons and 'inertia' in candidates(setup) and 'inertia' not in names:
-        names.append('inertia')  # the guess may be too bad for a score test
+        names.append('inertia')  # always try it: the guess may be too poor for a score test
     if not names:
         return []
     before = sum_of_squares(replace(solution, problem=solution.problem.weighted(
@@ -130,7 +130,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
             continue
         drop, value = max(before - sum_of_squares(fit), 0.0), value_of(fit, name)
         p = float(chdtrc(len(value), drop))
-        if p < ALARM:  # the score test is linear, and may predict a larger drop
+        if p < ALARM:  # check again: the score test is linear and may have predicted too much
             validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
             result.append((Suspect(name, drop, p, value, validation, command_with(setup, name)),
                            fit))
@@ -141,7 +141,7 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
            moved: Sequence[Mapping[str, float]], scales: Mapping[str, float],
            accept: float) -> tuple[Verdict, dict[str, float]]:
     """
-    Return the verdict, and the systematic part of the interval of each estimate.
+    Return the verdict and, for each estimate, the systematic part of its interval.
 
     Parameters
     ----------
@@ -150,11 +150,11 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
     attempts : sequence of Suspect
         The suspects that were fitted.
     moved : sequence of dict of str to float
-        For each suspect, how much each estimate changes if the suspect is also fitted.
+        For each suspect, how much each estimate changes if the suspect is fitted as well.
     scales : dict of str to float
         The scales of the estimates.
     accept : float
-        The largest accepted systematic error of an estimate, as for `identify`.
+        Largest systematic error to accept in an estimate, as for `identify`.
 
     """
     reasons, suspects = findings.reasons, _ranked(findings, attempts)[:_LISTED]
@@ -180,11 +180,11 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
 
 def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     """
-    Return the suspects, best first.
+    Rank the suspects, best first.
 
     If there is a validation, suspects are ranked by the chi-square of the validation. Otherwise,
-    suspects are ranked by the drop of the chi-square of the fit. A change of the inertia is always
-    ranked by the drop of the chi-square of the fit, because no fit includes such a change.
+    suspects are ranked by the drop in the chi-square of the fit. A change in the inertia is always
+    ranked by this drop, because no fit includes such a change.
     """
     ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
                                                -one.chi2_drop))

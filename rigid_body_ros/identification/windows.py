@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Windows of a recording, and predictions of the measurements in each window."""
+"""Windows of a recording, and predictions of the measurements in them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.sensing.measured import Measured
 
-#: Parameters that change the torques of a window.
+#: Parameters that change the torques in a window.
 _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
 Stamps = Sequence[NDArray[np.int64]]
 
@@ -39,21 +39,21 @@ Stamps = Sequence[NDArray[np.int64]]
 @dataclass(frozen=True, eq=False)
 class AxialInertia:
     """
-    Axial inertia of named wheels.
+    Axial inertia of the named wheels.
 
-    The fitted inertia does not include the axial inertia, because a fit treats the wheels as
-    rotors. At the start, the speeds of the wheels relative to the body are known. Therefore, the
-    axial momenta of the wheels depend on the angular velocity of the body, which is fitted.
+    A fit treats named wheels as rotors, so the fitted inertia does not include their axial
+    inertia. At the start, the wheel speeds are known relative to the body. The axial momenta of
+    the wheels therefore depend on the angular velocity of the body, which is fitted.
 
     Attributes
     ----------
     tensor : array, shape (3, 3), kg m^2
         The sum of I a a^T over the wheels, where I is the axial inertia and a is the axis.
     rate : array, shape (3,), rad/s
-        A guess of the angular velocity of the body at the start, for the momentum of the rotors in
+        A guess of the body's initial angular velocity. It is used to compute the rotor momentum in
         windows that begin later.
     start : State
-        The start that the user gave, with the speeds of the wheels.
+        The initial state given by the user, with the wheel speeds.
 
     """
 
@@ -65,30 +65,29 @@ class AxialInertia:
 @dataclass(eq=False)
 class Window:
     """
-    A part of a recording; its motion is computed from the state at the beginning of the window.
+    A part of a recording, whose motion is computed from the state at its beginning.
 
     Attributes
     ----------
     experiment : int
-        Number of the recording.
+        Index of the recording.
     is_first : bool
         Whether the window begins at the start of the recording.
     problem : Problem
-        The torques that act in the window, and the momentum of the rotors at the beginning of the
-        window. Each prediction replaces the body, attitude and angular velocity of this problem.
+        The torques that act in the window, and the rotor momentum at its beginning. Each
+        prediction replaces the body, attitude and angular velocity of this problem.
     channels : list of Measured
         The samples in the window.
     rows : list of slice
         Which samples of each channel of the recording are in the window.
     origin_ns : int
-        The start of the recording, at which clock drift has not yet shifted any stamp.
+        The start of the recording. Clock drift is zero at this time.
     axial : array, shape (3, 3), kg m^2, optional
-        Axial inertia of named wheels, if the speeds of the wheels at the beginning of the window
-        are known. In this case, the momentum of the rotors in `problem` is relative to the
-        rotating body.
+        Axial inertia of the named wheels, if the wheel speeds at the beginning of the window are
+        known. The rotor momentum in `problem` is then relative to the rotating body.
     is_in_body : bool
-        Whether all torques are in body axes, so that a rotation of the initial attitude rotates
-        the whole motion.
+        Whether all torques are in body axes. With such torques, rotating the initial attitude
+        rotates the whole motion.
 
     """
 
@@ -100,11 +99,11 @@ class Window:
     origin_ns: int
     axial: Floats | None = None
     is_in_body: bool = field(init=False)
-    #: Cache: the gain, delay and lag of the latest prediction, and the problem with the resulting
-    #: torques.
+    #: A cache of the torques: the gain, delay and lag of the latest prediction as bytes, and the
+    #: problem with the torques that result from them.
     _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
-    #: Cache: the sample times of all channels in the latest prediction, the indices of these times
-    #: in their union, and the union.
+    #: A cache of the sample times: the times of all channels in the latest prediction, the indices
+    #: of each channel's times in the union of all times, and the union itself.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
         init=False, default=None)
 
@@ -119,12 +118,12 @@ class Window:
 
     def predict(self, physics: Sequence[Physics], states: Poses) -> list[Floats]:
         """
-        Return what the sensors would measure without noise, for each channel.
+        Return what each channel would contain if its sensor had no noise.
 
         Parameters
         ----------
         physics : sequence of Physics, length c
-            The parameters of each prediction.
+            The parameters to use for each prediction.
         states : Poses
             The c states at the beginning of the window.
 
@@ -154,13 +153,17 @@ class Window:
 
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
-        """Return attitude and angular velocity at a time, propagated from the given state."""
+        """Propagate a state from the beginning of the window to a given time."""
         motion = self._motion(physics, attitude, velocity, np.array([time_ns]))
         return motion.attitude[0], motion.angular_velocity[0]
 
     def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
                 times_ns: NDArray[np.int64]) -> Trajectory:
-        """Return the motion at given times; at times before the window, the initial state."""
+        """
+        Return the motion at the given times.
+
+        At times before the beginning of the window, the motion is at its initial state.
+        """
         momentum = self.problem.start.rotor_momentum + physics.value('rotor_momentum')
         if self.axial is not None:
             momentum = momentum + self.axial @ velocity
@@ -171,7 +174,11 @@ class Window:
         return problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
 
     def _instants(self, physics: Physics) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
-        """Return the indices of the samples in the union of all sample times, and the union."""
+        """
+        Return where the samples of each channel lie in the union of all sample times.
+
+        The first result holds the indices of each channel. The second is the union, ns.
+        """
         stamps = [clocked(channel, physics, self.origin_ns) for channel in self.channels]
         if self._times is None or not all(map(np.array_equal, stamps, self._times[0])):
             union = np.unique(np.concatenate(stamps))
@@ -184,7 +191,11 @@ class Window:
         return sum(len(channel) for channel in self.channels)
 
     def _acting(self, physics: Physics, end_ns: int) -> Problem:
-        """Return the problem with the torques that act; a torque bias acts up to `end_ns`."""
+        """
+        Return the problem of this window with the torques that act on the body.
+
+        The torques include the torque bias, which acts until `end_ns`.
+        """
         key = b''.join(physics.value(name).tobytes() for name in _OF_TORQUES)
         if not self._applied or key != self._applied[0]:
             self._applied = key, self.problem.replaced(
