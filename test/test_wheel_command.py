@@ -338,6 +338,28 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     assert drift < 1e-14
 
 
+def test_a_replay_reports_what_exceeds_the_limits_of_wheels(tmp_path):
+    path, scene_path = tmp_path / 'commands.mcap', tmp_path / 'limited.yaml'
+    scene_path.write_text(SCENE.read_text().replace('600.0', '60.0'))
+    run = scene.load(scene_path)
+    with recording.Writer(path) as writer:
+        writer.add_topic('/wheel_command', COMMANDS)
+        # The held effort drives rw_x beyond its limit; rw_y is commanded again, and stops there.
+        for second, efforts in ((1, [0.003, 0.003, NAN, NAN]), (3, [NAN, NAN, -0.02, NAN]),
+                                (4, [NAN, 0.002, 0.01, NAN]), (9, [NAN, NAN, -0.01, NAN])):
+            writer.write('/wheel_command', second * SECOND,
+                         COMMANDS.encode(second * SECOND, '', efforts))
+    result = replay(path, run, until=7.0)
+    speeds = abs(result.trajectory.wheel_speeds).max(axis=0)
+    assert speeds[0] > 150.0
+    assert result.warnings == [
+        *(f'{wheel}: the wheel turned at up to {speed:.6g} rad/s, faster than its max_speed of 60 '
+          'rad/s, which is checked only when a command takes effect'
+          for wheel, speed in zip(WHEELS, speeds.tolist())),
+        'efforts clipped to max_torque: 2', 'efforts that acted as zero at max_speed: 1']
+    assert f'warning       {result.warnings[0]}' in result.text()
+
+
 @pytest.fixture
 def flight(tmp_path):
     """Return a recording with commands of wheels and with measurements of the motion."""

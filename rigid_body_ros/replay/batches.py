@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute the motion of a replay in batches of outputs."""
+"""Compute the motion of a replay batch by batch."""
 
 from __future__ import annotations
 
@@ -34,19 +34,20 @@ from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Stream
 from rigid_body_ros.replay.gaps import announce, computing_time, Gaps
+from rigid_body_ros.replay.saturation import Saturation
 from rigid_body_ros.scene import Scene
 
-#: Names of the additional topics that can be written.
+#: The names by which you request additional output topics of a replay.
 IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
 #: Largest number of outputs in a batch.
 _LARGEST = 2 ** 16
-#: Largest number of outputs of a replay; more would fill the disk.
+#: Largest number of outputs in a replay; a larger number would fill the disk.
 _MOST_OUTPUTS = 10 ** 8
 
 
 @dataclass(frozen=True)
 class Request:
-    """The arguments of `replay` that determine the motion and the outputs."""
+    """The arguments of `replay` that determine the motion and its outputs."""
 
     path: str | Path
     scene: Scene
@@ -54,17 +55,17 @@ class Request:
     rate: float | None
     until: float | None
     also: Collection[str] = ()
-    #: A function that returns the object that receives the batches; None if no object does.
+    #: Creates the object that receives the batches; None if the batches are not collected.
     collect: Callable[[], Collector] | None = None
 
     @property
     def sensor_delay_ns(self) -> int:
-        """Return the delay of the IMU, ns: the time from a measurement to its stamp."""
+        """Return the IMU delay, ns: the time between a measurement and its stamp."""
         return self.scene.imu.delay_ns if IMU in self.also else 0
 
 
 class Collector(Protocol):
-    """An object that receives each batch of a motion."""
+    """An object to which each batch of a motion is passed."""
 
     def add(self, batch: Batch) -> None:
         """Receive a batch."""
@@ -72,10 +73,10 @@ class Collector(Protocol):
 
 class Batch(NamedTuple):
     """
-    A part of the motion, the problem with the torques of this part, and the computing time, s.
+    A part of the motion, the problem with the torques for this part, and the computing time, s.
 
     `sensed` is the motion that the IMU reports at the times of the trajectory. The reported motion
-    lags behind the motion of the body by the delay of the IMU.
+    lags behind the motion of the body by the IMU delay.
     """
 
     problem: Problem
@@ -85,14 +86,16 @@ class Batch(NamedTuple):
 
     @property
     def last_ns(self) -> int:
-        """Return the last stamp of the torques and wheel commands, ns; 0 if there are none."""
+        """Return the last stamp of torques and wheel commands, ns; 0 if there are no stamps."""
         logs = [log.times_ns for log in (*self.problem.sources, self.problem.efforts) if log]
         return max((int(times_ns[-1]) for times_ns in logs), default=0)
 
 
 class Batches:
     """
-    The motion under torques that are read piece by piece; iteration yields each `Batch`.
+    Compute a motion in batches, while its torques are read piece by piece.
+
+    Iterate over an object of this class to get the batches.
 
     Parameters
     ----------
@@ -101,25 +104,31 @@ class Batches:
         The names of the topics, for error messages.
     streams : sequence of Stream
     problem : Problem
-        The problem; the torques of `streams` replace its torques. The problem also contains the
-        start state and, if the torques are one piece, the changes of the body and the efforts.
+        The problem. The torques of `streams` replace those of the problem, but the start state of
+        the problem is used. If the torques are a single piece, the body changes and efforts of the
+        problem are used, too.
     is_epoch : bool
-        Whether the motion is an epoch of a node. Such an epoch may have no torques.
+        Whether the motion is an epoch of a node, which may have no torques.
 
     Attributes
     ----------
     start : State
     first_ns : int
-        Stamp of the first torque or command to named wheels; the start time if there are none.
+        Stamp of the first torque or wheel command; the start time if there are neither torques nor
+        wheel commands.
     gaps : tuple of Gaps
-        The gaps in the part of each log that has been read so far.
+        For each log, the gaps in the part that has been read so far.
+    saturation : Saturation, optional
+        The speeds and efforts that have exceeded the limits of named wheels so far; None if there
+        are no named wheels.
 
     """
 
     def __init__(self, request: Request, topics: str, streams: Sequence[Stream], problem: Problem,
                  is_epoch: bool) -> None:
         self._problem, start = problem, problem.start
-        #: The stamps of the inertia and of the commands to named wheels, if these are read.
+        #: The stamps of the inertia messages and of the commands to named wheels, if these
+        #: messages are read.
         self._others = [log.times_ns for log in (problem.changes, problem.efforts) if log]
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
@@ -129,29 +138,31 @@ class Batches:
         if problem.efforts:
             stamps.append(int(problem.efforts.times_ns[0]))
         self.first_ns = min(stamps, default=start.time_ns)
-        #: The motions computed so far: one for each interpolation, by its name, and the motion
-        #: that a delayed IMU measures, under the key `IMU`. Empty before the first piece.
+        #: The motions computed so far. The key of a motion is the name of its interpolation, or
+        #: `IMU` for the motion that a delayed IMU measures. The dictionary is empty before the
+        #: first piece.
         self._motions: dict[str, Integration] = {}
-        #: The interpolations that were not requested. An interpolation with which the body spins
-        #: too fast is removed.
+        #: The interpolations that were not requested. An interpolation is removed from the list if
+        #: the body spins too fast when that interpolation is used.
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
         self._alternatives = names
         #: The final attitude with each interpolation that was not requested; None if the body
-        #: spins too fast.
+        #: spins too fast with that interpolation.
         self._final_attitudes: dict[str, Floats | None] = {}
         #: For each stream, whether the torques read so far are in space axes: False, True or both.
         self._frames: list[set[bool]] = [set() for _ in streams]
-        #: The thread that advances the motions with the interpolations in `_alternatives`. The
-        #: thread is a daemon, so that it does not delay the end of the program.
+        #: The thread that computes the motions for the interpolations in `_alternatives`. As a
+        #: daemon thread, it does not delay the end of the program.
         self._thread: Thread | None = None
-        #: The exception that the thread raised.
+        #: The exception raised in the thread, if any.
         self._failure: BaseException | None = None
         self._outputs = _OutputTimes(request, start.time_ns, is_epoch)
         self._end_ns = NEVER_NS if request.until is None else \
             end_of(request.path, 0, start.time_ns, request.until)
         self.gaps = tuple(Gaps(start.time_ns, self._end_ns, request.scene.timeout_ns)
                           for _ in streams)
-        #: The speed of the body at the end of the motion computed so far, rad/s.
+        self.saturation = Saturation(problem.named_wheels) if problem.named_wheels else None
+        #: How fast the body rotates at the end of the motion computed so far, rad/s.
         self._speed = _speed(start.angular_velocity)
 
     def __iter__(self) -> Iterator[Batch]:
@@ -169,9 +180,10 @@ class Batches:
 
     def differences(self, end: Floats) -> dict[str, float | None]:
         """
-        For each alternative interpolation, return the angle of its final attitude to `end`, rad.
+        Return how far the final attitude would be from `end` with other interpolations, rad.
 
-        A value is None if the body spins too fast with that interpolation.
+        The result contains one angle for each interpolation that was not requested. The angle is
+        None if the body spins too fast with that interpolation.
         """
         self._wait()
         return {name: None if other is None else float(so3.angle_between(other, end))
@@ -197,7 +209,7 @@ class Batches:
             self._thread = Thread(target=self._advance_alternatives, daemon=True,
                                   args=(others, until_ns, times_of(numbers[-1:]), limits))
             self._thread.start()
-            # If the IMU has a delay, all torques are one piece.
+            # If the IMU has a delay, the torques are always a single piece.
             earlier = self._continued(IMU, logs) if self._delay_ns else None
             for first in range(0, max(len(numbers), 1), _LARGEST):
                 times_ns = times_of(numbers[first:first + _LARGEST])
@@ -208,6 +220,8 @@ class Batches:
                         np.maximum(times_ns - self._delay_ns, self.start.time_ns))
                 if trajectory.times_ns.size:
                     self._speed = _speed(trajectory.angular_velocity[-1])
+                if self.saturation:
+                    self.saturation.add(trajectory, self._problem.efforts, motion.refused_commands)
                 yield Batch(motion.problem, trajectory, sensed, time.perf_counter() - began)
                 began = time.perf_counter()
         except InputError:
@@ -216,21 +230,21 @@ class Batches:
             raise InputError(f'{self._where}: {error}') from error
 
     def _check_frames(self) -> None:
-        """Drop the other interpolations if a log has torques in body axes and in space axes."""
+        """If a log mixes body and space axes, drop all interpolations except the requested one."""
         for stream, frames in zip(self.streams, self._frames):
             frames |= set(np.unique(stream.piece.in_space).tolist())
         if any(len(frames) > 1 for frames in self._frames):
             if self._request.interpolation != 'hold' and self._motions:
-                raise NotInOrderError  # reading the whole log raises the error
+                raise NotInOrderError  # the error is raised when the whole log is read
             self._alternatives = []
             self._final_attitudes.clear()
 
     def _logs(self, interpolation: str, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
         """
-        Return the torques of each stream for the next part of the motion.
+        Return the torques from each stream for the next part of the motion.
 
-        If there are several streams and `until_ns` is not None, the torques are cut to the
-        interval from `begin_ns` to `until_ns`.
+        If there are several streams and `until_ns` is not None, only the torques between
+        `begin_ns` and `until_ns` are returned.
         """
         logs = []
         for stream in self.streams:
@@ -244,7 +258,7 @@ class Batches:
         return [log.between(begin_ns, until_ns) for log in logs]
 
     def _continued(self, interpolation: str, logs: Sequence[TorqueLog]) -> Integration:
-        """Return a motion that continues under the next pieces of the torques."""
+        """Continue a motion with the next pieces of its torques."""
         body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
         wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
         problem = self._problem.replaced(log=body, wheels=next(iter(wheels), None))
@@ -264,13 +278,13 @@ class Batches:
     def _advance_alternatives(self, others: dict[str, list[TorqueLog]], until_ns: int | None,
                               last_ns: NDArray[np.int64],
                               limits: tuple[tuple[int, int], float, Scene]) -> None:
-        """Advance the motions with the other interpolations to the end of the piece."""
+        """Advance the motions for the other interpolations to the end of the piece."""
         try:
             for name, logs in others.items():
                 try:
                     _computing_time(logs, *limits)
                     motion = self._continued(name, logs).advance(last_ns, until_ns)
-                except ValueError:  # the body spins too fast, or too long
+                except ValueError:  # the body spins too fast, or for too long
                     self._alternatives.remove(name)
                     self._final_attitudes[name] = None
                 else:
@@ -282,25 +296,30 @@ class Batches:
 
 def _computing_time(logs: Sequence[TorqueLog], span_ns: tuple[int, int], speed: float,
                     scene: Scene) -> float:
-    """Return the longest `computing_time` of the logs; raise the errors of `computing_time`."""
+    """Return the largest `computing_time` of all logs; raise the errors of `computing_time`."""
     return max((computing_time(log, span_ns, speed, scene) for log in logs), default=0.0)
 
 
 class _OutputTimes:
     """
-    The times of the outputs, which are determined piece by piece.
+    Determine the output times piece by piece.
 
-    In an epoch of a node, the times begin at the start of the epoch, like the states that a node
-    commits. All torques of an epoch may be older than the start, or the epoch may have no torques.
+    In an epoch of a node, the first output is at the start of the epoch, because the node commits
+    its start state. This holds even if all torques of the epoch are older than its start, or if
+    the epoch has no torques.
     """
 
     def __init__(self, request: Request, start_ns: int, is_epoch: bool) -> None:
         self._request, self._start_ns, self._is_epoch = request, start_ns, is_epoch
-        #: End of the motion computed so far, ns, and number of outputs so far.
+        #: The end of the motion computed so far, ns, and the number of outputs so far.
         self.done_ns, self._count = start_ns, 0
 
     def end_ns(self, stamps_ns: NDArray[np.int64]) -> int:
-        """Return the end of the motion, ns, for a log with these stamps; see `end_of`."""
+        """
+        Return the time at which the motion ends, ns.
+
+        The end may depend on the stamps of the torques; see `end_of`.
+        """
         last_ns = int(stamps_ns[-1]) if stamps_ns.size else self._start_ns
         if self._is_epoch:
             last_ns = max(last_ns, self._start_ns)
@@ -309,11 +328,11 @@ class _OutputTimes:
     def up_to(self, stamps_ns: NDArray[np.int64], until_ns: int | None
               ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
         """
-        Return the indices of the next outputs, and a function that turns indices into times, ns.
+        Return the indices of the next outputs, and a function that converts indices to times, ns.
 
         The next outputs are those up to `until_ns` or, if `until_ns` is None, up to the end of the
-        motion. A function returns the times, because at a high rate the times of all outputs would
-        not fit in memory.
+        motion. The times are computed by a function because, at a high rate, the times of all
+        outputs would not fit in memory.
         """
         start_ns, rate = self._start_ns, self._request.rate
         end_ns = self.end_ns(stamps_ns) if until_ns is None else until_ns
@@ -348,7 +367,9 @@ class _OutputTimes:
 
 def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = None) -> int:
     """
-    Return the end of a replay, ns: `until` seconds after the start; by default, the last stamp.
+    Return the time at which a replay ends, ns.
+
+    A replay ends `until` seconds after the start or, by default, at the last stamp.
 
     Raises
     ------

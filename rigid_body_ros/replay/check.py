@@ -13,9 +13,10 @@
 # limitations under the License.
 
 """
-Check that a motion conserves momentum or energy, or that energy changes by the work done.
+Check a motion against the conservation laws, or against the work done on the body.
 
-Also estimate how the last digits of the input data affect a motion, for any solver.
+This module also estimates how far a motion moves if the last digits of the input data change. The
+estimate holds for any solver.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 
-#: The energy balance covers at most _MOST_INTERVALS intervals; in each interval, the body turns by
+#: The energy balance covers at most _MOST_INTERVALS intervals. In each of them, the body turns by
 #: at most _INTERVAL_ANGLE, rad.
 _MOST_INTERVALS = 200_000
 _INTERVAL_ANGLE = 0.05
-#: The effect of the last digits is estimated over at most _SAMPLES samples and over an angle of at
-#: most _ANGLE, rad. The motions are compared at _TIMES points in time. The estimate takes about
+#: The effect of the last digits is estimated over at most _SAMPLES samples and over a rotation of
+#: at most _ANGLE, rad. The motions are compared at _TIMES points in time. The estimate takes about
 #: 10 ms.
 _SAMPLES, _ANGLE, _TIMES = 16_384, 4096.0, 64
 #: Gauss-Legendre quadrature on [0, 1].
@@ -48,10 +49,11 @@ _GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 class Check(NamedTuple):
-    """The finding of a check, as text."""
+    """The finding of a check, as text, and the part of the motion that was checked."""
 
     finding: str
-    #: The time from the start that the check covers, s; `total` is the length of the motion, s.
+    #: The check covers this many seconds from the start of the motion. `total` is the length of
+    #: the motion, s.
     covered: float
     total: float
 
@@ -63,12 +65,13 @@ class Check(NamedTuple):
 
 
 class LastDigits(NamedTuple):
-    """How far a change of the last digits moves a motion, rad; see `last_digit_effect`."""
+    """How far a motion moves if its inputs' last digits change, rad; see `last_digit_effect`."""
 
     effect: float
-    #: Expected rounding error of a motion over the part that the estimate covers, rad.
+    #: Rounding error to expect in the part of the motion that the estimate covers, rad.
     rounding: float
-    #: The time from the start that the estimate covers, s; `total` is the length of the motion, s.
+    #: The estimate covers this many seconds from the start of the motion. `total` is the length
+    #: of the motion, s.
     covered: float
     total: float
 
@@ -83,8 +86,8 @@ def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
     """
     Estimate how far the beginning of a motion moves if the last digits of its inputs change.
 
-    The estimate uses the solver `auto`. Return None if the motion ends at its start, or if the
-    body spins too fast for the estimate.
+    The estimate is computed with the solver `auto`. It is None if the motion has zero length, or
+    if the body spins too fast for an estimate.
     """
     begin_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
@@ -111,18 +114,21 @@ def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
 
 def drift(problem: Problem, trajectory: Trajectory) -> Check:
     """
-    Return how much a motion with at least one output violates the conservation laws.
+    Return how much a motion violates the conservation laws.
 
-    Without an external torque, the angular momentum in space axes is constant. Under torques in
-    space axes, the change of this momentum equals the integral of the torques. Under fields alone,
-    the integrals of `_integrals` are constant. In all other cases, work and energy are compared:
+    The motion must have at least one output.
 
-    - under torques in body axes, or under torques of an actuator;
-    - under damping;
-    - under fields together with torques, or in orbit together with a uniform field;
-    - under friction of wheels together with torques or fields.
+    Without an external torque, the angular momentum in space axes is constant. With torques in
+    space axes, the angular momentum changes by the integral of the torques. With fields alone, the
+    integrals of motion in `_integrals` are constant. In the remaining cases, the work done on the
+    body is compared with the change of its energy:
 
-    If the body changes, only the motion up to the first change is checked.
+    - with torques in body axes, or torques from an actuator;
+    - with damping;
+    - with fields and torques together, or with an orbit and a uniform field together;
+    - with wheel friction and torques or fields together.
+
+    If the body changes, the motion is only checked up to the first change.
     """
     seconds = float(trajectory.times_ns[-1] - problem.start.time_ns) * 1e-9
     change_ns = problem.next_change_ns
@@ -163,12 +169,13 @@ def _balance(problem: Problem, trajectory: Trajectory, seconds: float) -> Check:
 
 def _integrals(problem: Problem, trajectory: Trajectory) -> str:
     """
-    Return the relative changes, as text, of the constants of the motion under fields alone.
+    Return a text with the relative changes of the constants of motion for a body in fields alone.
 
-    Under uniform fields the energy, including the potential energy, is constant; if all fields are
-    parallel, the momentum about their direction is constant, too (Lagrange). In orbit, Jacobi's
-    integral is constant: the energy minus the mean motion times the momentum about the normal of
-    the orbit. In an orbit with uniform fields nothing is conserved, and the text is empty.
+    In uniform fields, the total energy (kinetic plus potential) is constant. If all fields are
+    parallel, the angular momentum about their common direction is constant, too, as in Lagrange's
+    top. In orbit, Jacobi's integral is constant: the energy minus the product of the mean motion
+    and the angular momentum about the orbit normal. In orbit with uniform fields, nothing is
+    conserved, and the text is empty.
     """
     start, body, fields = problem.start, problem.body, problem.fields
     times_ns = np.append(start.time_ns, trajectory.times_ns)
@@ -193,17 +200,17 @@ def _integrals(problem: Problem, trajectory: Trajectory) -> str:
 
 
 def _change(terms: Sequence[Floats]) -> float:
-    """Return the largest change of a sum from its first value, relative to the largest term."""
+    """Return how far the sum of `terms` moves from its start, relative to the largest term."""
     total, largest = np.sum(terms, axis=0), float(np.abs(terms).max())
     return float(np.abs(total - total[0]).max()) / (largest or 1.0)
 
 
 def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
-    """Return the relative error of the momentum under torques in space axes."""
+    """Return the relative error of the angular momentum for torques in space axes."""
     start, body = problem.start, problem.body
     momentum = start_momentum = so3.rotate(
         start.attitude, body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
-    for log in problem.logs:  # integrate the torque as if it acted on rotors
+    for log in problem.logs:  # integrate the torque as if it acted on the rotors
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
         rotors = problem.solved_by().replaced(start=State(start.time_ns), log=(), wheels=driven)
         momentum = momentum + rotors.rotor_momentum(trajectory.times_ns)
@@ -223,21 +230,23 @@ def _is_in_space(log: TorqueLog) -> bool:
 
 def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
     """
-    Compare the work on the body with the change of its kinetic energy.
+    Compare the work done on the body with the change of its kinetic energy.
 
-    The work is the integral of (tau - tau_wheel - D w) . w over time. This integral is computed
-    by Gaussian quadrature with three points in intervals of at most 0.05 rad between changes of
-    the torque. The intervals are shorter where rotors, damping or lags change the rates faster
-    than the body turns. The points are rounded to whole nanoseconds. At 1 rad/s, this rounding
-    changes the work in an interval by a fraction of about 1e-10.
+    The work is the integral of (tau - tau_wheel - D w) . w over time. It is computed by
+    three-point Gaussian quadrature, over intervals that end wherever the torque changes and in
+    which the body turns by at most 0.05 rad. The intervals are shorter where rotors, damping or
+    lags change the rates faster than the body turns. The quadrature points are rounded to whole
+    nanoseconds. At 1 rad/s, this rounding changes the work in an interval by a fraction of about
+    1e-10.
 
     Returns
     -------
     imbalance : float
         |work - change of energy|, relative to the largest kinetic energy.
     seconds : float
-        Time from the start that the comparison covers, s. The comparison covers only
-        the beginning if the whole motion needs more than `_MOST_INTERVALS` intervals.
+        The length of the part of the motion that the comparison covers, s, counted from the start.
+        If the whole motion would need more than `_MOST_INTERVALS` intervals, only its beginning is
+        covered.
 
     """
     edges = _interval_edges(problem, trajectory)
@@ -262,8 +271,8 @@ def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, flo
 
 
 def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int64]:
-    # Return the times at which the torque changes, and further times between them, so that all
-    # intervals are short.
+    # Return the times at which the torque changes, and enough times between them to keep all
+    # intervals short.
     changes = np.unique(np.concatenate(
         [np.empty(0, np.int64),
          *(log.segments(problem.options.timeout_ns)[0] for log in problem.acting_sources),
@@ -290,7 +299,7 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
 
 
 def _linear_rate(trajectory: Trajectory) -> float:
-    """Return a bound, 1/s, on the rate at which rotors and damping change the angular velocity."""
+    """Return an upper bound, 1/s, on how fast rotors and damping change the angular velocity."""
     body = trajectory.body
     return (_norm(trajectory.rotor_momentum) + float(np.linalg.norm(body.damping))) \
         / float(body.principal_moments[0])

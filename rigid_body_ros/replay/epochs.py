@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Find the epochs of a node in a recorded motion."""
+"""Find out where the epochs of a node begin and end in a recorded motion."""
 
 from __future__ import annotations
 
@@ -29,24 +29,25 @@ from rigid_body_ros.mechanics.state import State
 
 def groups(starts: Sequence[State], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
     """
-    Return the rows of each epoch in a recorded motion; the first row is the start state.
+    Return the rows that belong to each epoch of a recorded motion.
 
-    An epoch has no rows if the node was killed before any state was recorded.
+    The first row of an epoch is its start state. If the node was killed before any state was
+    recorded, the epoch has no rows.
 
     Parameters
     ----------
     starts : sequence of State
         The start states of the epochs.
     stamps_ns : array of int64, shape (n,)
-        Stamps of the recorded states, ascending within an epoch.
+        The stamps of the recorded states, which ascend within an epoch.
     values : array, shape (n, 4) or (n, 7)
-        Attitudes, followed by body rates, rad/s, if body rates are recorded.
+        The attitudes, each followed by the body rates, rad/s, if these are recorded.
 
     Raises
     ------
     InputError
-        The first state, or a state whose stamp is not later than the previous stamp, is not the
-        start state of an epoch.
+        The recording does not begin with the start state of an epoch; or a stamp is not later
+        than the one before, although no epoch starts there.
 
     """
     width = values.shape[1]
@@ -62,7 +63,7 @@ def groups(starts: Sequence[State], stamps_ns: NDArray[np.int64], values: Floats
         left[state] -= 1
         same = numbers.get(state, [])
         following = same[bisect(same, begun[-1][0] if begun else -1):]
-        # A state of the current epoch may equal the start state of a later epoch.
+        # A state in the current epoch may happen to equal the start state of a later epoch.
         if following and (restarts[row] or left[state] < len(following)):
             begun.append((following[0], row))
         elif restarts[row]:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Find the gaps in a torque log, and reject a gap that would take too long to compute."""
+"""Find gaps in a torque log, and reject gaps in which the motion takes too long to compute."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.runtime.terminal import report
 from rigid_body_ros.scene import Scene
 
-#: A torque causes a warning if it acts for longer than _LONG, s, and for longer than _TIMES usual
-#: spacings of the samples.
+#: Warn about a torque that acts for longer than _LONG seconds and for longer than _TIMES times the
+#: usual spacing of the samples.
 _LONG, _TIMES = 1.0, 100
-#: Number of classes per factor of two; spacings are counted in classes of equal width on a
-#: logarithmic scale.
+#: The spacings are counted in a histogram with a logarithmic scale and this many bins per factor
+#: of two.
 _CLASSES = 16
-#: Largest number of steps in a gap (so many steps take about 11 hours), and the approximate
-#: computing time of a step, s.
+#: Largest number of steps in a gap, and the approximate computing time per step, s. The largest
+#: number of steps takes about 11 hours.
 _MOST_STEPS, _STEP = 1e10, 4e-6
-#: Lower bound of divisors, so that no division is by zero.
+#: A smaller divisor is replaced by this number, so that nothing is divided by zero.
 _TINY = 1e-250
-#: A computation that takes longer than this, s, is announced.
+#: If a computation takes longer than this many seconds, the user is told in advance.
 _PATIENCE = 10.0
 
 
 class Gap(NamedTuple):
-    """The interval between two neighbouring samples, ns."""
+    """An interval between two neighbouring samples, ns."""
 
     begin_ns: int = 0
     length_ns: int = 0
@@ -52,14 +52,14 @@ class Gap(NamedTuple):
 
 class Gaps:
     """
-    The gaps between the samples of a log that is added piece by piece.
+    Find the gaps between the samples of a torque log; the log is added piece by piece.
 
     Parameters
     ----------
     start_ns, end_ns : int
-        Start and end of the motion, ns; only the parts of gaps between these two times count.
+        The start and end of the motion, ns. Only the part of a gap between these times counts.
     timeout_ns : int
-        Longest time for which a torque acts, ns; 0 if there is no limit.
+        The longest time for which a torque acts, ns; 0 if there is no limit.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Gaps:
         self._last_ns = -2 ** 63
 
     def add(self, log: TorqueLog) -> None:
-        """Add a piece of the log, which may overlap with the previous piece."""
+        """Add a piece of the log. The piece may overlap the previous one."""
         times = np.clip(log.times_ns, *self._span)
         first = int(np.searchsorted(times, self._last_ns))
         times, acts = times[first:], _acts(log)[first:]
@@ -93,14 +93,18 @@ class Gaps:
 
     @property
     def usual(self) -> float:
-        """Return the median spacing, s, with an error of a few percent; 0 without any spacing."""
+        """
+        Return the median spacing of the samples, s, to within a few percent.
+
+        The result is 0 if there are fewer than two samples.
+        """
         total = np.cumsum(self._counts)
         middle = int(np.searchsorted(total, (total[-1] + 1) // 2))
         return float(2.0 ** ((middle + 0.5) / _CLASSES)) * 1e-9 if total[-1] else 0.0
 
     @property
     def warning(self) -> str:
-        """Return a warning if a torque acts for much longer than usual, otherwise ''."""
+        """Return a warning if a torque acts for much longer than usual; otherwise ''."""
         begin_ns, length_ns = self.acted
         seconds = length_ns * 1e-9
         if seconds <= max(_LONG, _TIMES * self.usual):
@@ -117,7 +121,7 @@ class Gaps:
 
 
 def announce(where: str, seconds: float) -> None:
-    """Report how long a computation takes, if it takes longer than `_PATIENCE`."""
+    """Tell the user how long a computation will take, if that is longer than `_PATIENCE`."""
     if seconds > _PATIENCE:
         report(f'{where}: computing the motion takes about {timedelta(seconds=round(seconds))} '
                '(h:min:s)')
@@ -126,7 +130,7 @@ def announce(where: str, seconds: float) -> None:
 def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
                    scene: Scene) -> float:
     """
-    Return the approximate computing time of the motion under a piece of a log, s.
+    Estimate the time that it takes to compute the motion for one piece of a log, s.
 
     Parameters
     ----------
@@ -135,19 +139,19 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
     span_ns : tuple of int
         Start and end of the motion, ns.
     speed : float, rad/s
-        The speed of the body at the start of the piece.
+        How fast the body rotates at the start of the piece.
     scene : Scene
         The body and the solver.
 
     Raises
     ------
     ValueError
-        A torque acts for so long that the computation would not end.
+        A torque acts for so long that the computation would practically never end.
 
     """
     if not len(log):
         return 0.0
-    # A single interval with the largest torque gives an upper bound that is quick to compute.
+    # Try a quick upper bound first: assume that the largest torque acts over one long interval.
     most = _steps(np.array([math.sqrt(3.0) * np.abs(log.torques).max()]),
                   np.array([(span_ns[1] - span_ns[0]) * 1e-9]), speed, scene)
     if most.max() * _STEP <= _PATIENCE:
@@ -167,14 +171,14 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
 
 
 def _sizes(log: TorqueLog) -> Floats:
-    """Return the largest magnitude of the torque between each sample and the next, N m."""
+    """Return the largest magnitude of the torque in each interval between two samples, N m."""
     with np.errstate(over='ignore'):
         sizes = np.linalg.norm(log.torques, axis=1)
     return sizes if log.interpolation == 'hold' else np.maximum(sizes, np.append(sizes[1:], 0.0))
 
 
 def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats:
-    """Return the approximate number of steps of the motion under each torque: one per radian."""
+    """Estimate how many steps the solver takes while each torque acts, at one step per radian."""
     options, body = scene.options, scene.body
     is_closed = options.record.closed_form_beyond < np.inf and not (
         scene.has_rotors or body.is_damped or scene.fields)
@@ -182,7 +186,7 @@ def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats
     rate += sum(float(one.speed(moment, body.principal_moments[2])) for one in scene.fields)
     with np.errstate(over='ignore'):
         gain = np.clip(sizes / moment, _TINY, 1.0 / _TINY)
-        if not body.is_damped:  # above the largest speed, the motion ends with an error
+        if not body.is_damped:  # beyond the largest speed, the motion ends in an error
             seconds = np.minimum(seconds, FASTEST / gain)
         acting = np.minimum(seconds, options.timeout_ns * 1e-9) if options.timeout_ns else seconds
         stepped = acting if is_closed else seconds
@@ -199,7 +203,7 @@ def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats
 
 
 def _acts(log: TorqueLog) -> NDArray[np.bool_]:
-    """Return, for each interval between two samples, whether a torque acts in the interval."""
+    """For each interval between two samples, return whether a torque acts in that interval."""
     acts = np.any(log.torques != 0.0, axis=1)
     return acts[:-1] if log.interpolation == 'hold' else acts[:-1] | acts[1:]
 

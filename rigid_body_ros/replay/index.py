@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Make the page of several replayed recordings: a table with a small picture per recording."""
+"""Make a page for several replayed recordings: a table with a small picture of each."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rigid_body_ros.report.page import Markup, Page, table
 from rigid_body_ros.report.thinning import Extremes
 from rigid_body_ros.scene import Scene
 
-#: Width and height of a picture, SVG units, and the largest number of intervals that it shows.
+#: The width and height of a picture, in SVG units, and the largest number of intervals in a curve.
 _WIDTH, _HEIGHT, _INTERVALS = 200.0, 40.0, 128
 
 
@@ -42,7 +42,7 @@ class Picture:
             self._rates.add(motion.times_ns, motion.angular_velocity)
 
     def svg(self) -> str:
-        """Return the curves of the three components of the angular velocity as SVG."""
+        """Draw the three components of the angular velocity as curves in SVG."""
         times, low, high = self._rates.result()
         if not len(times):
             return ''
@@ -60,14 +60,14 @@ class Picture:
 
 def page(outcomes: Sequence[Outcome], scene: Scene, command: str) -> Page:
     """
-    Return the page of several recordings.
+    Return a page that lists several recordings.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
-        The outcomes of recordings that were replayed with `collect=Picture`.
+        The outcomes of the recordings, which must have been replayed with `collect=Picture`.
     scene : Scene
-        The scene of all recordings.
+        The scene that all recordings share.
     command : str
         The command line.
 
@@ -87,7 +87,7 @@ def _picture(outcome: Outcome) -> Markup:
 
 
 def _text(outcome: Outcome) -> str:
-    """Return the text of an outcome as in the terminal, with file names in place of paths."""
+    """Return what the terminal shows for an outcome, with file names instead of paths."""
     text = outcome.summary or f'failed: {outcome.error}'
     for path in (outcome.output, outcome.path):
         text = text.replace(path, os.path.basename(os.path.abspath(path)))

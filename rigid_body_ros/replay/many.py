@@ -41,19 +41,19 @@ from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm
 
-#: Pattern of the names of partial outputs.
+#: Matches the file names of partial outputs.
 _PARTIAL = '*.partial*.mcap'
 
-#: The paths of a recording and of the output for its motion.
+#: The path of a recording, and the path of the output for its motion.
 Task = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Outcome:
     """
-    The result for one recording: its output and a short summary, or the error.
+    The outcome of replaying one recording: its output and a short summary, or the error.
 
-    `collected` is the object that the option `collect` of `replay` returned.
+    `collected` is the object that `replay` obtained by calling its argument `collect`.
     """
 
     path: str
@@ -63,28 +63,28 @@ class Outcome:
     collected: Collector | None = None
 
 
-#: A function that generates the outcomes of tasks in any order. The last argument contains the
-#: options of `replay`.
+#: A function that runs tasks and generates their outcomes in any order. Its last argument contains
+#: the options for `replay`.
 Pool = Callable[[Sequence[Task], Scene, dict[str, Any]], Generator[Outcome]]
 
 
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
                 pool: Pool | None = None, **options: Any) -> list[Outcome]:
     """
-    Replay recordings into a folder, each to a file of the same name (see `outputs_in`).
+    Replay recordings, and write each motion to a file in a folder; `outputs_in` names the files.
 
     Parameters
     ----------
     paths : sequence of str
         The recordings.
     scene : Scene
-        The scene of all recordings.
+        The scene that all recordings share.
     folder : str or Path
-        The folder for the outputs; created if it does not exist.
+        The folder for the outputs, which is created if it does not exist.
     pool : Pool, optional
-        The function that replays the recordings. By default, one process runs on each processor.
+        The function that runs the replays. By default, they run in one process per processor.
     options
-        Options of `replay`.
+        Options for `replay`.
 
     Returns
     -------
@@ -97,8 +97,8 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         The folder cannot be created; two outputs would have the same name; an output would replace
         a recording or the scene; or an output would be in the folder of a bag.
     KeyboardInterrupt
-        A signal was received. The last argument of the exception names the partial outputs, if
-        there are any.
+        A signal was received. If there are partial outputs, the last argument of the exception
+        contains their names.
 
     """
     with protection.reading(*paths, scene=scene.path):
@@ -114,10 +114,10 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
 
 def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
     """
-    Return the outputs for the motions of recordings: FOLDER/NAME.mcap.
+    Return the names of the output files for recordings: FOLDER/NAME.mcap.
 
-    NAME is the name of the recording without the suffix `.mcap`, `.db3` or `.csv`, and without a
-    `.zst` or `.zstd` after it. Any other dot is part of the name.
+    NAME is the name of the recording without `.mcap`, `.db3` or `.csv`, and without any `.zst` or
+    `.zstd` after that suffix. Other dots are part of the name.
 
     Raises
     ------
@@ -155,13 +155,13 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def _name(path: str) -> str:
-    name = os.path.basename(os.path.abspath(path))  # '.' becomes the name of the current folder
+    name = os.path.basename(os.path.abspath(path))  # turns '.' into the name of the current folder
     return re.sub(r'(?<=.)(\.(mcap|db3|csv))?(\.zstd?)?$', '', name, flags=re.IGNORECASE)
 
 
 @contextmanager
 def _partial_outputs_reported(folder: Path) -> Iterator[None]:
-    """Add the names of new partial outputs to a KeyboardInterrupt."""
+    """If KeyboardInterrupt is raised, add the names of new partial outputs to the exception."""
     before = {*folder.glob(_PARTIAL)}
     try:
         yield
@@ -174,14 +174,18 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
 
 def _in_processes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
                   ) -> Generator[Outcome]:
-    """Generate the outcomes in the order in which the processes finish them."""
+    """Replay recordings in processes, and generate the outcomes in the order of completion."""
     replay = _Replay([path for path, _ in tasks], scene, options)
     with Processes() as processes:
         yield from processes.results(partial(_in_process, replay), tasks, _died)
 
 
 def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
-    """Return a pool of the workers of a scheduler; arguments and errors are as for `connected`."""
+    """
+    Return a pool that runs tasks on a scheduler's workers.
+
+    See `connected` for the arguments and errors.
+    """
     def outcomes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
                  ) -> Generator[Outcome]:
         given = {_absolute(task): task for task in tasks}
@@ -199,17 +203,18 @@ def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
 @dataclass(frozen=True)
 class _Replay:
     """
-    A call of `replay` for one recording, which a worker process makes.
+    Calls `replay` for one recording, in a worker process.
 
     Attributes
     ----------
     inputs : sequence of str
-        All recordings, none of which an output may replace.
+        All recordings; an output must not replace any of these files.
     scene : Scene
     options : dict
-        Options of `replay`.
+        Options for `replay`.
     shared : str
-        A folder that a worker finds only if the worker shares the file system of the command.
+        The path of a folder that a worker can find only if it shares a file system with the
+        command.
     overwrite : bool
         Whether outputs may replace existing files.
 
@@ -235,7 +240,7 @@ class _Replay:
 
 
 def _in_process(replay: _Replay, task: Task) -> Outcome:
-    # Replace the default lock of tqdm, because its semaphore would outlive a killed process.
+    # tqdm's default lock has a semaphore that would outlive a killed process, so use another lock.
     tqdm.set_lock(threading.RLock())
     with redirect_stderr(io.StringIO()):  # only the main process shows a progress bar
         return replay(task)
@@ -252,7 +257,7 @@ def _absolute(task: Task) -> Task:
 
 def _summary(result: Replay, output: str) -> str:
     lost = f'; lost: {result.damage}' if result.damage else ''
-    warned = ''.join(f'; warning: {gaps.warning}' for gaps in result.gaps if gaps.warning)
+    warned = ''.join(f'; warning: {text}' for text in result.warnings)
     epochs = f'{len(result.earlier) + 1} epochs, the last: ' if result.earlier else ''
     return (f'{epochs}{result.messages} torques, '
             f'{(result.last.time_ns - result.start.time_ns) * 1e-9:.9g} s -> {output}; '

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Markers for rviz and Foxglove: the body as a box, angular momentum and velocity as arrows."""
+"""Markers for rviz and Foxglove: a box for the body, arrows for angular momentum and velocity."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ BODY, ANGULAR_MOMENTUM, ANGULAR_VELOCITY = '/marker/body', '/marker/angular_mome
     '/marker/angular_velocity'
 TOPICS = {BODY: messages.BOX, ANGULAR_MOMENTUM: messages.ORANGE_ARROW,
           ANGULAR_VELOCITY: messages.BLUE_ARROW}
-#: Length and thickness of arrows, m. All arrows have the same length, so that small rates are
-#: visible.
+#: Length and thickness of the arrows, m. All arrows are equally long, so that small rates are
+#: visible, too.
 _LENGTH, _THICKNESS = 1.0, 0.03
-#: Smallest size of a marker, m, because rviz rejects markers of size zero.
+#: Smallest size of a marker, m; rviz rejects markers of size zero.
 _SMALLEST = 1e-3
 
 
@@ -47,19 +47,20 @@ def columns(trajectory: Trajectory, frame: str) -> list[Column]:
 
 
 def box(body: RigidBody) -> Floats:
-    """Return the edge lengths, m, shape (3,), of the box for a body (see `uniform_box`)."""
+    """Return the edge lengths, m, shape (3,), of the box that represents a body."""
     return np.maximum(uniform_box(body), _SMALLEST)
 
 
 def _arrows(vectors: Floats) -> Floats:
     """
-    Return the poses and scales of arrows along the given vectors, shape (n, 10).
+    Return the poses and scales, shape (n, 10), of arrows along the given vectors.
 
-    In rviz, an arrow with the identity orientation points along x.
+    rviz draws an arrow along x if its orientation is the identity.
     """
     sizes = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.where(sizes > 0.0, sizes, 1.0)[:, None]).T
-    # The shortest rotation from x to the vector; 180 deg about z if the vector points along -x.
+    # Use the shortest rotation from x to the vector; if the vector points along -x, rotate by 180
+    # deg about z.
     opposite = x < -1.0 + 1e-12
     rotation = np.stack([np.zeros_like(x), np.where(opposite, 0.0, -z),
                          np.where(opposite, 1.0, y), np.where(opposite, 0.0, 1.0 + x)], axis=1)
@@ -69,6 +70,6 @@ def _arrows(vectors: Floats) -> Floats:
 
 
 def _pose_and_scale(attitude: Floats, scale: Floats) -> Floats:
-    """Return position (the origin), orientation and scale of markers, shape (n, 10)."""
+    """Return the position (the origin), orientation and scale of markers, shape (n, 10)."""
     return np.hstack([np.zeros((len(attitude), 3)), attitude,
                       np.broadcast_to(scale, (len(attitude), 3))])

@@ -37,7 +37,7 @@ _ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS:
 
 
 def check_names(also: Collection[str]) -> None:
-    """Raise InputError if `also` contains an unknown name."""
+    """Raise InputError if `also` contains a name that is not the name of an additional output."""
     known = *_ALSO, INPUT
     for name in also:
         if name not in known:
@@ -45,25 +45,25 @@ def check_names(also: Collection[str]) -> None:
 
 
 def topics(request: Request) -> dict[str, MessageType]:
-    """Return the topics of an output, with their types."""
+    """Return the topics that the output will contain, with their types."""
     found = dict(_TOPICS)
     if request.scene.has_rotors:
         found[_ROTOR_MOMENTUM] = messages.VECTOR3
     if names := [wheel.name for wheel in request.scene.named_wheels]:
         found[_WHEEL_STATES] = messages.joint_states(names)
     for name in request.also:
-        found.update(_ALSO.get(name, {}))  # 'input' copies the topics of the recording
+        found.update(_ALSO.get(name, {}))  # 'input' copies existing topics
     return found
 
 
 def add_topics(writer: recording.Writer, request: Request) -> None:
-    """Add the topics and the metadata of the motion to a recording."""
+    """Add the topics of the motion and its metadata to a recording."""
     for topic, kind in topics(request).items():
         writer.add_topic(topic, kind)
     writer.add_metadata(NAME, {
         'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(request.scene.values)),
         'interpolation': request.interpolation,
-        # A file name may contain bytes that are not text.
+        # A file name may contain bytes that cannot be decoded to text.
         'torques': Path(request.path).name.encode(errors='replace').decode()})
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Collect a replayed motion batch by batch, and make a page that shows the motion."""
+"""Collect a replayed motion batch by batch, and make a page that shows it."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from rigid_body_ros.report.text import numbers
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
 
-#: Significant digits of numbers on the page; the output and the terminal show all digits.
+#: How many significant digits the page shows. The output and the terminal show all digits.
 _DIGITS = 4
-#: Two speeds count as the same up to this ratio.
+#: Two speeds count as equal if the larger is at most this many times the smaller.
 _SAME = 1.05
 
 
 class PageCollector:
     """
-    The data of a motion for a page, thinned while the motion is computed.
+    Collect the data for a page about a motion, thinning the data while the motion is computed.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class PageCollector:
             attitude, motion.angular_velocity[chosen], torques, motion.rotor_momentum[chosen]]))
 
     def page(self, result: Replay, name: str, command: str) -> Page:
-        """Return the page of a replay of the recording `name`."""
+        """Return the page that shows the replay of the recording `name`."""
         times_ns, keys = self._keys.result()
         body = result.scene.body
         story = [('recording', name), *result.rows(_DIGITS),
@@ -115,7 +115,7 @@ class PageCollector:
 
 
 def _headline(times_ns: NDArray[np.int64], keys: Floats) -> str:
-    """Return a sentence on how far the body turns, and how its speed changes."""
+    """Return a sentence that says how far the body turns and how its speed changes."""
     seconds = 1e-9 * (times_ns - times_ns[0])
     speeds = np.linalg.norm(keys[:, moving_body.RATE], axis=1)
     angle = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(seconds)))

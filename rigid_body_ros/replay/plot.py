@@ -23,16 +23,16 @@ from rigid_body_ros.replay.result import Replay
 
 def draw(path: str | Path, result: Replay, name: str) -> None:
     """
-    Draw a motion and its torques into a PNG file.
+    Plot a motion and its torques in a PNG file.
 
     Parameters
     ----------
     path : str or Path
-        The PNG file, with any suffix; an existing file is overwritten.
+        The PNG file. Its name may have any suffix, and an existing file is overwritten.
     result : Replay
-        The result of `replay` with `keep`, which contains the problem and the trajectory.
+        The result of `replay` with `keep` set, so that it has the problem and the trajectory.
     name : str
-        Name of the recording, for the title.
+        The name of the recording, which appears in the title.
 
     Raises
     ------

@@ -24,62 +24,65 @@ from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.check import Check, LastDigits
 from rigid_body_ros.replay.gaps import Gaps
+from rigid_body_ros.replay.saturation import Saturation
 from rigid_body_ros.report.text import interpolation_row, lines, numbers
 from rigid_body_ros.scene import fields, Scene, wheels
 
-#: The effect of the last digits is reported if it exceeds the rounding error by this factor.
+#: The effect of the last digits is reported if it exceeds this many times the rounding error.
 _REPORTED = 10.0
 
 
 @dataclass(eq=False)
 class Replay:
     """
-    A replayed recording.
+    The result of replaying a recording.
 
     Attributes
     ----------
     scene : Scene
     interpolation : str
     topic : str
-        Topics of the torques, separated by commas.
+        The torque topics, separated by commas.
     wheel_source : str
-        Source of the torque on the rotors, as text.
+        A phrase that says where the rotor torque comes from.
     messages : int
-        Number of torque messages.
+        The number of torque messages.
     unordered : int
-        Number of messages whose stamp is not later than the stamp of the previous message.
+        The number of messages whose stamp is not later than that of the message before.
     first_ns, last_ns : int
-        First and last stamp of the torques and wheel commands, ns; both are the start time if
-        there are none.
+        The first and last stamps of the torques and wheel commands, ns. If there are no torques or
+        wheel commands, both stamps are the start time.
     damage : str
-        Which part of the recording was lost; '' if none.
+        Which part of the recording was lost; '' if nothing was lost.
     start, last : State
-        First and last state of the motion.
+        The first and last states of the motion.
     solvers : dict
-        For each solver that was used: the length, ns, of the part of the motion that the solver
-        computed. A key names the solver and, in parentheses, the reason for choosing it.
+        For each solver, the length of the part of the motion that the solver computed, ns. A key
+        consists of the name of the solver and, in parentheses, the reason why it was chosen.
     interpolation_differences : dict
-        For each interpolation other than `interpolation`: the angle, rad, between the final
-        attitude with that other interpolation and the final attitude of the motion. None if the
-        body spins too fast with the other interpolation.
+        For each of the interpolations that were not used, how far the final attitude would move
+        with that interpolation, rad; None if the body would spin too fast.
     check : Check, optional
-        How much the motion, or its checked part, violates the conservation laws.
+        How much the motion violates the conservation laws, and which part of the motion was
+        checked.
     last_digits : LastDigits, optional
-        How far the motion, or its beginning, moves if the last digits of inertia, torques and
-        start change; None if there is no estimate.
+        How far the motion moves if the last digits of the inertia, torques and start state change.
+        The estimate may cover only the beginning of the motion. None if there is no estimate.
     gaps : tuple of Gaps
-        The gaps in each log of torques, in the order of the topics. The log of the torques on the
-        rotors is last.
+        The gaps in each torque log, in the order of the topics. The rotor torque is last.
+    saturation : Saturation, optional
+        The speeds and efforts that exceed the limits of named wheels; None if there are no named
+        wheels.
     seconds : dict
-        Wall time, s, of the three steps 'read', 'propagate' and 'write'.
+        How long the steps 'read', 'propagate' and 'write' took, s of wall time.
     problem, trajectory : Problem, Trajectory, optional
-        The problem with all torques, and the whole motion; None if `replay` did not keep them
-        (see its option `keep`).
+        The problem with all torques, and the whole motion. Both are None if `replay` did not keep
+        them; see its parameter `keep`.
     collected : optional
-        The object that `collect` returned.
+        The object that the argument `collect` of `replay` returned.
     earlier : tuple of Replay
-        The results of the earlier epochs, if the recording contains several epochs of a node. In
-        that case, this object is the result of the last epoch.
+        If the recording contains several epochs of a node, this object is the result of the last
+        epoch, and `earlier` contains the results of the others.
 
     """
 
@@ -99,6 +102,7 @@ class Replay:
     check: Check | None = None
     last_digits: LastDigits | None = None
     gaps: tuple[Gaps, ...] = ()
+    saturation: Saturation | None = None
     seconds: dict[str, float] = field(
         default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
     problem: Problem | None = None
@@ -107,13 +111,19 @@ class Replay:
     earlier: tuple[Replay, ...] = ()
 
     def text(self) -> str:
-        """Return a summary, one line per fact."""
+        """Return a summary of the replay as text, with one fact per line."""
         return lines(f'{name:14}{text}' for name, text in self.rows())
 
     __str__ = text
 
+    @property
+    def warnings(self) -> list[str]:
+        """Return the warnings about gaps between torques and about the limits of wheels."""
+        return [*(gaps.warning for gaps in self.gaps if gaps.warning),
+                *(self.saturation.warnings if self.saturation else [])]
+
     def rows(self, digits: int = 15) -> list[tuple[str, object]]:
-        """Return the rows of a summary; states are written with `digits` significant digits."""
+        """Return the rows of the summary; numbers in states have `digits` significant digits."""
         last, epochs = self.last, (*self.earlier, self)
         sequence = self.scene.euler_sequence
         angles = euler.from_quaternion(last.attitude, sequence)
@@ -128,7 +138,8 @@ class Replay:
             *([('order', f'{self.unordered} of {self.messages} stamps were not later than the '
                          'previous one: sorted; of messages with equal stamps, the last is used')]
               if self.unordered else []),
-            *_gaps(self),
+            *_longest_gap(self),
+            *(('warning', text) for text in self.warnings),
             ('interpolation', interpolation_row(self.interpolation,
                                                 self.interpolation_differences)),
             ('body', self.scene.body.symmetry),
@@ -149,7 +160,7 @@ class Replay:
 
 
 def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
-    """Return the rows about the earlier epochs; an empty list if there are no earlier epochs."""
+    """Return the summary's rows about earlier epochs; none if there is only one epoch."""
     if not result.earlier:
         return []
     return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows '
@@ -160,12 +171,10 @@ def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
               for number, one in enumerate(result.earlier, 1))]
 
 
-def _gaps(result: Replay) -> list[tuple[str, object]]:
-    """Return the longest gap of all logs, and the warnings about all logs."""
+def _longest_gap(result: Replay) -> list[tuple[str, object]]:
     gaps = [gaps for gaps in result.gaps if gaps.longest.length_ns]
     longest = sorted(gaps, key=lambda one: one.longest.length_ns)[-1:]
-    return [*(('longest gap', str(one)) for one in longest),
-            *(('warning', one.warning) for one in gaps if one.warning)]
+    return [('longest gap', str(one)) for one in longest]
 
 
 def _span(result: Replay) -> float:

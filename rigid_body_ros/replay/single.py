@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Replay one recording: read torques, compute the motion, write the motion.
+Replay one recording: read the torques, compute the motion, and write the motion.
 
-Torques are read and the motion is computed piece by piece, so neither has to fit in memory. Some
-recordings are read as a whole, such as those with stamps far out of order or with several epochs
-of a node.
+The torques are read and the motion is computed piece by piece, so that neither has to fit in
+memory. A few recordings have to be read into memory as a whole, for example if their stamps are
+far out of order, or if they contain several epochs of a node.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ from rigid_body_ros.runtime import files, interrupts, protection
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
-#: The types of all topics that a motion depends on.
+#: The message types of all topics that a motion can depend on.
 _KINDS = (*recording.TORQUES, VECTOR3, joint_commands(()))
 
 
-#: An epoch of a node, or a whole recording, before its motion is computed.
+#: The result and the batches of an epoch, or of a whole recording, before its motion is computed.
 Epoch = tuple[Replay, Batches]
 
 
@@ -68,10 +68,10 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            wheel_command: str | None = None, inertia: str | None = None,
            collect: Callable[[], Collector] | None = None) -> Replay:
     """
-    Compute the motion of a body from the torques of a recording.
+    Compute the motion of a body from the torques in a recording.
 
-    The log of a node may contain several epochs. `replay` computes the motion of each epoch from
-    the start state of that epoch, and writes these motions to the output one after the other.
+    A node's log may contain several epochs. In that case, `replay` computes the motion of each
+    epoch from its own start state, and writes the motions to the output one after the other.
 
     Parameters
     ----------
@@ -79,56 +79,57 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         The recording; see `recording.Source`.
     scene : Scene
         The body, its initial state and the options. If `start_time` is 0, the motion starts at
-        the earliest stamp of all topics. In the log of a node, the start state of each epoch
-        replaces the initial state of the scene.
+        the earliest stamp on any topic. In a node's log, the start state of each epoch is used
+        in place of the scene's initial state.
     output : str or Path, optional
-        Where to write the motion: an MCAP file if the name ends in .mcap (an existing file is
-        replaced), otherwise a new rosbag2 folder. The output contains the attitude, the Euler
-        angles, the angular velocity, the momentum of the rotors if there are any, and the speeds
-        and efforts of named wheels. The output must not be the recording or the scene file, under
-        any name, and must not be in the folder of a bag that is read.
+        Where to write the motion. If the name ends in .mcap, the output is an MCAP file, which
+        replaces an existing file; otherwise the output is a new rosbag2 folder. The output
+        contains the attitude, the Euler angles, the angular velocity, the rotor momentum if there
+        are rotors, and the speeds and efforts of named wheels. The output must not be the
+        recording or the scene file, under any name, and must not be in the folder of a bag that is
+        read.
     topic : str or sequence of str, optional
-        Topics whose torques are added up; by default, the torque topics of the scene. If the
-        scene and the recording have one topic each, their names may differ.
+        The topics whose torques are added up; by default, the torque topics of the scene. If the
+        scene and the recording have only one topic each, the two topics may differ in name.
     interpolation : str, optional
-        Interpolation between samples; by default, the interpolation that the scene sets.
+        How to interpolate between samples; by default, as the scene specifies.
     rate : float, optional, Hz
-        Output rate. By default, there is an output at every torque stamp from the start on, at
-        `until`, and, for the log of a node, at the start of each epoch.
+        The output rate. By default, there is an output at every torque stamp from the start
+        onward, at `until`, and, for a node's log, at the start of each epoch.
     until : float, optional, s
-        Length of the motion, or of the motion of each epoch. By default, the motion ends at the
-        last stamp.
+        The length of the motion or, in a node's log, of each epoch's motion. By default, the
+        motion ends at the last stamp.
     start : float, s
-        Skip this many seconds at the beginning of the recording. Skipping is not allowed for the
-        log of a node, or if several topics are read.
+        How much to skip at the beginning of the recording. You cannot skip part of a node's log,
+        or part of a recording from which several topics are read.
     time_source : str
-        When a torque takes effect: 'header' (its stamp), 'log' (time of recording) or 'publish'
-        (time of publishing).
+        When a torque takes effect: at its stamp ('header'), when it was recorded ('log') or when
+        it was published ('publish').
     also : collection of str
         Additional topics to write: 'imu' (/imu/data), 'tf' (/tf), 'markers' (/marker/...), and
         'input' (all messages of the recording, byte for byte).
     keep : bool, optional
-        Whether the result contains the problem and the trajectory, which take up memory. By
-        default, the result contains them only if there is no output.
+        Whether to keep the problem and the trajectory in the result, which takes up memory. By
+        default, they are kept only if there is no output.
     wheel_torque : str, optional
-        Topic of the torque of the motors on the rotors; by default `wheel_torque`, if the scene
-        has `wheels` and the recording has that topic.
+        The topic of the torque that the motors apply to the rotors. By default, the topic
+        `wheel_torque` is read if the scene sets `wheels` and the recording has that topic.
     wheel_momentum : str, optional
-        Topic of the measured momentum of the rotors, interpolated linearly between samples. The
-        motion starts with the measured momentum. If the momentum is read, the recording is read as
-        a whole.
+        The topic of the measured rotor momentum, which is interpolated linearly between samples.
+        The motion starts with the measured momentum. If this topic is used, the whole
+        recording is read into memory.
     wheel_command : str, optional
-        Topic of the commands to named wheels; by default `wheel_command`, if the scene has
-        `wheel_names` and the recording has that topic. If wheel commands are read, the recording
-        is read as a whole.
+        The topic of the commands to named wheels. By default, the topic `wheel_command` is read if
+        the scene sets `wheel_names` and the recording has that topic. If this topic is used, the
+        whole recording is read into memory.
     inertia : str, optional
-        Topic of the inertia of a body that changes; by default `inertia`, if the scene has
-        `inertia_topic` and the recording has that topic. If the inertia is read, the recording is
-        read as a whole.
+        The topic of the inertia, for a body whose inertia changes. By default, the topic `inertia`
+        is read if the scene sets `inertia_topic` and the recording has that topic. If this topic
+        is used, the whole recording is read into memory.
     collect : callable, optional
-        Returns an object whose method `add` receives each `Batch` of the motion or, if there are
-        several epochs, of the motion of the last epoch. `collect` is called again if the recording
-        has to be read again.
+        Returns an object that collects the motion. Each `Batch` is passed to the method `add` of
+        this object. If there are several epochs, only the motion of the last epoch is collected.
+        `collect` is called again if the recording has to be read a second time.
 
     Returns
     -------
@@ -186,7 +187,7 @@ def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoc
 
 
 def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequence[Epoch]:
-    """Return all epochs, each with its torques as one piece."""
+    """Return all epochs, with the torques of each epoch as a single piece."""
     return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
                     topics.wheel_source, each.messages, each.unordered, damage=each.damage),
              Batches(request, ', '.join(each.topics), whole(each), each.problem, each.is_epoch))
@@ -219,10 +220,11 @@ def _replayed(request: Request, begin: Callable[[], Sequence[Epoch]], copied: So
 
 def _compute(request: Request, result: Replay, batches: Batches,
              writer: recording.Writer | None, keep: bool, delay_ns: int) -> None:
-    """Compute and write the motion of an epoch; log times are `delay_ns` later than stamps."""
+    """Compute and write the motion of an epoch; the log times are `delay_ns` after the stamps."""
     kept: list[Batch] = []
     result.start = result.last = batches.start
     result.first_ns, result.gaps = batches.first_ns, batches.gaps
+    result.saturation = batches.saturation
     for batch in batches:
         interrupts.check()
         _update(result, batch)
@@ -266,7 +268,7 @@ def _update(result: Replay, batch: Batch) -> None:
 
 
 def _joined(batches: list[Batch]) -> Trajectory:
-    """Return the motion of all batches as one trajectory."""
+    """Join the motion in all batches into one trajectory."""
     parts = [batch.trajectory for batch in batches]
     motion = [*(part.attitude.ravel() for part in parts),
               *(part.angular_velocity.ravel() for part in parts)]

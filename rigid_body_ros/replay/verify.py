@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute a recorded motion again, and compare the two motions."""
+"""Recompute a recorded motion, and compare the result with the recording."""
 
 from __future__ import annotations
 
@@ -35,35 +35,35 @@ from rigid_body_ros.runtime.fingerprint import NAME, other_versions
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
-#: Message types of the states of a node and the attitude of a replay.
+#: The message types of a node's states and of a replay's attitude.
 _KINDS = (messages.ODOMETRY, messages.QUATERNION)
-#: Angle, rad, up to which the first attitude of a node counts as the initial attitude of the
-#: scene.
+#: A node's first attitude counts as the scene's initial attitude if the angle between them is at
+#: most this, rad.
 _SAME_START = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Verified:
     """
-    A recorded motion compared with the motion computed from its torques.
+    How well a recorded motion agrees with the motion recomputed from the recorded torques.
 
     Attributes
     ----------
     topic : str
     stamps_ns : array of int64, shape (n,)
     same : array of bool, shape (n,)
-        Whether all bits of the recorded and the computed state are equal.
+        Whether the recorded and computed states are equal in every bit.
     angles : array, shape (n,), rad
-        Angles between the recorded and the computed attitude.
+        The angle between the recorded and computed attitudes.
     versions : dict
-        For each package whose versions differ: the version that made the recording, and the
-        version in use.
+        For each package whose version has changed: the version that made the recording, and the
+        version in use now.
     epochs : int
-        Number of epochs in the log of a node; 0 if the torques are not the log of a node.
+        The number of epochs, if the torques are a node's log; otherwise 0.
     compared_epochs : int
-        Number of epochs with at least one recorded state.
+        The number of epochs for which at least one state was recorded.
     pending : int
-        Number of torque stamps that have no committed state.
+        The number of torque stamps for which there is no committed state.
 
     """
 
@@ -77,7 +77,7 @@ class Verified:
     pending: int = 0
 
     def text(self) -> str:
-        """Return how well the two motions agree, one line per fact."""
+        """Return a text that says how well the two motions agree, with one fact per line."""
         count = len(self.same)
         rows = [('compared', f'{count} states of {self.topic}{_epochs(self)}'),
                 ('same bits', f'{np.count_nonzero(self.same)} of {count}'),
@@ -97,30 +97,30 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
            topics: Topics | None = None, *, motion_topic: str | None = None,
            interpolation: str | None = None, until: float | None = None) -> Verified:
     """
-    Compute a recorded motion again, and compare the two motions.
+    Recompute a recorded motion, and compare the result with the recording.
 
-    If a node recorded the motion, every epoch is compared.
+    If the motion was recorded by a node, all of its epochs are compared.
 
     Parameters
     ----------
     path : str or Path
-        Recording of the torques, such as the accepted_torque of a node.
+        The recording of the torques, such as a node's accepted_torque.
     scene : Scene
-        Scene of the recorded motion. The options and the initial state of the scene affect every
-        bit of the motion. If the torques are the log of a node, the start states in the log
-        replace the initial state.
+        The scene with which the motion was recorded. Every bit of the motion depends on the
+        options and the initial state in the scene. If the torques are a node's log, the start
+        states in the log are used in place of the initial state.
     motion_path : str or Path
-        Recording of the motion: the committed states of a node, or the attitude of a replay.
+        The recording of the motion: the committed states of a node, or the attitude of a replay.
     topics : Topics, optional
-        The topics of the torques; by default, the torque topics of the scene.
+        The topics from which to read torques; by default, the torque topics of the scene.
     motion_topic : str, optional
-        Topic of the motion. By default, the committed states of the node that logged the torques.
-        Required if the recording of the motion lacks these states and has several topics of a
-        suitable type.
+        The topic of the motion. By default, it is the topic with the committed states of the node
+        that logged the torques. You have to name the topic if the recording of the motion does not
+        contain these states but has several topics of a suitable type.
     interpolation : str, optional
-        Interpolation between samples; by default, the interpolation that the scene sets.
+        How to interpolate between samples; by default, as the scene specifies.
     until : float, optional, s
-        Compare only the states up to this time after the start, or after the start of each epoch.
+        Compare only the states in the first `until` seconds of the motion or of each epoch.
 
     Returns
     -------
@@ -138,7 +138,8 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     topics = topics or Topics()
     epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
                                    progress('reading', size=len))
-    # Prefer the committed states: a recording of all topics of a node also has other outputs.
+    # Prefer the committed states, because a recording of all of a node's topics has other outputs
+    # as well.
     log = next(iter(topics.torques), topics.wheel_command)
     committed = f'{log.rpartition("/")[0]}/committed' if log else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
@@ -171,17 +172,17 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
 
 def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
     """
-    Return the rows of each epoch in a recorded motion, or the rows of the only motion.
+    For each epoch, return the rows of a recorded motion that belong to that epoch.
 
-    `values` are attitudes, shape (n, 4), or attitudes and body rates of a node, shape (n, 7).
+    `values` contains attitudes, shape (n, 4), or a node's attitudes and body rates, shape (n, 7).
     """
     if not stamps_ns.size:
         raise InputError('expected states, found no messages')
     start, is_state = epochs[0].problem.start, values.shape[1] > 4
     if epochs[0].is_epoch:
         return groups([one.problem.start for one in epochs], stamps_ns, values)
-    # A node records the start of each epoch. Without markers, use the last state at the start
-    # time as the start of the motion.
+    # A node marks the start of each epoch. If there are no markers, the motion starts with the
+    # last state at the start time.
     begun = np.flatnonzero(stamps_ns == start.time_ns)
     first = int(begun[-1]) if is_state and begun.size else 0
     _check_begins(start, epochs[0].times_ns, stamps_ns[first:])
@@ -192,7 +193,7 @@ def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats
 
 def _until(end_ns: int, stamps_ns: NDArray[np.int64],
            values: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return the states up to a time; raise InputError if all states are later."""
+    """Return the states up to `end_ns`; raise InputError if all states are after that time."""
     chosen = stamps_ns <= end_ns
     if stamps_ns.size and not chosen.any():
         raise InputError(f'expected states up to --until, at {end_ns} ns, found the first at '
@@ -205,7 +206,8 @@ def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
     """
     Compare recorded states with computed states.
 
-    Return whether all bits of each pair are equal, and the angles between the attitudes, rad.
+    For each recorded state and the computed state at the same time, return whether the two are
+    equal in every bit, and the angle between their attitudes, rad.
     """
     try:
         motion = epoch.problem.propagate(at=stamps_ns)
@@ -218,7 +220,7 @@ def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
 
 
 def _pending(epoch: Logged, stamps_ns: NDArray[np.int64], until_ns: int) -> int:
-    """Return how many torque stamps, up to `until_ns` after the start, have no committed state."""
+    """Count the torque stamps, up to `until_ns` after the start, that have no committed state."""
     start_ns, times = epoch.problem.start.time_ns, epoch.times_ns
     due = times[(times > start_ns) & (times <= start_ns + until_ns)]
     return len(np.setdiff1d(due, stamps_ns))
@@ -240,7 +242,7 @@ def _check_begins(start: State, torques_ns: NDArray[np.int64],
 
 
 def _check_start(start: State, stamps_ns: NDArray[np.int64], first: Floats) -> None:
-    """Raise InputError unless the committed states of a node begin with the start state."""
+    """Raise InputError unless a node's first committed state is the start state."""
     late = 'the recorder started late, or the scene or its start_time is not that of the run'
     if start.time_ns not in stamps_ns:
         raise InputError(f'expected the first state at the start of the motion, {start.time_ns} '
@@ -253,10 +255,10 @@ def _check_start(start: State, stamps_ns: NDArray[np.int64], first: Floats) -> N
 
 def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
     """
-    Raise InputError if the torque of a committed state is missing.
+    Raise InputError if there is no torque at the stamp of a committed state.
 
-    A node commits the start state of an epoch first, then the state at every torque that it has
-    accepted.
+    A node first commits the start state of an epoch. After that, it commits the state at each
+    torque that it has accepted.
     """
     torques_ns = epoch.times_ns
     missing = np.setdiff1d(stamps_ns, np.append(torques_ns, epoch.problem.start.time_ns))
@@ -269,7 +271,7 @@ def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
 
 
 def _epochs(result: Verified) -> str:
-    """Return, as text, how many epochs were compared, and how many states are missing."""
+    """Say how many epochs were compared, and how many states are missing."""
     if not result.epochs:
         return ''
     part = '' if result.compared_epochs == result.epochs else f'{result.compared_epochs} of '
