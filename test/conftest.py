@@ -49,17 +49,19 @@ SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
 NEEDS = {
     'distributed': ['cluster'],
-    'pyarrow': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_motions', 'ensemble_results',
-                'fitted', 'tradeoff_ensemble'],
+    'pyarrow': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_loop', 'ensemble_motions',
+                'ensemble_results', 'fitted', 'identify_command', 'tradeoff_ensemble',
+                'wheel_command', 'wheels'],
     'zarr': ['ensemble_folder', 'ensemble_motions', 'ensemble_results'],
-    'rclpy': ['clocks', 'closed_loop', 'crash', 'executors', 'faults', 'fleet', 'imu_live',
-              'launch', 'lifecycle', 'lockstep', 'monitor_live', 'node', 'overload', 'regress',
-              'robot_description', 'shared_files_live', 'silence', 'soak', 'sources', 'topics',
-              'torque_topics', 'workspace'],
+    'rclpy': ['actuator_topics', 'clocks', 'closed_loop', 'crash', 'executors', 'faults', 'fleet',
+              'imu_live', 'inertia_topic', 'launch', 'lifecycle', 'lockstep', 'monitor_live',
+              'node', 'overload', 'regress', 'robot_description', 'shared_files_live', 'silence',
+              'soak', 'sources', 'topics', 'torque_topics', 'wheel_command', 'workspace'],
     'colcon_ros': ['workspace'],
-    'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'fields', 'free_motion',
-               'peers', 'propagate', 'reference', 'rods', 'sources', 'steppers', 'tensor', 'terms',
-               'truth', 'validation'],  # not known to rosdep
+    'mpmath': ['actuators', 'arm', 'changes', 'elementary', 'elliptic', 'examples', 'extremes',
+               'fields', 'free_motion', 'peers', 'propagate', 'reference', 'rods', 'sensitivity',
+               'sources', 'steppers', 'tensor', 'terms', 'tradeoff', 'truth', 'validation',
+               'wheels'],  # not known to rosdep
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()
           if find_spec(module) is None}

@@ -26,7 +26,7 @@ from tempfile import TemporaryDirectory
 import textwrap
 import xml.etree.ElementTree as ElementTree
 
-from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
+from conftest import at_night, CONFIG, locked, NAME, NEEDS, RECORDINGS, ROOT
 import pytest
 
 NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_monitor', 'attitude_node')
@@ -184,6 +184,17 @@ def test_without_ros_the_tests_of_the_node_are_left_out_and_the_report_says_so()
     assert result.returncode == pytest.ExitCode.NO_TESTS_COLLECTED, result.stdout
     line, = re.findall('^rclpy is not installed.*', result.stdout, re.MULTILINE)
     assert 'test_node.py' in line
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize('module', NEEDS)
+def test_without_an_optional_module_all_other_tests_are_collected(module):
+    # zarr has a plugin: without the last two options, pytest would fail to import it.
+    script = (f"import sys; sys.modules['{module}'] = None; import pytest; sys.exit(pytest.main("
+              f"['--collect-only', '--quiet', '--assert=plain', '-p', 'no:{module}']))")
+    result = subprocess.run([sys.executable, '-c', script], cwd=ROOT, capture_output=True,
+                            text=True, check=False)
+    assert result.returncode == pytest.ExitCode.OK, result.stdout[-3000:]
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason='only root can be another user')
