@@ -15,7 +15,7 @@
 """
 Measure a fleet: eight nodes, each publishing at 100 Hz, first idle, then with torques at 100 Hz.
 
-    python benchmarks/fleet.py [--nodes 8] [--seconds 10]
+    python benchmarks/fleet.py [--nodes 8] [--rate 100] [--seconds 10]
 
 Processor time is that of each node's process, as a fraction of one processor. Memory is resident
 memory (RSS), the same with shared pages divided among the processes (PSS), and without shared
@@ -37,19 +37,20 @@ from rclpy.executors import SingleThreadedExecutor
 from rigid_body_ros import messages
 
 SCENE = Path(__file__).resolve().parent.parent / 'config' / 'tumbler.yaml'
-RATE = 100
+#: Hz
+TORQUE_RATE = 100
 
 
 class Body:
     """A node in its own namespace, with a publisher of torques and a subscription to states."""
 
-    def __init__(self, observer, number):
+    def __init__(self, observer, number, rate):
         namespace = f'/body_{number}'
         process = subprocess.Popen(
             [sys.executable, '-c',
              'from rigid_body_ros.commands import main; main.attitude_node()',
              '--ros-args', '--params-file', str(SCENE), '-r', f'__ns:={namespace}',
-             '-p', f'publish_rate:={float(RATE)}'], stderr=subprocess.DEVNULL)
+             '-p', f'publish_rate:={rate}'], stderr=subprocess.DEVNULL)
         self.process, self.states = psutil.Process(process.pid), 0
         self._popen = process
         self.torque = observer.create_publisher(WrenchStamped, f'{namespace}/torque', 10)
@@ -76,7 +77,7 @@ def measure(executor, bodies, seconds, with_torques):
     began = due = time.perf_counter()
     while (now := time.perf_counter()) < began + seconds:
         if with_torques and now >= due:
-            due += 1 / RATE
+            due += 1 / TORQUE_RATE
             data = messages.wrench(0, 'base_link', [1e-4, 0.0, 0.0])  # stamp 0: on arrival
             for body in bodies:
                 body.torque.publish(data)
@@ -90,6 +91,7 @@ def main():
     """Print a line for each phase, then the memory."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--nodes', type=int, default=8)
+    parser.add_argument('--rate', type=float, default=100.0, help='states per second, Hz')
     parser.add_argument('--seconds', type=float, default=10.0)
     arguments = parser.parse_args()
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -98,13 +100,14 @@ def main():
     observer, executor = rclpy.create_node('observer'), SingleThreadedExecutor()
     executor.add_node(observer)
     began = time.perf_counter()
-    bodies = [Body(observer, number) for number in range(1, arguments.nodes + 1)]
+    bodies = [Body(observer, number, arguments.rate)
+              for number in range(1, arguments.nodes + 1)]
     try:
         while not all(body.states for body in bodies):
             executor.spin_once(timeout_sec=0.1)
         print(f'{arguments.nodes} nodes publish after {time.perf_counter() - began:.1f} s')
         print(f'{"median of nodes":20}{"processor":>12}{"states/s":>10}')
-        for label, with_torques in (('idle', False), (f'torques at {RATE} Hz', True)):
+        for label, with_torques in (('idle', False), (f'torques at {TORQUE_RATE} Hz', True)):
             rows = measure(executor, bodies, arguments.seconds, with_torques)
             share, rate = (statistics.median(column) for column in zip(*rows))
             print(f'{label:20}{share:11.1%} {rate:9.1f}')
