@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Measure how often the verdict of `identify` is right, for 20 right and 40 wrong models.
+Measure how often you can trust the verdict of `identify`, for 20 correct and 40 incorrect models.
 
 Run `python benchmarks/campaign.py [--seeds N] [--levels 0.1,1,10] [--kind NAME]`. It prints one
 line for each recording of `simulated.py`, which shares no code with the package, and then the
@@ -43,12 +43,12 @@ from simulated import INERTIA, named, recordings, RIGHT, WRONG  # noqa: E402
 #: The true inertia by component name.
 TRUE = {f'inertia.i{name}': float(INERTIA['xyz'.index(name[0]), 'xyz'.index(name[1])])
         for name in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')}
-#: Minimum number of the six intervals that must cover the truth.
+#: Minimum number of the six intervals that must cover the true value.
 ENOUGH = 5
 
 
 def fit(kind, recording, **options):
-    """Return the fit to a recording, with the options of `identify`."""
+    """Fit a recording with `identify` and these options, and return the result."""
     measured = []
     if kind.has_attitude:
         measured.append(Measured('/mocap', recording.attitude_ns, recording.attitude, None))
@@ -61,7 +61,7 @@ def fit(kind, recording, **options):
 
 
 class Outcome(NamedTuple):
-    """The outcome for one recording; `cover` is the number of intervals that cover the truth."""
+    """The outcome for one recording; `cover` counts the intervals that cover the true value."""
 
     name: str
     level: float
@@ -73,7 +73,7 @@ class Outcome(NamedTuple):
 
     @property
     def is_good(self):
-        """Return whether the model is rejected, or its intervals cover the truth."""
+        """Return whether the model is rejected, or enough intervals cover the true value."""
         return self.verdict == 'rejected' or self.cover >= ENOUGH
 
     @property
@@ -126,15 +126,15 @@ def main():
 
 
 def is_right(one):
-    """Return whether the model of a recording is right."""
+    """Return whether the model of a recording is correct."""
     return any(kind.name == one.name for kind in RIGHT)
 
 
 def shares(levels, found):
-    """Print how often the verdict is right, at each level of noise."""
-    print('\n| noise | right models called explained | intervals of right models that cover the '
-          'truth | harmless wrong models | wrong models with the true cause among the first two '
-          'suspects |\n|---|---|---|---|---|')
+    """Print how often the verdict is right at each noise level."""
+    print('\n| noise | correct models called explained | intervals of correct models that cover '
+          'the true value | harmless incorrect models | incorrect models with the true cause '
+          'among the first two suspects |\n|---|---|---|---|---|')
     for level in levels:
         right = [one for one in found if one.level == level and is_right(one)]
         wrong = [one for one in found if one.level == level and not is_right(one)]
@@ -146,13 +146,13 @@ def shares(levels, found):
 
 
 def share(values):
-    """Return text with the fraction of values that are true."""
+    """Return the fraction of values that are true, as text."""
     return f'{100.0 * sum(values) / len(values):.1f} % ({sum(values)} of {len(values)})' \
         if values else 'none'
 
 
 def table(title, kinds, levels, found):
-    """Print the outcomes of each kind at each level of noise."""
+    """Print a table of the outcomes of each kind at each noise level."""
     if not kinds:
         return
     print(f'\n### {title}\n\n| kind | {" | ".join(f"noise {level:g}" for level in levels)} |\n'
@@ -164,7 +164,7 @@ def table(title, kinds, levels, found):
 
 
 def cell(outcomes):
-    """Return text with the verdicts, the covering intervals, and the most frequent suspect."""
+    """Return text with the verdicts, the number of covering intervals and the top suspect."""
     verdicts = Counter(one.verdict for one in outcomes)
     words = [name if len(outcomes) == 1 else f'{name} {count}'
              for name, count in verdicts.most_common()]

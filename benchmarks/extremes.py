@@ -33,45 +33,46 @@ from known import KNOWN, lost_momentum, ODE_LOSSES  # noqa: E402, I100
 from scenes import FIXED_STEP, SCENES  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/extremes.py -->'
-#: Maximum number of steps of a fixed-step solver; more would take too long for a table.
+#: Maximum number of steps of a fixed-step solver; a run with more steps would take too long.
 MOST_STEPS = 3e6
 REMARKS = {
     'Rods, plates, near-spheres':
-        "No ratio of moments makes Euler's equations stiff. For a rod, however, `(J w) x w` is a "
-        'small difference of terms that are a million times larger than this difference. The '
-        'solvers therefore compute `(J w) x w` from the differences of the moments, and compute '
-        'even the smallest difference with more than double precision. For a rod with a full '
-        'tensor, the terms of `J^-1 tau` cancel in the same way. The Taylor series therefore '
-        'sums these terms in twice the working precision. Under torque, the *last-digit effect* '
-        'is the change of the true motion if every entry of the tensor, the rates and the '
-        'torques changes by one unit in the last place. For a rod with a full tensor, this '
-        'effect is far larger than the error of `auto`, which treats all digits as exact. In '
-        'this column, a cell is empty if the motion does not magnify rounding errors.',
+        "Euler's equations do not become stiff, however unequal the moments are. For a rod, "
+        'though, `(J w) x w` is the small difference of terms that are a million times larger '
+        'than the difference itself. The solvers therefore compute `(J w) x w` from the '
+        'differences between the moments, and compute even the smallest of these differences '
+        'with more than double precision. For a rod with a full tensor, the terms of `J^-1 tau` '
+        'cancel in the same way, so the Taylor series sums these terms in twice the working '
+        'precision. For scenes under torque, the column *last-digit effect* shows how much the '
+        'true motion changes if every entry of the tensor, the rates and the torques changes by '
+        'one unit in the last place. A cell in this column is empty if the motion does not '
+        'magnify rounding errors. For a rod with a full tensor, the last-digit effect is far '
+        'larger than the error of `auto`, which treats all digits as exact.',
     'Large and small numbers':
         'A motion depends only on the ratio of torque to inertia and on the product of rate and '
         'time. With `taylor`, the rates accumulate random rounding errors, and the attitude is '
-        'the integral of the rates. The error of the attitude therefore grows with the power 3/2 '
-        'of the angle turned. Beyond about 1e4 rad, this error exceeds 1e-15 rad per radian. The '
-        'same is true of `auto` while a torque acts.',
+        'the integral of the rates, so the attitude error grows with the 3/2 power of the angle '
+        'turned. Once the body has turned by more than about 1e4 rad, this error exceeds '
+        '1e-15 rad per radian. The same is true of `auto` while a torque acts.',
     'Short and long times':
-        'Times are integer nanoseconds, so a short step does not lose digits late in a long run '
-        'or at large time stamps. In a coast, a span without torque, the closed form computes '
-        'each state directly from the start of the coast, with constants of 32 digits. A million '
-        'turns therefore cost no accuracy.',
+        'Times are integer nanoseconds, so a short step does not lose digits, even late in a '
+        'long run or at large time stamps. During a coast, which is a span without torque, the '
+        'closed form computes each state directly from the start of the coast with constants of '
+        '32 digits, so even a million turns cost no accuracy.',
     'Separatrix and intermediate axis':
         'The separatrix is the boundary between motions around the axis of the largest moment '
         'and motions around the axis of the smallest moment. Near the separatrix, the motion '
-        'itself magnifies small errors. The *last-digit effect* is the largest change of the '
-        'true final attitude if the angular velocity changes by 2.2e-16 of its size at one of '
-        'five instants. In this column, a cell is empty if the motion does not magnify rounding '
-        'errors. No solver that computes with doubles step by step can guarantee an error below '
-        'the last-digit effect. The closed form needs no steps, and is exact to rounding even '
-        'next to the separatrix.',
+        'itself magnifies small errors. To measure the *last-digit effect*, the angular '
+        'velocity is changed by 2.2e-16 of its size at one of five instants; the column shows '
+        'the largest resulting change of the true final attitude. A cell in this column is '
+        'empty if the motion does not magnify rounding errors. No solver that steps through the '
+        'motion in doubles can guarantee an error below the last-digit effect. The closed form '
+        'needs no steps and is exact to rounding even next to the separatrix.',
     'Where others broke':
-        "MuJoCo's integrator `implicitfast` failed on the stick at step 4294, with steps of 1 "
-        'ms; the table uses different initial rates. Avian clamped the momentum, so every body '
-        "ended up turning about its intermediate axis. SciPy's `ellipj` has an error of 2 for a "
-        'modulus near 1.',
+        "MuJoCo's integrator `implicitfast` failed on the thin stick at step 4294, with steps "
+        'of 1 ms. The scene in the table has the same stick, but starts with different rates. '
+        'Avian clamped the momentum, so every body ended up turning about its intermediate '
+        "axis. SciPy's `ellipj` returns a result with an error of 2 for a modulus near 1.",
 }
 
 
@@ -114,7 +115,7 @@ def header(*cells):
 
 
 def group_lines(group):
-    """Return the lines of the heading, the remark and the table of a group of scenes."""
+    """Return the lines for a group of scenes: heading, remark and table."""
     scenes = [scene for scene in SCENES if scene.group == group]
     grows = any(scene.amplifies for scene in scenes)
     more = ('last-digit effect',) if grows else ()
@@ -129,14 +130,14 @@ def group_lines(group):
 
 
 def momentum_lines():
-    """Return the lines of the section on the loss of momentum of Gazebo's boxes."""
+    """Return the lines of the section on how much momentum Gazebo's boxes lose."""
     lines = ["## Gazebo's boxes: loss of momentum", '',
-             'The table lists the largest relative change of the angular momentum in 10 s. The '
-             'column *ODE* (Open Dynamics Engine) contains published values from '
-             'BENCHMARK_boxes_dt.csv in github.com/scpeters/benchmark; this package computed the '
-             'other columns. `explicit_euler` differs from ODE by up to 3 %, because ODE rotates '
-             'the attitude with the rates after the step, and `explicit_euler` rotates it with '
-             'the rates before the step.',
+             'The table shows the largest relative change of the angular momentum within 10 s. '
+             'The values for *ODE* (Open Dynamics Engine) were published in '
+             'BENCHMARK_boxes_dt.csv in github.com/scpeters/benchmark; the other columns were '
+             'computed with this package. The values for `explicit_euler` differ from those for '
+             'ODE by up to 3 %, because ODE rotates the attitude with the rates after the step, '
+             'whereas `explicit_euler` rotates it with the rates before the step.',
              '', *header('step, s', 'ODE', *reversed(FIXED_STEP), 'auto')]
     for step, published in ODE_LOSSES.items():
         losses = [number(lost_momentum(solver, step)) for solver in (*FIXED_STEP[::-1], 'auto')]
@@ -147,16 +148,16 @@ def momentum_lines():
 def known_lines():
     """Return the lines of the section on known results."""
     lines = ['## Known results', '',
-             'The column *computed* uses `exact` for the periods, and `auto` for all other rows. '
-             'In the [closed form](theory.md#motion-without-torque-in-closed-form), the period '
-             'of the rates is 4 K / lambda; the computed period is an average over a million '
-             'periods. The escape time is K / lambda, the time until the rate about the '
-             'intermediate axis is zero; the escape time grows with the logarithm of 1 / offset. '
-             "In Landau and Zener's sweep, a constant torque accelerates a sphere; the exact "
-             "result uses parabolic cylinder functions. In Boedewadt's problem, a torque held in "
-             'body axes acts on a symmetric body; the exact result is an integral. In the last '
-             'row, a constant torque accelerates a spin about a principal axis from -1e4 to '
-             'about 1.5e4 rad/s.',
+             'The periods in the column *computed* come from `exact`, and all other values from '
+             '`auto`. In the [closed form](theory.md#motion-without-torque-in-closed-form), the '
+             'rates repeat after the period 4 K / lambda. The computed period is an average '
+             'over a million periods. The escape time K / lambda is the time until the rate '
+             'about the intermediate axis is zero, and it grows with the logarithm of 1 / '
+             "offset. In Landau and Zener's sweep, a constant torque accelerates a sphere, and "
+             "the exact result is written with parabolic cylinder functions. In Boedewadt's "
+             'problem, a torque held in body axes acts on a symmetric body, and the exact '
+             'result is an integral. In the last row, a constant torque accelerates a spin '
+             'about a principal axis from -1e4 to about 1.5e4 rad/s.',
              '', *header('quantity', 'exact', 'computed', 'relative error')]
     for name, (quantity, _) in KNOWN.items():
         exact, found = quantity()

@@ -124,7 +124,7 @@ def climb(name, make, ladder):
             continue
         attitude = np.asarray(contender.attitude())
         if not np.all(np.isfinite(attitude)):
-            failed.append(f'{contender.label}: not finite')
+            failed.append(f'{contender.label}: the attitude is not finite')
             continue
         # Some peers cannot distinguish q from -q.
         off = min(error(name, sign * attitude) for sign in (1.0, -1.0))
@@ -150,7 +150,7 @@ def measure(name, peers):
     for who, make, ladder in tqdm([*ladders(PROBLEMS[name], peers)], desc=name, leave=False):
         found, why = climb(name, make, ladder)
         rungs.setdefault(who, []).extend(found)
-        failed += [f'{who} {reason}' for reason in why]
+        failed += [f'{who}, {reason}' for reason in why]
     return rungs, failed
 
 
