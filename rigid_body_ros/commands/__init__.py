@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands: their arguments, their work and their exit statuses."""
+"""The commands: their arguments, their actions and their exit statuses."""

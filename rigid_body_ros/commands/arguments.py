@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Steps that commands share: read the scene, torques and measurements."""
+"""Read the inputs that most commands need: the scene, the torques and the measurements."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def load_scene(options: argparse.Namespace) -> Scene:
-    """Load the scene that the options name, and report its notes and warnings."""
+    """Load the scene named in the options, and report its notes and warnings."""
     from rigid_body_ros.scene import load
     interrupts.check()  # the import is slow
     scene = load(options.scene)
@@ -43,12 +43,12 @@ def load_scene(options: argparse.Namespace) -> Scene:
 
 
 def note(options: argparse.Namespace, text: str) -> None:
-    """Print a note, preceded by the name of the command."""
+    """Print a note that starts with the name of the command."""
     report(f'{options.command}: note: {text}')
 
 
 def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Measured]) -> None:
-    """Warn about measurements in frames other than those of the scene."""
+    """Warn about measurements whose frames differ from those of the scene."""
     for one in measured:
         if one.frames:
             report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
@@ -64,7 +64,7 @@ def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
 
 
 def topics_of(options: argparse.Namespace) -> Topics:
-    """Return the topics that the options name."""
+    """Return the topics named in the options."""
     from rigid_body_ros import recording
     return recording.Topics.given(options.topic, options.wheel_torque,
                                   options.wheel_momentum, options.inertia,
@@ -72,7 +72,7 @@ def topics_of(options: argparse.Namespace) -> Topics:
 
 
 def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = False) -> Logged:
-    """Return the problem that the recording and the scene define; see `recording.chosen`."""
+    """Combine the recording and the scene into a problem; see `recording.chosen`."""
     from rigid_body_ros import recording
     warn_of_units(options, [options.recording])
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
@@ -81,7 +81,7 @@ def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = 
 
 
 def reading_of(options: argparse.Namespace) -> Reading:
-    """Return which torques and measurements to read, and with which options."""
+    """Return a `Reading`, which says which torques and measurements to read, and how."""
     from rigid_body_ros.sensing.recorded import Reading
     return Reading(tuple(options.measured or ()), topics_of(options), options.interpolation,
                    options.time_source, options.frames and tuple(options.frames),

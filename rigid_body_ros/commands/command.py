@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A command: its options, and the function that runs it."""
+"""Define a command by its options and the function that runs it."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from rigid_body_ros.runtime.terminal import show
 @dataclass(frozen=True)
 class Command:
     """
-    A command.
+    A command that users run from a shell.
 
     Parameters
     ----------
     name, description : str
     examples : sequence of str
-        Arguments of the examples at the end of the help. The examples use files of the repository.
+        The arguments in the examples at the end of the help. Examples use files in the repository.
     add_arguments : callable
         Adds the options of the command to a parser.
     run : callable
         Runs the command with the parsed options, and returns the exit status.
     rest : str
-        Usage text for the arguments after '--'; '' if no arguments are allowed there. `parsed`
-        stores these arguments in `options.rest`.
+        The usage text for arguments after '--', or '' if the command accepts none. `parsed` stores
+        these arguments in `options.rest`.
 
     """
 
@@ -54,11 +54,11 @@ class Command:
     rest: str = ''
 
     def __call__(self, arguments: Sequence[str] | None) -> int:
-        """Run the command with the given arguments; None means the arguments of the process."""
+        """Run the command; if `arguments` is None, use the arguments of the process."""
         return self.run(self.parsed(arguments))
 
     def parsed(self, arguments: Sequence[str] | None) -> argparse.Namespace:
-        """Return the options; raise InputError if standard output is closed."""
+        """Parse the arguments; raise InputError if standard output is closed."""
         if sys.stdout is None:
             raise InputError('cannot write to standard output: it is closed')
         given = [*(sys.argv[1:] if arguments is None else arguments)]
@@ -68,7 +68,7 @@ class Command:
         return options
 
     def parser(self) -> Parser:
-        """Return the parser of the arguments."""
+        """Return the parser for the arguments."""
         parser = Parser(self)
         self.add_arguments(parser)
         if self.rest:
@@ -78,7 +78,7 @@ class Command:
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that rejects repeated options, and adds options that commands share."""
+    """An argument parser that rejects repeated options; its methods add options to commands."""
 
     def __init__(self, command: Command) -> None:
         super().__init__(prog=command.name, description=command.description)
@@ -89,55 +89,54 @@ class Parser(argparse.ArgumentParser):
         self._examples = [f'{command.name} {arguments}' for arguments in command.examples]
 
     def error(self, message: str) -> NoReturn:
-        """Report an error and exit; unlike argparse, escape nonprintable characters."""
+        """Report an error and exit. Unlike argparse, escape nonprintable characters."""
         super().error(printable(message))
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; unlike argparse, raise InputError if it cannot be written."""
+        """Print the help. Unlike argparse, raise InputError if the help cannot be written."""
         examples = '\n  '.join(['examples, in a clone of the repository:', *self._examples])
         show(f'{self.format_help()}\n{examples}')
 
     def add_scene(self) -> None:
-        """Add the option for the scene."""
+        """Add the option that selects the scene."""
         self.add_argument('--scene', required=True, metavar='FILE',
                           help='ROS 2 parameter file with the inertia and the initial state, as '
                           'for attitude_node')
 
     def add_torques(self) -> None:
-        """Add the options for the topics of torques and of a changing inertia."""
+        """Add the options that select the topics for torques and for a changing inertia."""
         self.add_argument('--topic', action='append',
-                          help='topic of the torques; if the option is repeated, the torques of '
-                          'all topics add up (default: the torque_topics of the scene; if both '
-                          'scene and recording have a single topic, the two names may differ)')
+                          help='torque topic; if you repeat the option, the torques of all topics '
+                          'add up (default: the torque_topics of the scene; if both the scene and '
+                          'the recording have a single topic, the two names may differ)')
         self.add_argument('--wheel-torque', metavar='TOPIC',
-                          help='topic of the torques of the motors on the rotors (default: '
-                          'wheel_torque, if the recording contains this topic); needs a scene '
-                          'with wheels: true')
+                          help='topic of the motor torques on the rotors (default: wheel_torque, '
+                          'if the recording contains this topic); needs a scene with wheels: true')
         self.add_argument('--wheel-momentum', metavar='TOPIC',
-                          help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
-                          's, body axes), interpolated linearly; needs a scene with wheels: true')
+                          help='topic of the measured rotor momentum (Vector3Stamped, N m s, body '
+                          'axes), which is interpolated linearly; needs a scene with wheels: true')
         self.add_argument('--wheel-command', metavar='TOPIC',
-                          help='topic of the effort commands of named wheels (JointState; '
-                          'default: wheel_command, if the recording contains this topic); '
-                          'needs a scene with wheel_names')
+                          help='topic of the effort commands to named wheels (JointState; '
+                          'default: wheel_command, if the recording contains this topic); needs a '
+                          'scene with wheel_names')
         self.add_argument('--inertia', metavar='TOPIC',
                           help='topic of the changing inertia of the body (InertiaStamped; '
                           'default: inertia, if the recording contains this topic); needs a '
                           'scene with inertia_topic: true')
 
     def add_interpolation(self) -> None:
-        """Add the option for the interpolation of the torques."""
+        """Add the option that selects how torques are interpolated."""
         self.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
-                          help='interpolation of the torques between samples (default: the '
+                          help='how to interpolate the torques between samples (default: the '
                           'interpolation of the scene)')
 
     def add_time_source(self, times: str) -> None:
-        """Add the option for the source of times; its help text begins with `times`."""
+        """Add the option that selects where times come from; its help text begins with `times`."""
         self.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
                           help=f'{times} was logged or published (default: header)')
 
     def add_measured(self, topics: str) -> None:
-        """Add the options for torques and measurements; `topics` is the help of --measured."""
+        """Add the options for torques and measurements; `topics` is the help for --measured."""
         self.add_argument('--measured', action='append', metavar='TOPIC', help=topics)
         self.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
                           help='parent frame and child frame of measured transforms or odometry '
@@ -148,7 +147,7 @@ class Parser(argparse.ArgumentParser):
                              'its message')
 
     def add_outputs(self, *, report: str, json: str = '', plot: str = '') -> None:
-        """Add an option for each output whose help text is given, and --overwrite."""
+        """Add --overwrite, and an option for each output for which a help text is given."""
         if json:
             self.add_argument('--json', metavar='OUT', help=json)
         if plot:
@@ -160,14 +159,14 @@ class Parser(argparse.ArgumentParser):
                           help='replace output files that exist; folders are never replaced')
 
     def add_degrees(self) -> None:
-        """Add the option for the unit of angles."""
+        """Add the option that selects the unit of angles."""
         self.add_argument('--degrees', action='store_true',
                           help='show angles in degrees in the summary and on the page; the JSON '
-                          'file and the text of the verdict stay in radians')
+                          'file and the verdict text stay in radians')
 
 
 class _Once(argparse.Action):
-    """Store the value of an option, and reject a second value."""
+    """Store the value of an option, but reject the option if it is given twice."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
                  values: Any, option_string: str | None = None) -> None:
@@ -193,7 +192,7 @@ class _Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
                  values: Any, option_string: str | None = None) -> None:
-        """Show the version; raise InputError if it cannot be written."""
+        """Show the version; raise InputError if standard output cannot be written."""
         from rigid_body_ros.runtime.fingerprint import build_info
         show(f"{parser.prog} {build_info()['version']}")
         parser.exit()
@@ -203,12 +202,12 @@ def add_scheduler(parser: argparse._ActionsContainer) -> None:
     """Add the option for a Dask scheduler."""
     parser.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
                         'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that the '
-                        'scheduler wrote; the option does not change the results')
+                        'scheduler wrote; this does not change the results')
 
 
 def within(low: float, high: float, what: str = 'a number',
            kind: Callable[[str], Any] = float) -> Callable[[str], Any]:
-    """Return the type of an option: a function that reads a number within limits."""
+    """Return a function that reads a number within limits, for use as the `type` of an option."""
     def read(text: str) -> Any:
         try:
             value = kind(text)

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from rigid_body_ros.identification import Verdict
     from rigid_body_ros.scene import Scene
 
-#: Exit status if the model does not explain the measurements.
+#: The exit status if the model does not explain the measurements.
 REJECTED = 4
-#: For each kind of alignment: the parameter that --check estimates together with the start.
+#: For each kind of alignment, the parameter that --check estimates together with the start state.
 _FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 
@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
-    """Return the verdict on whether the model explains the measurements from a fitted start."""
+    """Fit the start state, and judge whether the fitted model explains the measurements."""
     from rigid_body_ros.comparison.align import is_asked
     from rigid_body_ros.identification.recorded import identified, read_experiment
     experiment = read_experiment(options.recording, scene, reading_of(options))
@@ -93,26 +93,25 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_measured(
         'measured topic (QuaternionStamped, PoseStamped, PoseWithCovarianceStamped, '
         'TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped with an angular velocity), '
-        'or the name of a CSV file or TUM trajectory; may be repeated (default: the topic with '
-        'one of these types except Vector3Stamped, if the recording contains only one such '
-        'topic)')
+        'or the name of a CSV file or TUM trajectory; may be repeated (default: the only topic '
+        'with one of these types, not counting Vector3Stamped)')
     parser.add_argument('--motion', metavar='FILE',
                         help='compare the measurements with this recorded motion, such as the '
-                        'output of attitude_replay, instead of a computed motion')
+                        'output of attitude_replay, instead of computing the motion')
     parser.add_argument('--align', type=_names, default=(), metavar='NAMES',
-                        help='what to fit, separated by commas (default: nothing): start is the '
-                        'initial attitude and angular velocity; clock is a constant clock offset '
-                        'of each sensor; mount is a constant rotation between the axes of each '
-                        'sensor and the body axes, and one between the space axes of the sensors '
-                        'and the space axes of the model. clock@TOPIC and mount@TOPIC fit only '
-                        'the sensor of this topic')
+                        help='what to fit, separated by commas (default: nothing). start fits the '
+                        'initial attitude and angular velocity. clock fits a constant clock '
+                        'offset for each sensor. mount fits a constant rotation between the axes '
+                        'of each sensor and the body axes, and one between the space axes of the '
+                        'sensors and those of the model. clock@TOPIC and mount@TOPIC fit only the '
+                        'sensor with this topic')
     parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
                         help='restart the model from the measurement every SECONDS, and report '
                         'the error at the end of each interval; may be repeated (default: 0.1, 1 '
                         'and 10, if the measurement is long enough)')
     parser.add_argument('--check', action='store_true',
-                        help='fit the initial state, and test, as attitude_identify does, whether '
-                        'the model then explains the measurements; if it does not, the exit '
+                        help='fit the initial state, then test, as attitude_identify does, '
+                        'whether the model explains the measurements; if it does not, the exit '
                         'status is 4')
     parser.add_argument('-o', '--output', metavar='RESIDUALS',
                         help='write the topics /error/rotation_vector, /error/angular_velocity '

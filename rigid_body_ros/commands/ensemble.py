@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
 
-#: The value of --times that keeps only the final state.
+#: If --times has this value, the command keeps only the final state.
 FINAL = 'final'
 
 
@@ -143,12 +143,12 @@ def _controller(options: argparse.Namespace, scene: Scene, problem: Problem) -> 
         if log.interpolation != 'hold':
             raise InputError(f"{options.scene}: interpolation: expected 'hold', as in lockstep, "
                              f'with a controller, found {log.interpolation!r}')
-    actuator = next(filter(None, scene.actuators or ()), None)  # all topics have the same
+    actuator = next(filter(None, scene.actuators or ()), None)  # the same for all topics
     return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')), actuator)
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
-    """Return the problem of the nominal motion, and the time at which this motion ends, ns."""
+    """Return the problem for the nominal motion, and the time at which that motion ends, ns."""
     problem, end_ns = scene.problem(), None
     if options.recording is not None:
         found = read_torques(options, scene, may_command=True)
@@ -166,43 +166,43 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_scene()
     parser.add_argument('--vary', required=True, metavar='FILE',
                         help='YAML file with the distribution of each dispersed parameter, or a '
-                        'JSON file of attitude_identify, whose estimates then vary jointly')
-    parser.add_argument('--force', action='store_true', help='use the JSON file of '
-                        'attitude_identify even if the fit in it is rejected')
+                        'JSON file from attitude_identify, whose estimates then vary jointly')
+    parser.add_argument('--force', action='store_true', help='use the JSON file from '
+                        'attitude_identify even if it contains a rejected fit')
     parser.add_argument('--runs', required=True, metavar='N', help='number of runs',
                         type=within(1, 10 ** 9, 'an integer', int))
     parser.add_argument('--recording', metavar='IN',
-                        help='recording of torques, as for attitude_replay (default: no torque)')
+                        help='torque recording, as for attitude_replay (default: no torque)')
     parser.add_torques()
-    parser.add_argument('--controller', metavar='MODULE:FUNCTION', help='controller in the loop: '
-                        'a Python function that takes the state and the time since the start (s) '
-                        'and returns a torque (N m, body axes). Each run calls the function at '
-                        'each step of the scene. If FUNCTION is a class, each run creates an '
-                        'instance, and calls the instance in the same way')
+    parser.add_argument('--controller', metavar='MODULE:FUNCTION', help='Python function that '
+                        'acts as the controller in the loop: it takes the state and the time '
+                        'since the start (s) and returns a torque (N m, body axes). Each run '
+                        'calls the function at every step of the scene. If FUNCTION is a class, '
+                        'each run creates its own instance and calls that instead')
     parser.add_argument('--require', action='append', default=[], metavar='EXPRESSION',
-                        help="limit on the final state of a run, such as 'rate < 0.05', for rate "
-                        '(rad/s), angle (rad, between the body axes and the space axes) or '
-                        'angle_from_nominal (rad, from the final attitude of the nominal run). '
-                        'The command reports the share of runs that meet the limit, and the '
-                        'parameters that matter most. It also lists the worst runs, with commands '
-                        'that compute these runs again. The option may be repeated')
+                        help="limit on the final state of a run, such as 'rate < 0.05'. You can "
+                        'limit rate (rad/s), angle (rad, between the body axes and the space '
+                        'axes) or angle_from_nominal (rad, from the final attitude of the nominal '
+                        'run). The command reports what share of the runs meets the limit, and '
+                        'which parameters matter most. It also lists the worst runs, with '
+                        'commands that compute them again. The option may be repeated')
     parser.add_argument('--until', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp); '
                         'required without a recording')
     parser.add_argument('--times', type=_times, default=FINAL, metavar=f'HZ|{FINAL}',
-                        help='which states of each run to store: with a number HZ, that many '
-                        'states per second and the final state, in motion.zarr; with final, only '
-                        'the final state (default: final)')
+                        help='which states of each run to store: HZ stores that many states per '
+                        'second and the final state, in motion.zarr; final stores only the final '
+                        'state (default: final)')
     parser.add_argument('--seed', type=within(0, 2 ** 63 - 1, 'an integer', int), default=0,
                         metavar='S', help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
     pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
-                      help='number of threads or, with --controller, of processes; this number '
-                      'does not change the results (default: one for each processor)')
+                      help='number of threads or, with --controller, of processes; the number '
+                      'does not change the results (default: one per processor)')
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
-                        help='folder for the results: a new folder, or one with results of the '
-                        'same ensemble')
+                        help='folder for the results: either a new one, or one that already '
+                        'contains results of the same ensemble')
     parser.add_outputs(report='the summary, the histogram of the final angles, the percentiles of '
                        'the angles over time, and the rank correlations')
 

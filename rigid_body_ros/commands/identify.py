@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.identification import Experiment, Identification
     from rigid_body_ros.scene import Scene
 
-#: Exit statuses; docs/commands.md explains them.
+#: The exit statuses of the command, which are explained in docs/commands.md.
 OK, PARTIAL, REJECTED = 0, 3, 4
 
 
@@ -49,8 +49,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _status(found: Identification) -> tuple[int, str]:
-    """Return the exit status, and the problem that it reports; '' if there is no problem."""
-    if found.verdict.level == 'rejected':  # what the data determines is then irrelevant
+    """Return the exit status, and a text that describes the problem ('' if all is well)."""
+    if found.verdict.level == 'rejected':  # then it does not matter what the data determines
         return REJECTED, 'the model does not explain the measurements'
     names = [name for name, one in found.estimates.items() if not one.identifiable]
     if names:
@@ -62,7 +62,7 @@ def _status(found: Identification) -> tuple[int, str]:
 
 def _identified(options: argparse.Namespace,
                 scene: Scene) -> tuple[Identification, Experiment]:
-    """Return the identification from all recordings, and the content of the first recording."""
+    """Identify parameters from all recordings; return the result and the first experiment."""
     from rigid_body_ros.identification.recorded import identified, read_experiments
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
         warn_of_units(options, options.recording)
@@ -79,7 +79,7 @@ def _identified(options: argparse.Namespace,
 
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
            first: Experiment, scene: Scene, is_good: bool) -> list[str]:
-    """Write the outputs (the scene only if `is_good`); return the names of the written files."""
+    """Write the outputs, and return the names of the files; write the scene only if `is_good`."""
     from rigid_body_ros.identification import plot
     from rigid_body_ros.identification.page import page
     from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
@@ -94,7 +94,7 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
 
 
 def _suffix(output: str | None) -> str:
-    """Return the suffix of the format of an output."""
+    """Return the suffix that stands for the format of an output."""
     return '.urdf' if output and output.lower().endswith('.urdf') else '.yaml'
 
 
@@ -117,17 +117,18 @@ def _add_arguments(parser: Parser) -> None:
                         'For every sensor: clock_offset, clock_drift, mount, gyro_bias or '
                         'gyro_scale; for one sensor, add its topic, as in clock_offset@TOPIC')
     parser.add_argument('--prior', type=_prior, action='append', default=[], metavar='NAME=SIGMA',
-                        help='standard deviation of the guess of a parameter, in the unit of the '
-                        'parameter or, with a percent sign, relative to the guess; the guess is '
-                        'the value in the scene or, for a parameter that no scene has, the value '
-                        'without effect; may be repeated')
+                        help='standard deviation of the guess for a parameter, in the unit of the '
+                        'parameter or, with a percent sign, relative to the guess. The guess is '
+                        'the value in the scene or, if scenes have no such parameter, the value '
+                        'that has no effect. The option may be repeated')
     parser.add_argument('--gravity', type=float, nargs=3, default=GRAVITY,
-                        metavar=('X', 'Y', 'Z'), help='gravity that acts on the estimated weight, '
+                        metavar=('X', 'Y', 'Z'), help='gravity acting on the estimated weight, '
                         'm/s^2, space axes (default: 0 0 -9.80665)')
     parser.add_argument('--accept', type=positive, default=ACCEPT, metavar='PART',
-                        help='reject a fit if effects that the model lacks may shift an estimate '
-                        'by more than this fraction of the scale of the estimate; the scale of '
-                        f'the inertia is the mean moment of inertia (default: {ACCEPT:g})')
+                        help='reject a fit if effects missing from the model may shift an '
+                        'estimate by more than this fraction of the scale of that estimate; for '
+                        'the inertia, the scale is the mean moment of inertia (default: '
+                        f'{ACCEPT:g})')
     parser.add_argument('--attitude-noise', type=positive, metavar='RAD',
                         help='standard deviation of each component of a measured attitude '
                         '(default: estimated for each topic)')
@@ -135,12 +136,12 @@ def _add_arguments(parser: Parser) -> None:
                         help='standard deviation of each component of a measured angular velocity '
                         '(default: estimated for each topic)')
     parser.add_argument('--validate', type=within(0.0, 0.9, 'a fraction'), default=0.0,
-                        metavar='FRACTION', help='do not fit this fraction at the end of each '
-                        'recording, but predict the motion there, and report the errors of the '
-                        'prediction')
+                        metavar='FRACTION', help='leave this fraction at the end of each '
+                        'recording out of the fit, predict the motion there, and report the '
+                        'prediction errors')
     parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
                         'estimates to this YAML file; if the name ends in .urdf, write the '
-                        'inertia as a URDF with one link instead')
+                        'inertia as a one-link URDF instead')
     parser.add_argument('--force', action='store_true', help='write the scene even if the data '
                         'does not determine all estimates, or if the fit is rejected')
     parser.add_degrees()

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The entry points of the commands: handle signals, run the command, return the exit status.
+The entry points of the commands: handle signals, run the command, and return the exit status.
 
-Importing this module takes a few milliseconds, and importing the commands takes about a second.
-The commands are therefore imported after the signal handlers are installed.
+This module can be imported within a few milliseconds, but importing a command takes about a
+second. The command is therefore imported only after the signal handlers have been installed.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import report, show
 
-#: Exit status after a mistake of the user; docs/commands.md explains all exit statuses.
+#: The exit status if the user made a mistake. All exit statuses are explained in docs/commands.md.
 USER_ERROR = 2
-#: If a signal ends a command, the exit status is SIGNALLED plus the number of the signal.
+#: If a command is ended by a signal, its exit status is SIGNALLED plus the number of the signal.
 SIGNALLED = 128
-#: The number of SIGPIPE, the signal that ends a program when the reader of its output exits.
+#: The number of SIGPIPE, a signal that ends a program when the reader of its output exits.
 _BROKEN_PIPE = 13
 
 
 def _run(module: str, name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a command of a module of this package, and return its exit status."""
+    """Run the command in a module of this package, and return its exit status."""
     def command() -> int:
         import logging
         run = getattr(import_module(f'{__package__}.{module}'), name)
-        # Without a writable home folder, matplotlib warns that it uses a temporary one.
+        # If the home folder is not writable, matplotlib warns that it uses a temporary one.
         logging.getLogger('matplotlib').setLevel(logging.ERROR)
         interrupts.check()
         return int(run(arguments))
@@ -57,7 +57,7 @@ def _run(module: str, name: str, arguments: Sequence[str] | None = None) -> int:
 def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | None) -> int:
     """Run a command, report an error or a signal in one line, and return the exit status."""
     try:
-        # Without explicit arguments, the process runs only this command, and exits afterwards.
+        # If no arguments are passed, the process runs only this command and then exits.
         with interrupts.deferred(until_exit=arguments is None):
             return _called(command)
     except InputError as error:
@@ -74,7 +74,7 @@ def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | N
         sys.stdout = None  # otherwise Python flushes it again at exit
         return SIGNALLED + _BROKEN_PIPE
     except KeyboardInterrupt as interrupt:
-        details: list[Any] = [*interrupt.args] or [signal.SIGINT]  # Python's handler gives none
+        details: list[Any] = [*interrupt.args] or [signal.SIGINT]  # Python's handler passes none
         number, *kept = details
         report(f'{name}: interrupted{"".join(kept) or "; no partial output was left"}')
         return SIGNALLED + int(number)
@@ -88,14 +88,14 @@ def _called(command: Callable[[], int]) -> int:
     except Exception:  # C code that imports a module may turn KeyboardInterrupt into another error
         interrupts.check()
         raise
-    except SystemExit:  # after --help: its text may still be in the buffer
+    except SystemExit:  # after --help, whose text may still be in the buffer
         if sys.stdout is not None:
             show('', end='')
         raise
 
 
 def __getattr__(name: str) -> Callable[..., int]:
-    """Return the entry point of a command; `attitude_NAME` is in the module NAME."""
+    """Return the entry point of a command; the module NAME contains `attitude_NAME`."""
     module = name.removeprefix('attitude_')
     if module == name or not find_spec(f'{__package__}.{module}'):
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

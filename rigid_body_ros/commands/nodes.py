@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands that run a node until it ends or a signal ends it."""
+"""The commands that run a node until the node finishes or a signal ends the command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rigid_body_ros.runtime import interrupts
 
 
 def imported(command: str, module: str) -> ModuleType:
-    """Return a module of the node; raise InputError if ROS is not installed."""
+    """Import a module that needs ROS; raise InputError if ROS is not installed."""
     try:
         found = import_module(module)
     except ModuleNotFoundError as error:

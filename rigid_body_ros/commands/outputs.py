@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Check the output files of a command before the work, so that no output replaces an input."""
+"""Check output files before a command does any work, so that no output replaces an input."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ from rigid_body_ros.runtime.terminal import show
 if TYPE_CHECKING:
     from rigid_body_ros.report.page import Page
 
-#: Options that name recordings, options that name files of any kind, and the suffixes of outputs.
+#: The options that name recordings, the options that name files of any kind, and the suffixes of
+#: the command's outputs.
 _INPUTS = 'input', 'recording', 'motion', 'reference', 'vary'
 _PATHS = *_INPUTS, 'scene', 'ensemble', 'output', 'json', 'plot', 'report'
 _SUFFIXES = {'json': '.json', 'plot': '.png', 'report': '.html'}
@@ -47,14 +48,15 @@ def checked(options: argparse.Namespace,
     Parameters
     ----------
     options : Namespace
-        The options that `Command.parsed` returns; --json, --plot and --report name outputs.
+        The options as returned by `Command.parsed`. The outputs named by --json, --plot and
+        --report are checked.
     outputs : tuples of path or None and suffix
-        Further outputs; see `files.check`.
+        Other outputs to check; see `files.check`.
 
     Raises
     ------
     InputError
-        `files.check` rejects an output.
+        An output is rejected by `files.check`.
 
     """
     inputs = *_given(options, *_INPUTS), *_measured_files(options)
@@ -65,7 +67,7 @@ def checked(options: argparse.Namespace,
 
 class Outputs:
     """
-    The outputs that the options of a command name; see `checked`.
+    The outputs named in the options of a command; see `checked`.
 
     Attributes
     ----------
@@ -84,25 +86,25 @@ class Outputs:
 
     @contextmanager
     def writing(self, name: str | None = None) -> Iterator[None]:
-        """Within the context, let `name` be written, but protect all other outputs."""
+        """Within the context, allow `name` to be written, but protect all other outputs."""
         with protection.protected('output', *(other for other in self.names if other != name)), \
                 files.overwriting(self._options.overwrite):
             yield
 
     def write(self, name: str, write: Callable[[Path], object]) -> None:
-        """Write an output by calling a function with the path to write to."""
+        """Write an output by calling `write` with the path to write to."""
         with self.writing(name), files.atomic_output(name, self._suffixes[name]) as path:
             write(path)
 
     def write_text(self, name: str, text: str) -> None:
-        """Write an output that is text."""
+        """Write text to an output."""
         self.write(name, lambda path: path.write_text(text, encoding='utf-8'))
 
     def write_asked(self, *, page: Callable[[str], Page],
                     data: Callable[[], Mapping[str, Any]] = dict,
                     draw: Callable[[Path], object] | None = None) -> None:
         """
-        Write the outputs that were requested with --json, --plot and --report.
+        Write the outputs that the user has requested with --json, --plot or --report.
 
         Parameters
         ----------
@@ -111,7 +113,7 @@ class Outputs:
         data : callable
             Returns the result as JSON data.
         draw : callable
-            Takes a path, and draws the plot into this file.
+            Takes the path of a file, and saves a plot in this file.
 
         """
         asked = vars(self._options)
@@ -125,25 +127,25 @@ class Outputs:
                 write(name, page(_command_line(self._options)))
 
     def show(self, summary: str, width: int, names: list[str] | None = None) -> None:
-        """Print a summary and the names of the outputs; the first column has the given width."""
+        """Print a summary and the names of the outputs; the row name is padded to `width`."""
         shown = ', '.join(self.names if names is None else names)
         show(summary + (f'\n{"wrote":{width}}{printable(shown)}' if shown else ''))
 
 
 def _given(options: argparse.Namespace, *names: str) -> list[str]:
-    """Return the paths that options name; an option may name no path, one or several."""
+    """Return the paths in the named options; an option may contain any number of paths."""
     values = [value for name in names if (value := getattr(options, name, None))]
     return [path for value in values for path in (value if isinstance(value, list) else [value])]
 
 
 def _measured_files(options: argparse.Namespace) -> list[str]:
-    """Return those arguments of --measured that name text files instead of topics."""
+    """Return the arguments of --measured that are text files, not topics."""
     from rigid_body_ros.sensing.text_files import is_text_file
     return [name for name in _given(options, 'measured') if is_text_file(name)]
 
 
 def _command_line(options: argparse.Namespace) -> str:
-    """Return the command line, with file names in place of paths."""
+    """Return the command line with the folders removed from all paths."""
     paths = [*map(os.fspath, _given(options, *_PATHS)), *_measured_files(options)]
     return shlex.join([options.command, *(_without_folder(os.fspath(text), paths)
                                           for text in options.arguments)])

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.regress.session import Span
     from rigid_body_ros.scene import Scene
 
-#: Exit status if the loop differs from the reference.
+#: The exit status if the controller's loop differs from the reference.
 DIFFERENT = 1
 _SUFFIX = '.mcap'
 
@@ -64,7 +64,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Raise InputError if the options contradict each other, or would replace another file."""
+    """Raise InputError if options conflict, or if the file to replace is not a reference."""
     if not options.rest:
         raise InputError("expected the command of a controller after '--', found none")
     if options.duration and not options.update:
@@ -89,7 +89,7 @@ def _compared(options: argparse.Namespace, scene: Scene, folder: Path) -> Regres
 
 
 def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:
-    """Return the node; this function is called in the process that runs the node."""
+    """Create the node; called in the process that runs it."""
     try:
         return imported(command, 'rigid_body_ros.node.recorded').RecordedNode(scene, logs)
     except RuntimeError as error:  # from the middleware
@@ -97,7 +97,7 @@ def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:
 
 
 def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
-    """Return how long the loop has to run to record a new reference."""
+    """Return the time for which the loop must run when the command records a new reference."""
     from rigid_body_ros.regress import read, Span
     if options.duration:
         return Span(round(options.duration * 1e9))
@@ -110,7 +110,7 @@ def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('reference', metavar='REFERENCE',
                         help='recording of the loop: a file that --update has written, or another '
-                        'recording with the topics accepted_torque and committed of a node')
+                        'recording with the accepted_torque and committed topics of a node')
     parser.add_scene()
     parser.add_argument('--tolerance', type=within(0.0, 3.15), metavar='RAD',
                         help='accept attitudes that differ by at most this angle at the same '
@@ -119,7 +119,7 @@ def _add_arguments(parser: Parser) -> None:
                         help='run the controller twice and, if both loops are the same, write or '
                         'replace the reference')
     parser.add_argument('--duration', type=positive, metavar='SECONDS',
-                        help='with --update, how long the loop runs, measured by its stamps '
+                        help='with --update, the length of the loop, measured by its stamps '
                         '(default: as long as the reference)')
     parser.add_argument('--timeout', type=positive, default=60.0, metavar='SECONDS',
                         help='longest wall time of one loop (default: 60)')

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.report.page import Page
     from rigid_body_ros.scene import Scene
 
-#: Exit statuses; docs/commands.md explains them.
+#: The exit statuses of the command, which are explained in docs/commands.md.
 OK, DIFFERENT = 0, 1
 
 
@@ -71,7 +71,7 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 
 def _collector(scene: Scene) -> PageCollector:
-    from rigid_body_ros.replay.page import PageCollector  # imported only for a page
+    from rigid_body_ros.replay.page import PageCollector  # imported only if a page is requested
     return PageCollector(scene)
 
 
@@ -134,9 +134,9 @@ def _verify(options: argparse.Namespace) -> int:
 
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('input', metavar='INPUT', nargs='+',
-                        help='recording of torques: an MCAP file, a rosbag2 bag, a PX4 log '
-                        '(.ulg) or a CSV file. A CSV file has the columns time (s), tx, ty, tz '
-                        '(N m), unless its first line names other columns, with units')
+                        help='torque recording: an MCAP file, a rosbag2 bag, a PX4 log (.ulg) or '
+                        'a CSV file. A CSV file has the columns time (s), tx, ty, tz (N m), '
+                        'unless its first line names other columns, with units')
     parser.add_scene()
     parser.add_torques()
     target = parser.add_mutually_exclusive_group()
@@ -147,9 +147,9 @@ def _add_arguments(parser: Parser) -> None:
                         'angular_velocity, plus rotor_momentum if there are rotors, and '
                         'wheel_states if there are named wheels')
     target.add_argument('--verify', metavar='MOTION',
-                        help='compare the computed motion, bit for bit, with this recorded '
-                        'motion: the committed states of all epochs of a node, or the attitudes '
-                        'that a replay wrote; if any bit differs, the exit status is 1')
+                        help='compare the computed motion bit for bit with a recorded one: either '
+                        'the committed states of all epochs of a node, or the attitudes that a '
+                        'replay wrote; if any bit differs, the exit status is 1')
     parser.add_interpolation()
     parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')
@@ -157,18 +157,19 @@ def _add_arguments(parser: Parser) -> None:
                         help='skip the first SECONDS of the recording')
     parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
                         help='with -o, also write /imu/data (imu), /tf (tf), markers for rviz and '
-                        'Foxglove on /marker/... (markers), or a copy of the messages of the '
-                        'input (input)')
+                        'Foxglove on /marker/... (markers), or a copy of the input messages '
+                        '(input)')
     parser.add_argument('--until', '--duration', type=positive, metavar='SECONDS',
-                        help='end the motion SECONDS after its start; in the log of a node, end '
-                        'each epoch SECONDS after its start (default: at the last torque stamp)')
+                        help='end the motion SECONDS after its start; if a node recorded the log, '
+                        'end each epoch SECONDS after its start (default: at the last torque '
+                        'stamp)')
     parser.add_time_source('when a torque takes effect: at the stamp in its header, or when its '
                            'message')
     add_scheduler(parser)
     parser.add_outputs(
         plot='plot Euler angles, quaternion, angular velocity and torque over time',
-        report='the moving body, plots as with --plot, and the summary; for several recordings, '
-        'the page shows a row with a small picture for each recording')
+        report='the moving body, the same plots as --plot, and the summary; for several '
+        'recordings, the page shows a row with a small picture for each recording')
 
 
 attitude_replay = Command(

@@ -50,15 +50,15 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
-    """Return the result and a title that names the recording and its topic, or the scene."""
+    """Return the result and a title; the title names the recording and its topic, or the scene."""
     from rigid_body_ros.tradeoff import ensemble, measure, TARGET
     problem, name = _problem(options, scene)
     source = options.recording or options.scene
     spread = _spread(options, problem)
     targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
     try:
-        # In the measured problem, rotors replace the named wheels, and the body lacks the axial
-        # inertia of the wheels.
+        # The problem that is measured has rotors in place of the named wheels, and its body does
+        # not include the axial inertia of the wheels.
         result = measure(problem.carried(), targets=targets, track=progress('measuring', ' runs'),
                          end_ns=spread.end_ns if spread else None)
     except ValueError as error:
@@ -70,9 +70,9 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
-    """Return the problem to solve, and the topics of its torques as text."""
-    # The command measures all solvers. The solver of the scene is replaced, because some solvers
-    # accept no torques.
+    """Return the problem to solve, and a text that names its torque topics."""
+    # All solvers are measured. Replace the one that the scene sets, because some solvers do not
+    # support torques.
     scene = replace(scene, values={**scene.values, 'solver': 'auto'})
     topics_of(options).check(scene)
     if options.recording is None:
@@ -82,7 +82,11 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
 
 
 def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
-    """Return the spread in --ensemble, or None; raise InputError if it is for another motion."""
+    """
+    Return the spread from the folder given with --ensemble, or None if the option is not given.
+
+    Raise InputError if the spread belongs to another motion.
+    """
     if not options.ensemble:
         return None
     from rigid_body_ros.ensemble.identity import recording_hash
@@ -101,24 +105,24 @@ def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
 def _add_arguments(parser: Parser) -> None:
     from rigid_body_ros.tradeoff import TARGET
     parser.add_scene()
-    parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
+    parser.add_argument('--recording', metavar='IN', help='torque recording, as for '
                         'attitude_replay (default: 50 turns without torque)')
     parser.add_torques()
     parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
-                        help='largest attitude error that the solver may have at any time of the '
-                        'motion; the command reports the interpolation error between torque '
+                        help='largest attitude error that the solver may have at any time during '
+                        'the motion; the command reports the interpolation error between torque '
                         f'samples separately; may be repeated (default: {TARGET:g}, or the target '
                         'of --ensemble)')
     parser.add_argument('--ensemble', metavar='FOLDER', help='output folder of attitude_ensemble '
-                        'for the same motion; the command adds a tenth of the spread of the runs '
-                        'as a target, measures the errors up to the end of the runs, and reports '
-                        'how much time the recommended setting saves')
+                        'for the same motion; the command takes a tenth of the spread of the runs '
+                        'as one more target, measures the errors up to the end of the runs, and '
+                        'reports how much time the recommended setting saves')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
     parser.add_outputs(
         json='write all results, with units, to this file',
-        plot='plot the cost over the error, with one curve for each solver',
-        report='the plot as with --plot, the recommended lines to copy into the scene, and the '
+        plot='plot the cost against the error, with one curve for each solver',
+        report='the same plot as --plot, the recommended lines to copy into the scene, and the '
         'limits of accuracy')
 
 

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Scenes: a body, its initial state and the options of a run, read from a ROS 2 parameter file.
+Scenes: a body, its initial state and the options for a run, read from a ROS 2 parameter file.
 
-The node and the commands share one table of parameters, so a scene file means the same to the node
-and to every command. The module `parameters` contains the table, `fields` contains the parameters
-of torques that depend on the attitude, and `scene` reads and checks a file.
+The node and the commands use the same table of parameters, so that a scene file means the same to
+all of them. The table is in `parameters`. The module `fields` contains the parameters for torques
+that depend on the attitude, and `scene` reads and checks scene files.
 """
 
 from rigid_body_ros.scene.parameters import PARAMETERS

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of actuators, which act on the commands of some of the torque topics."""
+"""The parameters of actuators, which turn the commands on some torque topics into torques."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ from rigid_body_ros.runtime.parameters import BIG, Parameter
 _TOPICS, _DELAY, _LAG = 'actuator.topics', 'actuator.delay', 'actuator.time_constant'
 _LIMITS = tuple(f'actuator.limit.{axis}' for axis in 'xyz')
 PARAMETERS = (
-    Parameter(_TOPICS, [], '', 'those torque_topics whose torques are commands to actuators; an '
-              'actuator has a delay, a limit and a lag'),
-    Parameter(_DELAY, 0.0, 's', 'time between the stamp of a command to an actuator and the '
-              'effect of the command', (0.0, LONGEST)),
-    Parameter(_LAG, 0.0, 's', 'time constant of the first-order lag with which the torque of an '
-              'actuator follows its command; 0 means no lag, other values must be at least 1e-9',
+    Parameter(_TOPICS, [], '', 'the torque_topics that carry actuator commands; an actuator has a '
+              'delay, a limit and a lag'),
+    Parameter(_DELAY, 0.0, 's', 'time from the stamp of an actuator command until the command '
+              'takes effect', (0.0, LONGEST)),
+    Parameter(_LAG, 0.0, 's', 'time constant of the first-order lag with which the actuator '
+              'torque follows its command; 0 means no lag, and any other value must be at least '
+              '1e-9',
               (0.0, LONGEST)),
     *(Parameter(name, 0.0, 'N m', 'largest torque about this axis, in the axes (body or space) of '
                 'the command; larger commands are clipped; 0 means no limit', (0.0, BIG))
@@ -42,13 +43,13 @@ PARAMETERS = (
 
 def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | None:
     """
-    Return the actuator of each of the `torque_topics`, or None if no topic has one.
+    Return the actuator for each topic in `torque_topics`, or None if no topic has one.
 
     Raises
     ------
     InputError
-        One of `actuator.topics` is not a torque topic or is given twice, `actuator.topics` is
-        empty although other `actuator` parameters are set, or the time constant is too short.
+        A topic in `actuator.topics` is not a torque topic, or is given twice; `actuator.topics`
+        is empty although other `actuator` parameters are set; or the time constant is too short.
 
     """
     topics, given = values[_TOPICS], [name.removeprefix('/') if isinstance(name, str) else name

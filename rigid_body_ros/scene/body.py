@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The body of a scene: its inertia, which may come from a robot description, and its links."""
+"""The body in a scene: its links, and its inertia, which a robot description may provide."""
 
 from __future__ import annotations
 
@@ -29,12 +29,14 @@ from rigid_body_ros.scene.parameters import PARAMETERS
 
 def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     """
-    Return the entries of the tensor in `robot_description`; no entries if that text is empty.
+    Return the entries of the inertia tensor that `robot_description` specifies.
+
+    The result is {} if `robot_description` is empty.
 
     Raises
     ------
     InputError
-        The URDF is not valid, a given parameter `inertia.*` differs from the URDF, or `link` is
+        The URDF is not valid; a given `inertia.*` parameter differs from the URDF; or `link` is
         set but `robot_description` is not.
 
     """
@@ -52,7 +54,8 @@ def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
                for i in range(3) for j in range(i, 3)}
     for name, entry in entries.items():
-        # A dump of a running node contains the URDF and all entries; entries not given are zero.
+        # A parameter dump of a running node contains both the URDF and all tensor entries. Entries
+        # that were not given are zero in the dump.
         if given.get(name, 0.0) not in (0.0, entry):
             raise InputError(f'{name}: expected {entry!r} as in robot_description, or no '
                              f'value, found {quoted(given[name])}')
@@ -60,20 +63,20 @@ def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
 
 
 def group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the values whose names are `prefix`, a dot and a key; keyed by this key."""
+    """Return the values whose names are `prefix`.KEY, as a dictionary with the keys KEY."""
     return {name.split('.')[1]: value for name, value in values.items()
             if name.startswith(prefix + '.')}
 
 
 def links_of(values: Mapping[str, Any]) -> Frames:
-    """Return the frames of `robot_description`, with `frame_prefix` before their names."""
+    """Return the frames in `robot_description`, with `frame_prefix` in front of their names."""
     robot = values['robot_description']
     links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
     return links.prefixed(values['frame_prefix'])
 
 
 def body_of(values: Mapping[str, Any]) -> RigidBody:
-    """Return the body; raise InputError if no body has this inertia and damping."""
+    """Return the body; raise InputError if no body can have its inertia and damping."""
     try:
         return RigidBody(_tensor(values, 'inertia'), _tensor(values, 'damping'))
     except ValueError as error:
@@ -82,6 +85,6 @@ def body_of(values: Mapping[str, Any]) -> RigidBody:
 
 
 def _tensor(values: Mapping[str, Any], prefix: str) -> list[list[float]]:
-    """Return the symmetric tensor of a group with the entries xx, yy, zz, xy, xz and yz."""
+    """Build a symmetric tensor from the group of its entries xx, yy, zz, xy, xz and yz."""
     xx, yy, zz, xy, xz, yz = group(values, prefix).values()
     return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]

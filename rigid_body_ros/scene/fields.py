@@ -13,9 +13,10 @@
 # limitations under the License.
 
 """
-The parameters of torques that depend on the attitude: uniform fields with names, and an orbit.
+The parameters for torques that depend on the attitude: named uniform fields, and an orbit.
 
-The parameter `fields` lists the names of the uniform fields. Each field has its own parameters.
+The parameter `fields` lists the names of the uniform fields. Each of these fields has parameters
+of its own.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from rigid_body_ros.runtime.parameters import BIG, Parameter
 FIELDS = 'fields'
 MOMENT, FIELD = 'moment', 'field'
 _UNIFORM = {MOMENT: ('kg m or A m^2', 'moment on which the field acts, body axes; for a weight, '
-                     'this is the mass times the vector from the pivot to the centre of mass'),
+                     'the mass times the vector from the pivot to the centre of mass'),
             FIELD: ('m/s^2 or T', 'the field, space axes')}
 ORBIT = 'orbit'
 _RATE, _POSITION, _NORMAL = f'{ORBIT}.mean_motion', f'{ORBIT}.position', f'{ORBIT}.normal'
@@ -42,13 +43,13 @@ PARAMETERS = (
     Parameter(FIELDS, [], '', 'names of uniform fields; each field has the parameters NAME.moment '
               'and NAME.field, and exerts the torque NAME.moment x NAME.field (cross product) on '
               'the body'),
-    Parameter(_RATE, 0.0, 'rad/s', 'mean motion of a circular orbit, on which the gravity '
+    Parameter(_RATE, 0.0, 'rad/s', 'mean motion of a circular orbit, in which the gravity '
               'gradient exerts a torque on the body; 0 means no orbit', (0.0, BIG)),
     *(Parameter(f'{_POSITION}.{axis}', value, '', 'direction from the planet to the body, in '
                 'space axes, at start_time or, if start_time is 0, at the start of each epoch',
                 (-BIG, BIG)) for axis, value in zip('xyz', (1.0, 0.0, 0.0))),
-    *(Parameter(f'{_NORMAL}.{axis}', value, '', 'normal of the orbit, about which the body '
-                'revolves, in space axes', (-BIG, BIG))
+    *(Parameter(f'{_NORMAL}.{axis}', value, '', 'orbit normal, about which the body revolves, '
+                'space axes', (-BIG, BIG))
       for axis, value in zip('xyz', (0.0, 0.0, 1.0))),
 )
 _NAME = re.compile('[A-Za-z_][A-Za-z0-9_]*')
@@ -56,7 +57,7 @@ _OF_FIELD = re.compile(f'(.+)[.]({MOMENT}|{FIELD})[.][xyz]')
 
 
 def of_names(names: Iterable[str]) -> dict[str, Parameter]:
-    """Return the parameters of uniform fields with given names, keyed by full parameter name."""
+    """Return the parameters of the uniform fields with these names, keyed by full name."""
     return {parameter.name: parameter for name in names
             for group, (unit, text) in _UNIFORM.items() for parameter in (
                 Parameter(f'{name}.{group}.{axis}', 0.0, unit, text, (-BIG, BIG))
@@ -65,12 +66,12 @@ def of_names(names: Iterable[str]) -> dict[str, Parameter]:
 
 def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS) -> None:
     """
-    Check the names of uniform fields, or of wheels.
+    Check the names of uniform fields or wheels.
 
     Parameters
     ----------
     names : iterable
-        The names that the parameter `key` lists.
+        The names to check.
     others : collection of str
         The names of all other parameters.
     key : str
@@ -79,8 +80,8 @@ def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS
     Raises
     ------
     InputError
-        A name is not an identifier, is given twice, or is the first part of the name of another
-        parameter.
+        A name is not an identifier, is given twice, or is the first part of another parameter's
+        name.
 
     """
     taken, known = {name.split('.')[0] for name in others}, set[str]()
@@ -97,7 +98,7 @@ def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS
 
 
 def check_named(key: str, names: Collection[str]) -> None:
-    """Raise InputError if an unknown parameter seems to belong to a field that is not listed."""
+    """Raise InputError if an unknown parameter seems to belong to a field that `fields` lacks."""
     found = _OF_FIELD.fullmatch(key)
     if found:
         raise InputError(f'{key}: expected {quoted(found[1])} among the names in {FIELDS}, found '
@@ -106,15 +107,15 @@ def check_named(key: str, names: Collection[str]) -> None:
 
 def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
     """
-    Return the fields that the parameters of a scene describe.
+    Create the fields from the parameters of a scene.
 
-    The `time_ns` of an orbit is `start_time`, or None if `start_time` is 0.
+    The attribute `time_ns` of an orbit is set to `start_time`, or to None if `start_time` is 0.
 
     Raises
     ------
     InputError
-        A field, a moment or a direction of the orbit is zero, or the two directions of the orbit
-        are not at right angles.
+        A field, a moment, or a direction that defines the orbit is zero; or the two directions
+        that define the orbit are not at right angles.
 
     """
     found: list[Field] = [UniformField(_vector(values, f'{name}.{MOMENT}'),
@@ -132,12 +133,12 @@ def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
 
 
 def moment_unit() -> str:
-    """Return the unit of the moment of a field."""
+    """Return the unit in which the moment of a field is given."""
     return _UNIFORM[MOMENT][0]
 
 
 def described(values: Mapping[str, Any]) -> list[str]:
-    """Return a line for each field of a scene."""
+    """Return a line of text for each field in a scene."""
     found = []
     for name in values[FIELDS]:
         moment, field = (written(np.array(_vector(values, f'{name}.{group}')))
@@ -149,7 +150,11 @@ def described(values: Mapping[str, Any]) -> list[str]:
 
 
 def values_of(one: Field) -> dict[str, float]:
-    """Return the values of a field by parameter name; empty for a uniform field without a name."""
+    """
+    Return a field's values, keyed by parameter name.
+
+    The result is empty for a uniform field without a name.
+    """
     if isinstance(one, GravityGradient):
         vectors = {_POSITION: one.position, _NORMAL: one.normal}
         return {_RATE: one.mean_motion, **_components(vectors)}
@@ -158,7 +163,7 @@ def values_of(one: Field) -> dict[str, float]:
 
 
 def with_values(one: Field, values: Mapping[str, float]) -> Field:
-    """Return a field with other values of some parameters; raise ValueError if invalid."""
+    """Return a copy of a field with new parameter values; raise ValueError if they are invalid."""
     found = {**values_of(one), **values}
     if isinstance(one, GravityGradient):
         position, normal = ([found[f'{group}.{axis}'] for axis in 'xyz']
@@ -171,10 +176,10 @@ def with_values(one: Field, values: Mapping[str, float]) -> Field:
 
 def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
     """
-    Return the position on the orbit at the start of a motion, keyed by parameter.
+    Return the orbital position at the start of a motion, keyed by parameter.
 
-    The result is empty if there is no orbit, or if the scene already gives the position at this
-    start.
+    The result is empty if there is no orbit, or if the scene already gives the orbital position at
+    this start time.
     """
     begin_ns = values['start_time']
     orbits = [one for one in fields_of(values) if isinstance(one, GravityGradient)]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The table of the parameters of a scene, and the parameters of named fields and wheels."""
+"""The table of all scene parameters, and the parameters of named fields and wheels."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
 from rigid_body_ros.scene import actuator, fields, sensors, wheels
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
-_PRODUCT = ('off-diagonal entry of the inertia tensor; as in URDF, it includes the minus sign: '
-            'ixy = - sum of m x y')
+_PRODUCT = ('off-diagonal entry of the inertia tensor, including the minus sign as in URDF: ixy = '
+            '- sum of m x y')
 _QUATERNION = 'initial attitude quaternion, body to space'
-_DAMPING = 'entry of the damping tensor D, body axes; the torque of the damping is -D w'
+_DAMPING = 'entry of the damping tensor D, body axes; the damping torque is -D w'
 _ROTORS = 'initial momentum of the rotors relative to the body, body axes'
 _VELOCITY = 'initial angular velocity, body axes'
 MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
-#: The quantity that stays the same when the inertia changes; see `BodyLog`.
+#: The names of the quantities that can stay the same when the inertia changes; see `BodyLog`.
 INERTIA_CHANGES = KEEP_RATE, KEEP_MOMENTUM = 'keep_rate', 'keep_momentum'
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
@@ -42,10 +42,10 @@ PARAMETERS = {parameter.name: parameter for parameter in (
       for name in ('ixx', 'iyy', 'izz')),
     *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-BIG, BIG))
       for name in ('ixy', 'ixz', 'iyz')),
-    Parameter('robot_description', '', '', 'text of a URDF, which gives the inertia in place of '
-              'inertia.*, and the frames in which the node accepts forces'),
-    Parameter('link', '', '', 'link of robot_description that gives the inertia; an empty text '
-              'means the only link that has an inertia'),
+    Parameter('robot_description', '', '', 'URDF text, which gives the frames in which the node '
+              'accepts forces and, in place of inertia.*, the inertia'),
+    Parameter('link', '', '', 'link of robot_description whose inertia is used; if empty, the '
+              'only link that has an inertia'),
     *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, BIG))
       for name in ('dxx', 'dyy', 'dzz')),
     *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-BIG, BIG))
@@ -59,65 +59,65 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0 means the stamp of the first '
               'torque (replay, lockstep) or the first valid clock reading (realtime); a running '
               'node reports the actual time in this parameter', (0, 2 ** 31 * 10 ** 9 - 1)),
-    Parameter('torque_topics', ['torque'], '', 'topics of the torques; the torques of several '
-              'topics add up'),
-    Parameter('wheels', False, '', 'whether the body has rotors with motors, which are described '
+    Parameter('torque_topics', ['torque'], '', 'torque topics; the node and the commands add up '
+              'the torques from all of them'),
+    Parameter('wheels', False, '', 'whether the body has motor-driven rotors, which are described '
               'by their total momentum'),
     *wheels.PARAMETERS,
     *actuator.PARAMETERS,
     *fields.PARAMETERS,
     Parameter('inertia_topic', False, '', 'whether messages on the topic inertia change the '
               'inertia of the body'),
-    Parameter('inertia_change', KEEP_RATE, '', 'what stays the same when the inertia changes: '
-              'with keep_rate, the angular velocity stays the same, and mass that leaves the body '
-              'carries its momentum away; with keep_momentum, the angular momentum stays the '
-              'same, and the angular velocity jumps',
+    Parameter('inertia_change', KEEP_RATE, '', 'what is kept when the inertia changes: keep_rate '
+              'keeps the angular velocity, and mass that leaves the body carries its momentum '
+              'away; keep_momentum keeps the angular momentum, and the angular velocity jumps',
               choices=INERTIA_CHANGES),
-    Parameter('mode', REALTIME, '', 'in realtime, the node publishes the motion at publish_rate; '
-              'in lockstep, it replies to each torque, stamped t, with the state at t + step',
+    Parameter('mode', REALTIME, '', 'realtime publishes the motion at publish_rate; lockstep '
+              'answers a torque stamped t with the state at t + step',
               choices=MODES),
     Parameter('step', 0.001, 's', 'in lockstep, time from the stamp of a torque to the stamp of '
-              'the state with which the node replies', (1e-9, LONGEST)),
+              'the state that answers it', (1e-9, LONGEST)),
     Parameter('time_source', HEADER, '', 'when a torque takes effect: at the stamp in its header, '
               'or on arrival (for bags played without --clock)', choices=TIME_SOURCES),
     Parameter('solver', Options.solver, '', 'integration method', choices=SOLVERS),
-    Parameter('tolerance', Options.tolerance, '', 'limit of the truncation error of the attitude, '
-              'rad, per radian of rotation; the limit does not include rounding errors',
+    Parameter('tolerance', Options.tolerance, '', 'limit on the truncation error of the attitude, '
+              'rad per radian of rotation; it does not cover rounding errors',
               TOLERANCES),
-    Parameter('max_step', 0.0, 's', 'longest step of the solver; 0 means no limit; the fixed-step '
+    Parameter('max_step', 0.0, 's', 'longest solver step; 0 means no limit, but the fixed-step '
               'solvers need a value above 0', (0.0, BIG)),
     Parameter('interpolation', 'hold', '', 'how the torque is interpolated between samples; the '
               'node accepts only hold, because it does not know the next sample',
               choices=INTERPOLATIONS),
     Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a torque sample is held; '
-              'after this time, the torque is zero until the next sample; 0 means that each '
-              'sample is held until the next', (0.0, LONGEST)),
-    Parameter('history', 1.0, 's', 'how far the stamp of a torque may be behind the newest stamp; '
-              'the node rejects older torques', (0.0, 3600.0)),
+              'after that, the torque is zero until the next sample; 0 means that each sample is '
+              'held until the next', (0.0, LONGEST)),
+    Parameter('history', 1.0, 's', 'how far the stamp of a torque may lag behind the newest '
+              'stamp; the node rejects older torques', (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may be ahead of the clock; '
               'the node rejects torques that are further ahead; in simulated time, it rejects '
               'them only after they have waited 0.5 s for the clock', (0.0, 3600.0)),
-    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps: with reset, begin '
-              'an epoch from the initial state; with rebase, begin an epoch from the current '
-              'state; with ignore, continue the motion', choices=TIME_JUMPS),
-    Parameter('checkpoint', '', '', 'file to which the node writes its last committed state, '
-              'once a second and when it ends; a node that finds this file when it starts '
-              'continues from the state in the file; an empty text means no file'),
-    Parameter('stale_after', 1.0, 's', 'if a source has sent no torque for longer than this time '
-              'and its last torque still acts, diagnostics and the log warn; 0 means no warning',
+    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps: reset begins an epoch '
+              'from the initial state, rebase begins one from the current state, and ignore '
+              'continues the motion', choices=TIME_JUMPS),
+    Parameter('checkpoint', '', '', 'file to which the node writes its last committed state, once '
+              'a second and when it ends; if the file exists when a node starts, the node '
+              'continues from the state in it; empty means no file'),
+    Parameter('stale_after', 1.0, 's', 'if a source has sent no torque for longer than this and '
+              'its last torque still acts, the diagnostics and the log warn; 0 turns the warning '
+              'off',
               (0.0, LONGEST)),
     Parameter('monitor.measured', [], '', 'topics of measured attitudes and angular velocities '
               'that attitude_monitor reads'),
-    Parameter('monitor.window', 5.0, 's', 'length of a window of attitude_monitor; in each '
-              'window, attitude_monitor starts the model from the measurement at the beginning, '
-              'and compares the model with the measurement at the end', (1e-3, LONGEST)),
+    Parameter('monitor.window', 5.0, 's', 'length of a window; in each window, attitude_monitor '
+              'starts the model from the measurement at the beginning and compares it with the '
+              'measurement at the end', (1e-3, LONGEST)),
     Parameter('monitor.attitude_noise', 0.0, 'rad', 'standard deviation of each component of '
               'the measured attitudes; attitude_monitor needs a value above 0', (0.0, BIG)),
     Parameter('monitor.rate_noise', 0.0, 'rad/s', 'standard deviation of each component of '
               'the measured angular velocities; attitude_monitor needs a value above 0',
               (0.0, BIG)),
     Parameter('monitor.false_alarms', 24.0, 'h', 'mean time between false alarms of '
-              'attitude_monitor: alarms that it raises although the model is right',
+              'attitude_monitor, which are alarms that it raises although the model is correct',
               (TINY, BIG)),
     *sensors.PARAMETERS,
     Parameter('publish_clock', False, '', 'whether the node publishes the time of each state on '
@@ -130,15 +130,16 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'extrinsic in lower case'),
     Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
     Parameter('body_frame', 'base_link', '', 'frame_id of the body axes, without frame_prefix'),
-    Parameter('frame_prefix', '', '', 'prefix of the frame_ids of the body and of the links of '
+    Parameter('frame_prefix', '', '', 'prefix for the frame_ids of the body and of the links in '
               'robot_description, as in robot_state_publisher'),
 )}
-#: Parameters that ROS declares on every node or on managed nodes. A parameter dump contains them.
+#: Parameters that ROS declares on every node or on every managed node. These parameters are
+#: accepted because parameter dumps contain them.
 OF_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
 class Names(NamedTuple):
-    """The names of the uniform fields and of the wheels of a scene, in separate sequences."""
+    """The names of the uniform fields in a scene, and the names of the wheels in the scene."""
 
     fields: Sequence[str] = ()
     wheels: Sequence[str] = ()
@@ -150,7 +151,7 @@ def parameters_with(names: Names) -> dict[str, Parameter]:
 
 
 def checked_names(given: Mapping[str, Any]) -> Names:
-    """Return the names that the given values list; raise InputError if they are not valid."""
+    """Return the names of the fields and wheels; raise InputError if a name is not valid."""
     names = Names(*(checked(PARAMETERS[key], given.get(key))
                     for key in (fields.FIELDS, wheels.WHEEL_NAMES)))
     others = *PARAMETERS, *OF_ROS, QOS

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A scene: a body, its initial state and the options of a run, with all checks."""
+"""A scene: a body, its initial state and the options for a run, all of them checked."""
 
 from __future__ import annotations
 
@@ -54,41 +54,42 @@ from rigid_body_ros.scene.parameters import (
 from rigid_body_ros.scene.sensors import imu_of, odometry_variances
 from rigid_body_ros.scene.wheels import check_wheel, WHEEL_NAMES, wheels_of
 
-#: The name of the node to which the parameters of a scene file belong.
+#: The node whose parameters a scene file contains.
 NODE = 'attitude_node'
-#: How far the norm of a quaternion may be from 1 before the scene warns. This limit allows for
-#: components that are rounded to three digits.
+#: Warn if the norm of a quaternion differs from 1 by more than this number. The limit allows for
+#: components that were rounded to three digits.
 _UNIT = 1e-2
-#: A body with a larger angular velocity, rad/s, is a spinning top or a flywheel, or its angular
-#: velocity was given in degrees per second.
+#: Warn about an angular velocity above this limit, rad/s. It may belong to a spinning top or a
+#: flywheel, but it may also have been given in degrees per second by mistake.
 _FAST = 10.0
-#: A topic name that ROS accepts.
+#: Matches the topic names that ROS accepts.
 _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 
 
 @dataclass(frozen=True)
 class Scene:
     """
-    The validated inputs of a motion, except the torques.
+    All inputs of a motion except the torques, after validation.
 
-    Most parameters are also attributes of the same name.
+    Most parameters are also available as attributes with the same name.
 
     Attributes
     ----------
     body : RigidBody
     start : State
-        Initial state. The time of this state is 0 if the first torque or the clock sets the start.
+        The initial state. The time of this state is 0 if the first torque or the clock determines
+        when the motion starts.
     values : dict
         The values of all parameters, including defaults, keyed by full name.
     path : Path or None
-        Absolute path of the scene file; None if the scene was not read from a file.
+        The absolute path of the scene file; None if the scene was not read from a file.
     links : Frames
-        The frames of `robot_description` in which forces are accepted, with `frame_prefix` before
-        their names.
+        The frames in `robot_description` in which forces are accepted. Their names start with
+        `frame_prefix`.
     ignored : tuple of str
-        Names of given parameters that are ignored because they belong to other nodes.
+        The names of given parameters that are ignored because they belong to other nodes.
     node : str
-        Name, including the namespace, of the node to which the file gives these parameters.
+        The name, with namespace, of the node to which the file assigns these parameters.
 
     """
 
@@ -116,26 +117,26 @@ class Scene:
 
     @property
     def inertia_change(self) -> str:
-        """Return what stays the same when the inertia changes: the `keep` of `BodyLog`."""
+        """Return the quantity that a change of inertia preserves; see `keep` of `BodyLog`."""
         return str(self.values['inertia_change']).removeprefix('keep_')
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Return the parameters of the scene and of each uniform field and wheel, by full name."""
+        """Return all parameters, keyed by full name, with those of uniform fields and wheels."""
         return parameters_with(Names(self.values['fields'], self.values[WHEEL_NAMES]))
 
     @property
     def fields(self) -> tuple[Field, ...]:
-        """Return the torques of the fields, with the orbit position at `start_time`."""
+        """Return the fields; an orbit has its orbital position at `start_time`."""
         return fields_of(self.values)
 
     @property
     def actuators(self) -> tuple[Actuator | None, ...] | None:
-        """Return the actuator of each torque topic, or None if no topic has one."""
+        """Return the actuator for each torque topic, or None if no topic has one."""
         return actuators_of(self.values)
 
     def fields_from(self, start_ns: int) -> tuple[Field, ...]:
-        """Return the fields for a start at `start_ns`, with the orbit position at that time."""
+        """Return the fields; an orbit has its orbital position at the start time `start_ns`."""
         moved = at_start(self.values, start_ns)
         return fields_of({**self.values, **moved, 'start_time': start_ns}) \
             if moved else self.fields
@@ -147,7 +148,7 @@ class Scene:
 
     @property
     def odometry_variances(self) -> tuple[float, float]:
-        """Return the variances of attitude and angular velocity in odometry messages."""
+        """Return the variances of the attitude and the angular velocity for odometry messages."""
         return odometry_variances(self.values)
 
     @property
@@ -161,14 +162,18 @@ class Scene:
         return Options(self.solver, self.tolerance, self.max_step or None, self.torque_timeout)
 
     def problem(self, start: State | None = None) -> Problem:
-        """Return the problem of this scene without torques, from its start or another start."""
+        """
+        Return this scene as a problem without torques.
+
+        The problem begins with the state `start` or, by default, with the scene's initial state.
+        """
         start = start or self.start
         return Problem(self.body, start, wheels=self.named_wheels,
                        fields=self.fields_from(start.time_ns),
                        actuator=self.actuators, **asdict(self.options))
 
     def starting_at(self, time_ns: int) -> State:
-        """Return the initial state, at `start_time` or, if that is 0, at the given time."""
+        """Return the initial state; its time is `start_time` or, if that is 0, `time_ns`."""
         return replace(self.start, time_ns=self.start.time_ns or time_ns)
 
     @property
@@ -178,12 +183,12 @@ class Scene:
 
     @property
     def torque_topics(self) -> tuple[str, ...]:
-        """Return the topics of the torques, in the order in which the torques are added."""
+        """Return the torque topics, in the order in which their torques are added up."""
         return tuple(self.values['torque_topics'])
 
     @property
     def has_rotors(self) -> bool:
-        """Return whether the scene has rotors, with motors or with a constant momentum."""
+        """Return whether the scene has rotors, driven by motors or with constant momentum."""
         return bool(self.wheels or self.values[WHEEL_NAMES] or self.start.rotor_momentum.any())
 
     @property
@@ -193,32 +198,32 @@ class Scene:
 
     @property
     def warnings(self) -> list[str]:
-        """Return one line for each value that is valid but probably a mistake."""
+        """Return a line of text for each value that is valid but probably a mistake."""
         return [*_other_node(self.node), *self._warnings()]
 
     @property
     def notes(self) -> list[str]:
-        """Return log lines about the given parameters that have no effect."""
+        """Return lines of text, for the log, about given parameters that have no effect."""
         return [f'parameters that are not those of a scene are ignored: {listed(self.ignored)}'] \
             if self.ignored else []
 
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
         """
-        Return the scene that parameter values describe.
+        Create a scene from parameter values.
 
         Parameters
         ----------
         given : mapping
-            Values, keyed by full name, such as 'inertia.ixx'. All other parameters get their
-            default values. Parameters of other nodes are ignored, because nodes share parameter
-            files.
+            The values, keyed by full name, such as 'inertia.ixx'. Parameters that are not given
+            have their default values. Parameters of other nodes are ignored, because nodes often
+            share a parameter file.
 
         Raises
         ------
         InputError
-            A parameter is missing; an unknown parameter is similar to a known one; a value has the
-            wrong type or is out of range; or two values contradict each other.
+            A required parameter is missing; an unknown parameter resembles a known one; a value
+            has the wrong type or is out of range; or two values contradict each other.
 
         """
         names = checked_names(given)
@@ -243,7 +248,7 @@ class Scene:
         return scene
 
     def _check(self) -> None:
-        """Raise ValueError if values contradict each other."""
+        """Raise ValueError if any values contradict each other."""
         self.options.check_terms(self.body.is_damped, self.has_rotors, bool(self.fields))
         self._check_wheels()
         if self.checkpoint and self.values['orbit.mean_motion'] and not self.start.time_ns:
@@ -313,11 +318,11 @@ class Scene:
 
 def load(path: str | Path) -> Scene:
     """
-    Read a scene from a ROS 2 parameter file, such as one that `ros2 param dump` writes.
+    Read a scene from a ROS 2 parameter file, for example one written by `ros2 param dump`.
 
     Parameters of `/**` apply to every node, and parameters of `attitude_node` override them. If a
-    file contains neither, but parameters of a single other node, the scene gets the parameters of
-    that node, and `Scene.warnings` contains a warning.
+    file contains only the parameters of a single other node, the scene uses these parameters, and
+    `Scene.warnings` contains a warning.
 
     Raises
     ------
@@ -334,7 +339,7 @@ def load(path: str | Path) -> Scene:
 
 
 def _other_node(node: str) -> list[str]:
-    """Return a warning if the parameters of a file are for another node."""
+    """Return a warning if the parameters in a file are for another node."""
     if node.split('/')[-1] in (NODE, '*', '**'):
         return []
     return [f'expected parameters of /** or {NODE}, found those of {listed([node])} only, which '
@@ -344,7 +349,7 @@ def _other_node(node: str) -> list[str]:
 def _check_text(name: str, text: str) -> None:
     if not text and name.endswith('_frame'):
         raise InputError(f'{name}: expected the name of a frame, found an empty text')
-    if not text.isprintable():  # ROS accepts any text, but terminals obey control characters
+    if not text.isprintable():  # ROS accepts any text, but terminals act on control characters
         raise InputError(f'{name}: expected text without control characters, found '
                          f'{quoted(text)}')
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The text of a scene as a parameter file."""
+"""Write a scene as the text of a parameter file."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ import yaml
 
 def text_of(scene: Scene, changed: Mapping[str, Any]) -> str:
     """
-    Return the text of a scene file with some parameters changed, and the inertia with all digits.
+    Return a scene as the text of a scene file, with some parameters changed.
 
-    If the inertia is among the changed values, `robot_description` is left out, because it would
-    give another inertia.
+    The inertia is written with all digits. If the inertia is among the changed values,
+    `robot_description` is left out, because it would specify the old inertia.
     """
     parameters = parameters_with(Names(changed.get(FIELDS, scene.values[FIELDS]),
                                        scene.values[WHEEL_NAMES]))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of named wheels: `wheel_names`, and the parameters of each wheel."""
+"""The parameters for named wheels: `wheel_names`, and the parameters of each wheel."""
 
 from __future__ import annotations
 
@@ -29,39 +29,44 @@ from rigid_body_ros.runtime.parameters import BIG, Parameter, TINY
 #: The parameter that lists the names of the wheels.
 WHEEL_NAMES = 'wheel_names'
 PARAMETERS = (
-    Parameter(WHEEL_NAMES, [], '', 'names of the wheels; outputs list the speeds in this order; '
-              'each wheel has the parameters NAME.axis, NAME.inertia, NAME.initial_speed, '
+    Parameter(WHEEL_NAMES, [], '', 'names of the wheels, in the order in which outputs list their '
+              'speeds; each wheel has the parameters NAME.axis, NAME.inertia, NAME.initial_speed, '
               'NAME.friction, NAME.max_torque and NAME.max_speed'),
 )
 _AXIS = 'axis'
-_INERTIA = Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel; the inertia of the '
-                     'body includes this inertia', (TINY, BIG))
+_INERTIA = Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, which is included in '
+                     'the inertia of the body', (TINY, BIG))
 _OTHERS = (
     Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
               (-1e9, 1e9)),
-    Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel: a torque of friction '
-              'times speed slows the wheel, and the opposite torque acts on the body',
+    Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel: a torque equal to '
+              'friction times speed slows the wheel, and the opposite torque acts on the body',
               (0.0, BIG)),
-    Parameter('max_torque', 0.0, 'N m', 'largest torque of the motor; the node clips commands to '
-              'this torque; 0 means no limit', (0.0, BIG)),
+    Parameter('max_torque', 0.0, 'N m', 'largest motor torque; larger commands are clipped to it; '
+              '0 means no limit', (0.0, BIG)),
     Parameter('max_speed', 0.0, 'rad/s', 'at this speed or above, a command that would speed up '
               'the wheel acts as zero; the node checks the speed only when the command takes '
               'effect; 0 means no limit', (0.0, BIG)),
 )
-#: Full names that parameters of wheels have, whether or not `wheel_names` lists the wheel.
+#: Matches the full names of all wheel parameters except the inertia, whether or not the wheel is
+#: listed in `wheel_names`.
 _OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
 
 
 def of_names(names: Iterable[str]) -> dict[str, Parameter]:
-    """Return the parameters of wheels with given names, keyed by full parameter name."""
+    """Return the parameters of the wheels with these names, keyed by full name."""
     return {parameter.name: parameter for name in names for parameter in (
-        *(Parameter(f'{name}.{_AXIS}.{axis}', 0.0, '', 'axis of the wheel, in body axes; the '
-                    'length of this vector has no effect', (-BIG, BIG)) for axis in 'xyz'),
+        *(Parameter(f'{name}.{_AXIS}.{axis}', 0.0, '', 'wheel axis, in body axes; the length of '
+                    'this vector has no effect', (-BIG, BIG)) for axis in 'xyz'),
         *(each._replace(name=f'{name}.{each.name}') for each in (_INERTIA, *_OTHERS)))}
 
 
 def check_wheel(key: str, names: Collection[str]) -> None:
-    """Raise InputError if an unknown parameter seems to belong to a wheel that is not listed."""
+    """
+    Raise InputError if an unknown parameter seems to belong to an unknown wheel.
+
+    `key` is the name of the parameter, and `names` are the known wheels.
+    """
     found = _OF_WHEEL.fullmatch(key)
     if found:
         raise InputError(f'{key}: expected {quoted(found[1])} among the names in {WHEEL_NAMES}, '
@@ -69,7 +74,7 @@ def check_wheel(key: str, names: Collection[str]) -> None:
 
 
 def wheels_of(values: Mapping[str, Any]) -> tuple[Wheel, ...]:
-    """Return the wheels that the parameters describe; raise InputError if a wheel has no axis."""
+    """Create the wheels from a scene's parameters; raise InputError if a wheel has no axis."""
     return tuple(_wheel(values, name) for name in values[WHEEL_NAMES])
 
 
@@ -82,7 +87,7 @@ def _wheel(values: Mapping[str, Any], name: str) -> Wheel:
 
 
 def described(values: Mapping[str, Any]) -> list[str]:
-    """Return a line for each wheel of a scene."""
+    """Return a line of text for each wheel in a scene."""
     return [f'{wheel.name}: wheel of {wheel.inertia:.9g} kg m^2 about '
             f'{written(np.asarray(wheel.axis))}, initially at {wheel.initial_speed:.9g} rad/s'
             for wheel in wheels_of(values)]
