@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-The layout of the constants of a body: 128 doubles.
+Layout of the array of 128 doubles that holds the constants of a body.
 
-The doubles form 32 vectors of four doubles. The last double of each vector is zero. The vectors
-form four groups: the nine columns of coefficients of Euler's equations, the principal moments, the
-three principal axes, and the three columns of J^-1 D. Each group is followed by its low-order
-parts.
+The array consists of 32 vectors of three components, each padded with a zero to four doubles. The
+vectors come in four groups: the nine columns of coefficients of Euler's equations, the principal
+moments, the three principal axes, and the three columns of J^-1 D. Each group is followed by the
+low-order parts of its vectors.
 """
 
 from __future__ import annotations
@@ -30,26 +30,28 @@ from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.linear_terms import Constants, from_columns, Linear, Matrix
 from rigid_body_ros.kernels.vector import Coefficients, Columns, of, PrincipalFrame, Vector
 
-#: Offsets of the groups. A vector or column takes four doubles.
+#: The index in the array at which each group of vectors begins. Every vector takes up four
+#: doubles.
 EQUATIONS, LOST_EQUATIONS, MOMENTS, LOST_MOMENTS, AXES, LOST_AXES = 0, 36, 72, 76, 80, 92
 DAMPING, LOST_DAMPING = 104, 116
 SIZE = 128
-#: Low-order parts of J^-1, the last three columns of coefficients of Euler's equations.
+#: The slice of the array that contains the low-order parts of J^-1. The columns of J^-1 are the
+#: last three columns of coefficients of Euler's equations.
 LOST_INVERSE = slice(LOST_EQUATIONS + 24, MOMENTS)
 
 
 def pack(coefficients: Floats, moments: Floats, axes: Floats, damping: Floats) -> Floats:
     """
-    Return the constants of a body as an array, shape (SIZE,).
+    Pack the constants of a body into one array of shape (SIZE,).
 
     Parameters
     ----------
     coefficients : array, shape (2, 3, 9)
-        The coefficients that `tensor.euler_coefficients` returns.
+        The coefficients of Euler's equations, as returned by `tensor.euler_coefficients`.
     moments, axes : array, shape (2, 3), (2, 3, 3)
-        The moments and axes that `tensor.principal` returns.
+        The principal moments and axes, as returned by `tensor.principal`.
     damping : array, shape (2, 3, 3), 1/s
-        The matrix J^-1 D that `tensor.damping_coefficients` returns.
+        The matrix J^-1 D, as returned by `tensor.damping_coefficients`.
 
     """
     vectors = np.concatenate([coefficients[0].T, coefficients[1].T, moments,
@@ -59,7 +61,7 @@ def pack(coefficients: Floats, moments: Floats, axes: Floats, damping: Floats) -
 
 @internal
 def coefficients(constants: Floats, form: int) -> Coefficients:
-    """Return the coefficients of Euler's equations for a tensor whose form is known."""
+    """Return the coefficients of Euler's equations for an inertia tensor of the given form."""
     columns = _columns(constants, EQUATIONS)
     return Coefficients(columns, _columns(constants, LOST_EQUATIONS),
                         of(columns[0][0], columns[1][1], columns[2][2]),
@@ -68,14 +70,14 @@ def coefficients(constants: Floats, form: int) -> Coefficients:
 
 @internal
 def principal_frame(constants: Floats) -> PrincipalFrame:
-    """Return the principal moments and axes."""
+    """Return the principal moments and axes of the body."""
     return (four.load(constants, MOMENTS), four.load(constants, LOST_MOMENTS),
             _three(constants, AXES), _three(constants, LOST_AXES))
 
 
 @internal
 def linear_constants(constants: Floats) -> Constants:
-    """Return the matrices of the terms of Euler's equations that are linear in w."""
+    """Return J^-1 and J^-1 D, the matrices in the terms of Euler's equations linear in w."""
     return Constants(
         Linear(_matrix(constants, EQUATIONS + 24), _matrix(constants, LOST_EQUATIONS + 24)),
         Linear(_matrix(constants, DAMPING), _matrix(constants, LOST_DAMPING)))

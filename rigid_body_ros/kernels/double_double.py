@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Double-double arithmetic for the compiled kernels: a number is the sum of two doubles.
+Double-double arithmetic for the compiled kernels.
 
-Such a number has about 32 digits. The algorithms are those of Hida, Li and Bailey, "Algorithms for
-quad-double precision floating point arithmetic", 2001, with fused multiply-add.
+A double-double number is the sum of two doubles, which gives it about 32 digits. The algorithms
+come from Hida, Li and Bailey, "Algorithms for quad-double precision floating point arithmetic",
+2001, and use fused multiply-add.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from rigid_body_ros.kernels import elementary_tables as tables
 from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.lanes import fma
 
-#: High-order and low-order part: the number rounded to a double, and the rest.
+#: A number as two parts: the high-order part is the number rounded to a double, and the low-order
+#: part is the remainder.
 DoubleDouble = tuple[float, float]
 
 PI = tables.PI
@@ -96,7 +98,7 @@ def divide(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 @internal
 def sqrt(a: DoubleDouble) -> DoubleDouble:
-    """Return the square root (Karp's trick); zero for a negative number."""
+    """Return the square root of a number by Karp's trick, or zero if the number is negative."""
     if a[0] <= 0.0:
         return 0.0, 0.0
     high = math.sqrt(a[0])
@@ -106,11 +108,11 @@ def sqrt(a: DoubleDouble) -> DoubleDouble:
 
 @internal
 def from_int(number: int) -> DoubleDouble:
-    """Return a 64-bit integer as a double-double number."""
+    """Convert a 64-bit integer to a double-double number."""
     return two_sum(float(number >> 32) * 4294967296.0, float(number & 0xFFFFFFFF))
 
 
 @internal
 def seconds(span_ns: int) -> DoubleDouble:
-    """Return a span of nanoseconds in seconds."""
+    """Convert a time span from nanoseconds to seconds."""
     return divide(from_int(span_ns), (1e9, 0.0))

@@ -13,22 +13,24 @@
 # limitations under the License.
 
 """
-Elementary functions for the compiled kernels: the same results, bit for bit, on every machine.
+Elementary functions for the compiled kernels, with bit-identical results on every machine.
 
-The functions of C libraries differ between machines in the last bit. The functions here use only
-operations whose results IEEE 754 defines to the last bit: + - * /, square root and fused
-multiply-add.
+The math functions of C libraries can differ in the last bit from one machine to the next. The
+functions here avoid this by using only operations whose results are fully specified by IEEE 754:
++ - * /, square root and fused multiply-add.
 
-A function is evaluated in two phases, as in CORE-MATH (Sibidanov, Zimmermann and Glondu, "The
-CORE-MATH project", 2022). A quick evaluation with about 65 bits determines the rounded result for
-nearly all arguments. All other arguments need a careful evaluation with an error below 1e-31 (Ziv,
-"Fast evaluation of elementary mathematical functions with correctly rounded last bit", 1991). The
-careful evaluation is wrong in the last bit only if the true value lies within this error of the
-midpoint between two doubles, which is expected for about one argument in 10^15.
+Functions are evaluated in two phases, as in CORE-MATH (Sibidanov, Zimmermann and Glondu, "The
+CORE-MATH project", 2022). A quick evaluation with about 65 bits is enough to round the result
+correctly for nearly all arguments. The remaining arguments go through a careful evaluation whose
+error is below 1e-31 (Ziv, "Fast evaluation of elementary mathematical functions with correctly
+rounded last bit", 1991). Even then the last bit may be wrong, but only if the true value lies
+within this error of the midpoint between two doubles. We expect this for about one argument in
+10^15.
 
-Angles are reduced by the nearest multiple of pi / 128, ratios by the nearest multiple of 1 / 128.
-Tables hold the functions of these multiples (Gal and Bachelis, "An accurate elementary
-mathematical library for the IEEE floating point standard", 1991).
+To shorten the series, we subtract the nearest multiple of pi / 128 from an angle, and the nearest
+multiple of 1 / 128 from a ratio. The function values at these multiples come from tables (Gal and
+Bachelis, "An accurate elementary mathematical library for the IEEE floating point standard",
+1991).
 """
 
 from __future__ import annotations
@@ -68,18 +70,18 @@ from rigid_body_ros.kernels.elementary_tables import (
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import fma
 
-#: Bounds on the relative error of the quick evaluations.
+#: Bounds on the relative errors of the quick evaluations of sines and polar angles.
 _SINE_ERROR, _ANGLE_ERROR = 2.0 ** -65, 2.0 ** -66
-#: Below _TINY_ANGLE, the sine of an angle rounds to the angle, and the cosine rounds to 1. Below
-#: _TINY_RATIO, the arctangent of a ratio rounds to the ratio.
+#: The sine of an angle below _TINY_ANGLE rounds to the angle itself, and the cosine rounds to 1.
+#: The arctangent of a ratio below _TINY_RATIO rounds to the ratio itself.
 _TINY_ANGLE, _TINY_RATIO = 2.0 ** -27, 2.0 ** -60
-#: Above this angle, the reduction needs more bits of pi than `STEP` has.
+#: Reducing an angle larger than this takes more bits of pi than `STEP` provides.
 _LARGE_ANGLE = 2.0 ** 20
-#: Number of elements of `TURN_PARTS` that reduce an angle. The elements after these add less than
-#: 2^-179 of a step.
+#: How many elements of `TURN_PARTS` we use to reduce an angle. All further elements together would
+#: contribute less than 2^-179 of a step.
 _PARTS = 11
-#: If a number is between _SMALL and _LARGE, its square times 2^-60 is far inside the range of
-#: doubles.
+#: A number between _SMALL and _LARGE can be squared and multiplied by 2^-60 without coming close
+#: to the limits of the range of doubles.
 _SMALL, _LARGE = 2.0 ** -400, 2.0 ** 400
 _SCALE = 2.0 ** 600
 _STEPS_OF_RADIAN = STEPS / math.pi
@@ -89,7 +91,7 @@ _ONE, _TWO = (1.0, 0.0), (2.0, 0.0)
 
 @internal
 def sine_cosine(angle: float) -> tuple[float, float]:
-    """Return correctly rounded sine and cosine; both are NaN if the angle is infinite or NaN."""
+    """Return the correctly rounded sine and cosine, or two NaNs if the angle is not finite."""
     if abs(angle) < _TINY_ANGLE:
         return angle, 1.0
     sine, cosine = sine_cosine_pairs(angle)
@@ -100,7 +102,7 @@ def sine_cosine(angle: float) -> tuple[float, float]:
 
 @internal
 def sine_cosine_pairs(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
-    """Return sine and cosine as double-doubles, with 65 bits."""
+    """Return the sine and cosine as double-doubles that are accurate to 65 bits."""
     if abs(angle) < 0.5 * STEP[0]:
         return _of_small_angle(angle)
     count, rest = _reduce(angle) if abs(angle) < _LARGE_ANGLE else _reduce_large(angle)
@@ -112,9 +114,9 @@ def sine_cosine_pairs(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
 @internal
 def arctangent(y: float, x: float) -> float:
     """
-    Return the correctly rounded polar angle, rad, of the point (x, y).
+    Return the correctly rounded polar angle of the point (x, y) in rad.
 
-    Zeros, infinities and signs are treated as in C's atan2.
+    Zeros, infinities and signs are handled as in C's atan2.
     """
     if y != y or x != x:
         return y + x
@@ -135,7 +137,7 @@ def arctangent(y: float, x: float) -> float:
 
 @internal
 def arctangent_pair(y: DoubleDouble, x: DoubleDouble) -> DoubleDouble:
-    """Return the polar angle, rad, of (x, y) with 65 bits; signs of zeros are ignored."""
+    """Return the polar angle of (x, y) in rad, to 65 bits, ignoring the signs of zeros."""
     a, b = (negative(y) if y[0] < 0.0 else y), (negative(x) if x[0] < 0.0 else x)
     steep = a[0] > b[0]
     if steep:
@@ -161,10 +163,10 @@ def log10(x: float) -> float:
 @internal
 def exponential(x: float) -> float:
     """
-    Return correctly rounded e^x.
+    Return e^x, correctly rounded.
 
-    For |x| > 709, near the ends of the range of normal doubles, the result is infinity or zero.
-    For NaN, the result is NaN.
+    For |x| > 709, where e^x nears the limits of normal doubles, the function returns infinity if x
+    is positive, and zero if x is negative. If x is NaN, the function returns NaN.
     """
     if not abs(x) <= 709.0:
         return 0.0 if x < 0.0 else x * math.inf
@@ -175,10 +177,10 @@ def exponential(x: float) -> float:
 @internal
 def tanh_sech(x: float) -> tuple[float, float]:
     """
-    Return correctly rounded hyperbolic tangent and secant.
+    Return the hyperbolic tangent and secant, correctly rounded.
 
-    A secant below 1e-270 has an error of up to one unit in the last place. For |x| > 709 the
-    secant is below the range of normal doubles, and the function returns zero.
+    If the secant is below 1e-270, it may be off by one unit in the last place. For |x| > 709,
+    where the secant would fall below the range of normal doubles, the returned secant is zero.
     """
     if abs(x) < _TINY_ANGLE:
         return x, 1.0
@@ -193,13 +195,18 @@ def tanh_sech(x: float) -> tuple[float, float]:
 
 @internal
 def scale_of(size: float) -> float:
-    """Return a power of two by which to scale numbers, so that their squares keep all digits."""
+    """
+    Return a power of two by which to scale numbers of the given size before squaring them.
+
+    With this scale, the squares do not lose any digits to overflow or underflow.
+    """
     return _SCALE if size < _SMALL else 1.0 / _SCALE if size > _LARGE else 1.0
 
 
 @inlined
 def _rounds_uniquely(value: DoubleDouble, error: float) -> bool:
-    # Return whether all numbers within a relative error of a value round to the same double.
+    # Return whether every number within the given relative error of the value rounds to the same
+    # double.
     high, low = value
     margin = error * abs(high)
     return high + (low - margin) == high + (low + margin)
@@ -215,9 +222,9 @@ def _polynomial(coefficients: Floats, x: DoubleDouble) -> DoubleDouble:
 
 @inlined
 def _reduce(angle: float) -> tuple[int, DoubleDouble]:
-    # Return the number of the nearest step, and the rest of the angle. The product of `steps` and
-    # STEP[0], and its difference from the angle, are exact, because only an angle of few steps has
-    # bits below the last bit of STEP[0].
+    # Return the index of the step nearest to the angle, and the difference between the angle and
+    # this step. The fma subtracts `steps` times STEP[0] from the angle without rounding, because
+    # only an angle of just a few steps has bits below the last bit of STEP[0].
     count = round(angle * _STEPS_OF_RADIAN)
     steps = float(count)
     product, rest = two_product(steps, STEP[1])
@@ -227,16 +234,16 @@ def _reduce(angle: float) -> tuple[int, DoubleDouble]:
 
 @internal
 def _reduce_large(angle: float) -> tuple[int, DoubleDouble]:
-    # Reduce an angle of any size as `_reduce` does, with 100 bits (Payne and Hanek, "Radian
-    # reduction for trigonometric functions", 1983). The count of steps is exact, modulo a whole
-    # turn.
+    # Do the same as `_reduce` for an angle of any size, with a result that is accurate to 100 bits
+    # (Payne and Hanek, "Radian reduction for trigonometric functions", 1983). The returned index
+    # is exact, up to a multiple of a whole turn.
     if not abs(angle) < math.inf:
         return 0, (math.nan, math.nan)
     fraction, exponent = math.frexp(abs(angle))
     upper = math.floor(fraction * 2.0 ** 27)
     lower = (fraction * 2.0 ** 27 - upper) * 2.0 ** 26
     exponent -= 53
-    first = max(0, (exponent - 8) // PART_BITS + 1)  # the earlier parts add up to whole turns
+    first = max(0, (exponent - 8) // PART_BITS + 1)  # earlier parts contribute only whole turns
     a = b = c = d = 0.0
     for k in range(first, first + _PARTS):
         for half, place in ((float(upper), exponent + 26), (lower, exponent)):
@@ -273,7 +280,7 @@ def _of_small_angle(x: float) -> tuple[DoubleDouble, DoubleDouble]:
 
 @inlined
 def _sine_of_sum(sine: DoubleDouble, cosine: DoubleDouble, rest: DoubleDouble) -> DoubleDouble:
-    # Return the sine of the sum of a tabulated angle and a rest of at most half a step.
+    # Return the sine of a tabulated angle plus a remainder of at most half a step.
     x, low = rest
     square, more = two_product(x, x)
     half = 0.5 * square
@@ -303,9 +310,9 @@ def _careful_sine_cosine(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
 
 @internal
 def _ratio(a: float, b: float) -> float:
-    # Return the arctangent of a tiny ratio, which is the ratio itself. If the ratio is halfway
-    # between two subnormal doubles, return the lower of them, because the arctangent is less than
-    # the ratio.
+    # Return the arctangent of a tiny ratio, which rounds to the ratio itself. If the ratio lies
+    # halfway between two subnormal doubles, return the lower one, because an arctangent is always
+    # slightly less than its ratio.
     if a == 0.0:
         return 0.0
     ratio = a / b
@@ -319,7 +326,8 @@ def _ratio(a: float, b: float) -> float:
 
 @inlined
 def _to_half_plane(angle: DoubleDouble, steep: bool, leftward: bool) -> DoubleDouble:
-    # Return the polar angle, 0 to pi. `angle`, 0 to pi / 4, is the angle to the nearest axis.
+    # Return the polar angle (from 0 to pi), given the angle to the nearest axis (from 0 to
+    # pi / 4).
     if steep:
         return add(_HALF_PI, angle if leftward else negative(angle))
     return subtract(PI, angle) if leftward else angle
@@ -332,9 +340,9 @@ def _nearest_ratio(a: float, b: float) -> int:
 
 @inlined
 def _quick_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
-    # Return the arctangent of a / b, where a / b is 0 to 1. The result is the arctangent of the
-    # nearest ratio, from the table, plus the arctangent of (a - b ratio) / (b + a ratio), whose
-    # numerator is exact.
+    # Return the arctangent of a / b, for a / b from 0 to 1. Look up the arctangent of the nearest
+    # tabulated ratio, and add the arctangent of (a - b ratio) / (b + a ratio). The numerator of
+    # this fraction is computed without rounding.
     row = _nearest_ratio(a[0], b[0])
     ratio = float(row) / STEPS
     above, above_rest = fma(-ratio, b[0], a[0]), fma(-ratio, b[1], a[1])
@@ -361,9 +369,10 @@ def _careful_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 @internal
 def expm1(x: float) -> DoubleDouble:
-    """Return exp(x) - 1 for x from 0 to 709 as a double-double, with 65 bits."""
-    # Split off a power of 2. For a 64th of the rest, sum the series of the growth, exp - 1.
-    # Then square 1 + growth six times.
+    """Return exp(x) - 1 for x from 0 to 709, as a double-double that is accurate to 65 bits."""
+    # Split off a power of 2, and divide the rest of x by 64. Sum the series of exp - 1, which we
+    # call the growth, at this small argument. Then square 1 + growth six times to undo the
+    # division.
     power = float(round(x / LN_2[0]))
     rest = subtract(subtract((x, 0.0), two_product(power, LN_2[0])),
                     two_product(power, LN_2[1]))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Elementary functions of arrays, element by element."""
+"""Apply the functions of `elementary` to every element of an array."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rigid_body_ros.kernels.jit import njit, WRITTEN
 @njit
 def fill_sines_cosines(angles: Annotated[Floats, 'n'], sines: Annotated[Floats, 'n', WRITTEN],
                        cosines: Annotated[Floats, 'n', WRITTEN]) -> None:
-    """Compute sines and cosines; see `elementary.sine_cosine`."""
+    """Compute the sines and cosines of angles with `elementary.sine_cosine`."""
     for row in range(len(angles)):
         sines[row], cosines[row] = elementary.sine_cosine(float(angles[row]))
 
@@ -34,13 +34,17 @@ def fill_sines_cosines(angles: Annotated[Floats, 'n'], sines: Annotated[Floats, 
 @njit
 def fill_arctangents(points: Annotated[Floats, '2 n'],
                      angles: Annotated[Floats, 'n', WRITTEN]) -> None:
-    """Compute the polar angles of points, shape (2, n); see `elementary.arctangent`."""
+    """
+    Compute the polar angles of points with `elementary.arctangent`.
+
+    The points are an array of shape (2, n), with y in the first row and x in the second.
+    """
     for row in range(len(angles)):
         angles[row] = elementary.arctangent(float(points[0, row]), float(points[1, row]))
 
 
 @njit
 def fill_exponentials(x: Annotated[Floats, 'n'], results: Annotated[Floats, 'n', WRITTEN]) -> None:
-    """Compute e^x; see `elementary.exponential`."""
+    """Compute e^x for each x with `elementary.exponential`."""
     for row in range(len(x)):
         results[row] = elementary.exponential(float(x[row]))

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Constants of the elementary functions, computed in integer arithmetic at import.
+Tables of constants for the elementary functions, computed at import in integer arithmetic.
 
-During the computation, a number is an integer multiple of a power of two. The tables store each
-number as a sum of two doubles, both correctly rounded. Python's integers are exact, so the tables
-are the same on every machine.
+The computation represents each number as an integer multiple of a power of two. Because Python's
+integers are exact, the tables come out the same on every machine. The tables store each number as
+the sum of two doubles, both correctly rounded.
 """
 
 from __future__ import annotations
@@ -31,22 +31,23 @@ from numpy.typing import NDArray
 
 Pair = tuple[float, float]
 
-#: Number of steps in half a turn in the table of sines, and from 0 to 1 in the table of
-#: arctangents.
+#: The table of sines divides half a turn into this many steps. The table of arctangents divides
+#: the interval from 0 to 1 into the same number of steps.
 STEPS = 128
-#: Number of bits of each of `TURN_PARTS`. The product of a part and half of the bits of a double
-#: is exact.
+#: Number of bits in each element of `TURN_PARTS`. An element has so few bits that its product with
+#: a number that has half as many bits as a double is exact.
 PART_BITS = 24
-#: Number of parts. For the largest double, the last bit of the last part contributes 2^-200 of a
-#: step.
+#: Number of elements of `TURN_PARTS`. Even when the largest double is reduced, the last bit of the
+#: last element contributes only 2^-200 of a step.
 _PARTS = 52
-#: The number 1 in the units of the tables, and in the units of `TURN_PARTS`.
+#: The integer that represents the number 1 when the tables of functions are computed, and the
+#: integer that represents 1 when `TURN_PARTS` is computed.
 _ONE, _FINE = 1 << 200, 1 << PART_BITS * (_PARTS + 2)
 
 
 def _split(value: int) -> Pair:
-    """Return value / _ONE as a double and its low-order part."""
-    high = value / _ONE  # Python rounds the quotient of integers correctly
+    """Return value / _ONE, rounded to a double, and the low-order part of this quotient."""
+    high = value / _ONE  # Python divides integers with correct rounding
     above, below = high.as_integer_ratio()
     return high, (value - above * _ONE // below) / _ONE
 
@@ -62,7 +63,7 @@ def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
     """
     Return arctan(above / below) if sign is -1, or artanh(above / below) if sign is 1.
 
-    The result is the sum of the power series, as a multiple of 1 / `one`.
+    The function sums the power series, and returns the result in units of 1 / `one`.
     """
     power, total, odd = one * above // below, 0, 1
     while power:
@@ -74,7 +75,11 @@ def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
 
 
 def _sine(angle: int) -> int:
-    """Return the sine of an angle up to pi / 2; angle and sine are in units of 1 / _ONE."""
+    """
+    Return the sine of an angle up to pi / 2.
+
+    Both the angle and its sine are integers in units of 1 / _ONE.
+    """
     power, total, order = angle, 0, 2
     while abs(power) > 1:
         total += power
@@ -84,12 +89,16 @@ def _sine(angle: int) -> int:
 
 
 def _half_turn(one: int) -> int:
-    """Return pi as a multiple of 1 / `one`, by Machin's formula."""
+    """Compute pi in units of 1 / `one` by Machin's formula."""
     return 16 * _inverse_tangent(1, 5, one, -1) - 4 * _inverse_tangent(1, 239, one, -1)
 
 
 def _sines() -> list[Pair]:
-    """Return sin(k pi / STEPS) for k from 0 to 2 STEPS - 1, exactly symmetric."""
+    """
+    Return sin(k pi / STEPS) for k from 0 to 2 STEPS - 1.
+
+    The returned values have exactly the symmetries of the sine.
+    """
     quarter = [_split(_sine(_PI * k // STEPS)) for k in range(STEPS // 2)]
     half = [*quarter, (1.0, 0.0), *quarter[:0:-1]]
     return half + [(-high, -low) for high, low in half]
@@ -103,7 +112,7 @@ def _arctangents() -> list[Pair]:
 
 
 def _turn_parts() -> list[float]:
-    """Return STEPS / pi in parts of PART_BITS bits each; the first is the integer part."""
+    """Split STEPS / pi into parts of PART_BITS bits each, beginning with its integer part."""
     rest, parts = _FINE * _FINE * STEPS // _half_turn(_FINE), []
     for _ in range(_PARTS):
         parts.append(float(rest // _FINE))
@@ -124,17 +133,19 @@ PI = _split(_PI)
 STEP = _thrice(_PI // STEPS)
 LN_2 = _split(_LN_2)
 LOG10_2, LOG10_E = _split(_LN_2 * _ONE // _LN_10), _split(_ONE * _ONE // _LN_10)
-#: sin(k pi / STEPS) for a whole turn, and atan(k / STEPS), both of shape (n, 2). The second column
-#: is the low-order part of the first.
+#: Tables of sin(k pi / STEPS) for a whole turn, and of atan(k / STEPS). Each table has two
+#: columns, and its second column contains the low-order parts.
 SINES, ARCTANGENTS = np.array(_sines()), np.array(_arctangents())
-#: Coefficients of power series, in the same format. The series of sin x / x, (1 - cos x) / x^2 and
-#: arctan x / x are in powers of -x^2, the series of artanh x / x is in powers of x^2, and the
-#: series of (e^x - 1) / x is in powers of x. A series gives 100 bits up to a limit of |x|: half a
-#: step for sine and cosine, ln 2 / 128 for e^x, 1 / 256 for arctan x, and 0.18 for artanh x.
+#: Coefficients of power series. Each row contains a coefficient and the low-order part of this
+#: coefficient. The series for sin x / x, (1 - cos x) / x^2 and arctan x / x are in powers of -x^2,
+#: the series for artanh x / x is in powers of x^2, and the series for (e^x - 1) / x is in powers
+#: of x. Each series is accurate to 100 bits if |x| is within its limit, which is half a step for
+#: the sine and cosine, ln 2 / 128 for e^x, 1 / 256 for arctan x, and 0.18 for artanh x.
 SINE_SERIES = _inverses(math.factorial(k) for k in range(1, 18, 2))
 COSINE_SERIES = _inverses(math.factorial(k) for k in range(2, 17, 2))
 GROWTH_SERIES = _inverses(math.factorial(k) for k in range(1, 13))
 ARCTANGENT_SERIES = _inverses(range(1, 16, 2))
 LOGARITHM_SERIES = _inverses(range(1, 44, 2))
-#: The parts of STEPS / pi, which is the sum of part k times 2^(-PART_BITS k).
+#: The digits of STEPS / pi in base 2^PART_BITS. The digit at index k counts in units of
+#: 2^(-PART_BITS k).
 TURN_PARTS = np.array(_turn_parts())

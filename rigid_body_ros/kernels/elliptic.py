@@ -13,17 +13,18 @@
 # limitations under the License.
 
 """
-Elliptic integrals and functions for the compiled kernels, as functions of 1 - m.
+Elliptic integrals and functions for the compiled kernels.
 
-The functions take the complementary parameter m_c = 1 - m instead of m, because m rounds to 1 near
-the separatrix, where m_c is 1e-12 or 1e-20. Complete integrals have 32 digits, because a long
-motion multiplies their errors by the number of periods.
+The functions take the complementary parameter m_c = 1 - m instead of m. Near the separatrix, m_c
+may be as small as 1e-12 or 1e-20. If we rounded m to a double, few or none of the digits of m_c
+would survive. Complete integrals are computed to 32 digits, because over a long motion their
+errors are multiplied by the number of periods.
 
-SciPy's functions cannot be called from kernels, and their last bits depend on the machine.
-The argument of `scipy.special.ellipj` is m. Therefore the relative error of `ellipj` is 1e-8 at
-m_c = 1e-9 and 2e-4 at m_c = 1e-15. The error of `jacobi` is 5e-15. SciPy's `elliprf` and `elliprj`
-are as accurate as `carlson_f` and `carlson_j`: the errors of all four are up to 2e-15. R_J takes
-0.5 us in SciPy and 0.3 us here.
+We do not use SciPy's functions, because kernels cannot call them, and because the last bits of
+their results depend on the machine. In addition, `scipy.special.ellipj` takes m as its argument,
+so its relative error is 1e-8 at m_c = 1e-9, and 2e-4 at m_c = 1e-15. The relative error of
+`jacobi` is 5e-15. SciPy's `elliprf` and `elliprj` are as accurate as `carlson_f` and `carlson_j`,
+with errors of up to 2e-15. Computing R_J takes 0.5 us in SciPy and 0.3 us here.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from rigid_body_ros.kernels import elementary
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import inlined, internal
 
-#: Largest number of iterations. Landen's transformation converges quadratically, and takes 13
-#: iterations for m_c = 1e-300.
+#: Maximum number of iterations. Landen's transformation converges quadratically, so that even
+#: m_c = 1e-300 takes only 13 iterations.
 _MOST = 16
-#: Space for one number from each iteration. Unlike a list, a tuple takes no memory from the heap.
+#: A tuple with room for one number per iteration. A list would be allocated on the heap.
 _NONE = (0.0,)
 _ROOM = _NONE * _MOST
 
@@ -49,9 +50,10 @@ def complete(complement: DoubleDouble, p: DoubleDouble, a: DoubleDouble,
     """
     Return the integral of (a cos^2 + b sin^2) / (cos^2 + p sin^2) / sqrt(cos^2 + m_c sin^2).
 
-    The limits are 0 and pi / 2; m_c > 0 and p > 0 (Bulirsch, "Numerical calculation of elliptic
-    integrals and elliptic functions III", 1969). K(m) is `complete(m_c, 1, 1, 1)`, and Pi(n, m)
-    is `complete(m_c, 1 - n, 1, 1)`.
+    The integral runs from 0 to pi / 2, and both m_c and p must be positive. The algorithm is that
+    of Bulirsch, "Numerical calculation of elliptic integrals and elliptic functions III", 1969. To
+    compute K(m), call `complete(m_c, 1, 1, 1)`. To compute Pi(n, m), call
+    `complete(m_c, 1 - n, 1, 1)`.
     """
     kc = dd.sqrt(complement)
     e, em = kc, (1.0, 0.0)
@@ -77,10 +79,10 @@ def complete(complement: DoubleDouble, p: DoubleDouble, a: DoubleDouble,
 @internal
 def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     """
-    Return sn, cn and dn of u, |u| <= K, each with a small relative error.
+    Return sn, cn and dn of u for |u| <= K, each with a small relative error.
 
-    The method is the arithmetic-geometric mean (Bulirsch, "Numerical calculation of elliptic
-    integrals and elliptic functions", 1965).
+    The functions are computed by the arithmetic-geometric mean, as in Bulirsch, "Numerical
+    calculation of elliptic integrals and elliptic functions", 1965.
     """
     if complement == 0.0:
         tangent, secant = elementary.tanh_sech(u)
@@ -99,7 +101,7 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     dn = 1.0
     a = cn / sn
     c = a * c
-    for _ in range(count + 1):  # go back from the last iteration, which is first in the tuples
+    for _ in range(count + 1):  # backwards: the tuples begin with the last iteration
         a = c * a
         c = dn * c
         dn = (roots[0] + a) / (means[0] + a)
@@ -112,13 +114,13 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
 
 @inlined
 def _shifted(numbers: tuple[float, ...], first: float) -> tuple[float, ...]:
-    # Return the numbers with a new first number in front, and without the last number.
+    # Put a new number in front of the others, and drop the last one.
     return (first, *numbers[:-1])
 
 
 @internal
 def carlson_f(x: float, y: float, z: float) -> float:
-    """Return the symmetric integral R_F (B. C. Carlson, Numerical Algorithms 10, 1995)."""
+    """Return the symmetric integral R_F, as in B. C. Carlson, Numerical Algorithms 10, 1995."""
     mean = (x + y + z) / 3.0
     bound = 400.0 * max(abs(mean - x), abs(mean - y), abs(mean - z))
     dx, dy, scale = mean - x, mean - y, 1.0
@@ -138,7 +140,12 @@ def carlson_f(x: float, y: float, z: float) -> float:
 
 @internal
 def carlson_j(x: float, y: float, z: float, p: float) -> float:
-    """Return R_J for p >= x, y, z, by duplication with R_C(1, 1 + e) (Carlson 1995)."""
+    """
+    Return the symmetric integral R_J, computed by Carlson's duplication algorithm (1995).
+
+    The argument p must not be smaller than x, y or z. The algorithm also uses the integral
+    R_C(1, 1 + e).
+    """
     mean = (x + y + z + 2.0 * p) / 5.0
     bound = 400.0 * max(abs(mean - x), abs(mean - y), abs(mean - z), abs(mean - p))
     dx, dy, dz = mean - x, mean - y, mean - z

@@ -13,11 +13,13 @@
 # limitations under the License.
 
 """
-Kernels that convert between attitudes and Euler angles, computing with 65 bits and rounding once.
+Kernels that convert between attitudes and Euler angles.
 
-A sequence consists of intrinsic rotations about the body axes i, j and k. The arguments of the
-kernels are i, j, whether the sequence is proper (k = i), and the parity. The parity is 1 if i, j
-and the remaining body axis form a right-handed system, and -1 otherwise.
+The kernels compute each result to 65 bits, and round it only once.
+
+A sequence consists of intrinsic rotations about the body axes i, j and k. It is passed to a kernel
+as four arguments: i, j, whether the sequence is proper (k = i), and a parity. The parity is 1 if
+the axes i, j and the remaining body axis form a right-handed system, and -1 otherwise.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.elementary import arctangent_pair, scale_of, sine_cosine_pairs
 from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 
-#: Smallest and largest double in the range of the first and the third angle.
+#: The range of the first and the third angle, given by the smallest and the largest double in the
+#: range. Proper and Tait-Bryan sequences have different ranges.
 _PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)
 _TAIT_BRYAN = math.nextafter(-math.pi, 0.0), math.pi
 _TURN = 2.0 * np.pi
@@ -42,24 +45,24 @@ _TURN = 2.0 * np.pi
 def fill_attitudes(angles: Annotated[Floats, 'm 3'], attitudes: Annotated[Floats, 'm 4', WRITTEN],
                    i: int, j: int, proper: bool, parity: float) -> None:
     """
-    Compute the attitudes of Euler angles.
+    Convert Euler angles to attitudes.
 
     Parameters
     ----------
     angles : float64 (m, 3), rad
         The angles in the order of the intrinsic rotations.
     attitudes : float64 (m, 4)
-        The output: x y z w, body to space.
+        The output: quaternions x y z w, body to space.
     i, j, proper, parity : int, int, bool, float
-        The sequence.
+        The sequence of rotations, as described in the module docstring.
 
     """
     for row in range(len(angles)):
         s1, c1 = sine_cosine_pairs(0.5 * float(angles[row, 0]))
         s2, c2 = sine_cosine_pairs(0.5 * float(angles[row, 1]))
         s3, c3 = sine_cosine_pairs(0.5 * float(angles[row, 2]))
-        # Multiply the first two rotations, then multiply by the third. The components x, y and z
-        # are along i, j and i x j.
+        # Multiply the first two rotations, and then multiply their product by the third. Here x, y
+        # and z are the components along i, j and i x j.
         w, x = dd.multiply(c1, c2), dd.multiply(s1, c2)
         y, z = dd.multiply(c1, s2), dd.multiply(s1, s2)
         if proper:
@@ -78,16 +81,18 @@ def fill_attitudes(angles: Annotated[Floats, 'm 3'], attitudes: Annotated[Floats
 def fill_angles(attitudes: Annotated[Floats, 'm 4'], angles: Annotated[Floats, 'm 3', WRITTEN],
                 i: int, j: int, proper: bool, parity: float) -> None:
     """
-    Compute the Euler angles of attitudes; NaN if an attitude is zero or not finite.
+    Convert attitudes to Euler angles.
+
+    If an attitude is zero or not finite, its angles are NaN.
 
     Parameters
     ----------
     attitudes : float64 (m, 4)
-        x y z w, body to space, of any norm.
+        Quaternions x y z w, body to space, which need not be normalized.
     angles : float64 (m, 3), rad
-        The output, in the order of the intrinsic rotations.
+        The output: the angles in the order of the intrinsic rotations.
     i, j, proper, parity : int, int, bool, float
-        The sequence.
+        The sequence of rotations, as described in the module docstring.
 
     """
     low, high = _PROPER if proper else _TAIT_BRYAN
@@ -119,7 +124,8 @@ def _rotated(a: DoubleDouble, b: DoubleDouble, sine: DoubleDouble,
 @internal
 def _angles(w: float, x: float, y: float, z: float,
             proper: bool) -> tuple[DoubleDouble, DoubleDouble, DoubleDouble, float]:
-    # Return the angles of a proper sequence, and the cosine of the middle angle.
+    # Return the three angles of a proper sequence for the quaternion (w, x, y, z), and the cosine
+    # of the middle angle.
     a, b, c, d = (w, 0.0), (x, 0.0), (y, 0.0), (z, 0.0)
     if not proper:  # a quarter turn about the middle axis makes the sequence proper
         a, b, c, d = (dd.two_sum(w, -y), dd.two_sum(x, -z), dd.two_sum(w, y), dd.two_sum(x, z))
@@ -142,13 +148,14 @@ def _hypotenuse(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 @internal
 def _rounded(angle: DoubleDouble, low: float, high: float) -> float:
-    # Return the double in the range that is nearest to the angle, modulo whole turns; never -0.0.
+    # Return the double from `low` to `high` that is nearest to the angle, modulo whole turns. The
+    # result is never -0.0.
     return min(max(_wrapped(angle, 0.5 * (low + high))[0], low), high) + 0.0
 
 
 @internal
 def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
-    # Return the angle, shifted by whole turns to within half a turn of the centre.
+    # Shift the angle by whole turns so that the result is within half a turn of the centre.
     turns = 2.0 * float(round((angle[0] - centre) / (2.0 * dd.PI[0])))
     return dd.subtract(angle, (turns * dd.PI[0], turns * dd.PI[1]))
 
@@ -157,18 +164,22 @@ def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
 def make_rows_continuous(angles: Annotated[Floats, 'm 3', WRITTEN], anchor: int,
                          poles: Annotated[Floats, 'm'], proper: bool) -> None:
     """
-    Choose for each attitude the triple of angles that is closest to the neighbouring triple.
+    Make a series of Euler angles continuous from row to row.
+
+    Several triples of angles describe the same attitude. The kernel starts at the row `anchor`,
+    works outwards in both directions, and gives each row the triple that is closest to the
+    neighbouring row, which it has just processed.
 
     Parameters
     ----------
     angles : float64 (m, 3), rad
-        The angles, which the kernel changes. In both directions from the row `anchor`, the kernel
-        makes each row continuous with the neighbouring row on the side of the anchor.
+        The angles, which are modified in place.
     anchor : int
-        The row that does not change.
+        The row to start from, which is not modified.
     poles : float64 (m,)
-        0 for a row that is not at a pole, 1 for a row in which only a + c is determined, and -1
-        for a row in which only a - c is determined.
+        0 for a row that is not at a pole, 1 for a row in which the attitude determines only a + c,
+        and -1 for a row in which the attitude determines only a - c. Here a and c are the first
+        and the third angle.
     proper : bool
         See `fill_angles`.
 
@@ -182,7 +193,7 @@ def make_rows_continuous(angles: Annotated[Floats, 'm 3', WRITTEN], anchor: int,
 @internal
 def _make_continuous(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
     a, b, c = triple
-    if pole != 0.0:  # a + pole c is determined; a - pole c is not, so copy it
+    if pole != 0.0:  # the attitude determines only a + pole c, so copy a - pole c
         free = last[0] - pole * last[2]
         determined = _nearest(a + pole * c, last[0] + pole * last[2])
         triple[0] = 0.5 * (determined + free)

@@ -17,8 +17,8 @@ Euler's equations for the compiled kernels, solved for the angular acceleration.
 
     dw/dt = J^-1 ((J w) x w) + J^-1 tau
 
-The first term is linear in the six products of the components of w. The second term is linear in
-the torque tau. `tensor.euler_coefficients` computes the coefficients of both terms.
+The first term is linear in the six products of the components of w, and the second is linear in
+the torque tau. The coefficients of both terms come from `tensor.euler_coefficients`.
 """
 
 from __future__ import annotations
@@ -40,23 +40,25 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: The products (y z, z x, x y) and (x x, y y, z z) of the components of two vectors, or sums of
-#: such products.
+#: Two vectors that hold the products (y z, z x, x y) and (x x, y y, z z) of the components of two
+#: vectors, or sums of such products.
 Products = tuple[Vector, Vector]
 
-#: Form of the inertia tensor: diagonal, full, or full and thin. The smallest moment of a thin body
-#: is so much less than the others that cancellation in J^-1 tau may cost more than a digit.
+#: Forms of an inertia tensor: diagonal, full, or full and thin. In a thin body, one principal
+#: moment is so much smaller than the others that computing J^-1 tau may lose more than a digit to
+#: cancellation.
 DIAGONAL, FULL, THIN = range(3)
-#: A full tensor is THIN if the ratio of the largest moment to the smallest is above this value.
-#: At this ratio, cancellation costs 16 eps, a tenth of the other rounding errors of a motion.
+#: A full tensor counts as THIN if its largest moment is more than this many times its smallest
+#: moment. At this ratio, cancellation causes an error of 16 eps, which is a tenth of the other
+#: rounding errors of a motion.
 THIN_RATIO = 16.0
 
 
 @inlined
 def gyroscopic_acceleration(coefficients: Coefficients, products: Products) -> Vector:
-    """Return J^-1 ((J w) x w), linear in the products of the components of w."""
+    """Return J^-1 ((J w) x w), given the products of the components of w."""
     mixed, squares = products
-    if coefficients.form == DIAGONAL:  # the rounding errors here average to zero over a period
+    if coefficients.form == DIAGONAL:  # no low-order parts: rounding errors cancel over a period
         return four.multiply(coefficients.main, mixed)
     columns, low = coefficients.columns, coefficients.low
     rest = add(combine(low[:3], mixed), combine(low[3:6], squares))
@@ -66,7 +68,7 @@ def gyroscopic_acceleration(coefficients: Coefficients, products: Products) -> V
 @inlined
 def add_gyroscopic_acceleration(rest: Vector, coefficients: Coefficients,
                                 products: Products) -> Vector:
-    """Return `gyroscopic_acceleration` plus a vector."""
+    """Add `gyroscopic_acceleration` to a vector."""
     if coefficients.form == DIAGONAL:
         return four.fma(coefficients.main, products[0], rest)
     return add(rest, gyroscopic_acceleration(coefficients, products))
@@ -74,7 +76,7 @@ def add_gyroscopic_acceleration(rest: Vector, coefficients: Coefficients,
 
 @inlined
 def add_jacobian(matrix: Matrix, coefficients: Coefficients, w: Vector) -> Matrix:
-    """Return a matrix plus the derivative of `gyroscopic_acceleration` with respect to w."""
+    """Add the derivative of `gyroscopic_acceleration` with respect to w to a matrix."""
     x, y, z = matrix
     yzx, zxy = four.yzx(w), four.zxy(w)
     if coefficients.form == DIAGONAL:
@@ -98,10 +100,10 @@ def _add_combined(rest: Vector, columns: tuple[Vector, Vector, Vector], a: Vecto
 @inlined
 def acceleration_from_torque(coefficients: Coefficients, torque: Vector) -> Vector:
     """
-    Return J^-1 tau, rad/s^2, for a torque in body axes.
+    Return J^-1 tau in rad/s^2, for a torque in body axes.
 
-    For a thin rod the result may be a difference of terms a million times larger, so it is
-    computed in twice the working precision.
+    For a thin rod, J^-1 tau may be the small difference between terms that are a million times
+    larger. The function therefore computes J^-1 tau in twice the working precision.
     """
     if coefficients.form == DIAGONAL:
         return four.multiply(coefficients.diagonal, torque)
@@ -114,7 +116,11 @@ def acceleration_from_torque(coefficients: Coefficients, torque: Vector) -> Vect
 @inlined
 def acceleration_polynomial(coefficients: Coefficients, torque: Polynomial,
                             low: Polynomial) -> Polynomial:
-    """Return J^-1 tau, rad/s^2, for a torque polynomial in body axes with low-order parts."""
+    """
+    Return J^-1 tau in rad/s^2 as a polynomial.
+
+    The torque in body axes is given as a polynomial and the low-order part of this polynomial.
+    """
     a, b, c, d = torque
     if coefficients.form != THIN:
         return (acceleration_from_torque(coefficients, a),
@@ -138,13 +144,17 @@ def _combine_both(columns: tuple[Vector, Vector, Vector],
 
 @inlined
 def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coefficients) -> float:
-    """Return a bound on |J^-1 tau|, rad/s^2, over the span of a drive; see `taylor.step`."""
+    """
+    Return an upper bound on |J^-1 tau| in rad/s^2 that holds for the whole span of a drive.
+
+    `taylor.step` uses this bound.
+    """
     if not in_space:
         bound = 0.0
         for vector in drive:
             bound += math.sqrt(dot(vector, vector))
         return bound
-    norm = size = 0.0  # a torque fixed in space may turn to any body axis
+    norm = size = 0.0  # a torque fixed in space may point along any body axis
     for column in coefficients.columns[6:]:
         norm += dot(column, column)
     for vector in drive:
@@ -154,7 +164,7 @@ def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coeffici
 
 @inlined
 def products(a: Vector, b: Vector) -> Products:
-    """Return the products of the components of two vectors."""
+    """Multiply the components of two vectors in all the combinations of `Products`."""
     return four.multiply(four.yzx(a), four.zxy(b)), four.multiply(a, b)
 
 
@@ -167,6 +177,6 @@ def symmetric_products(a: Vector, b: Vector) -> Products:
 
 @inlined
 def add_symmetric_products(sums: Products, a: Vector, b: Vector) -> Products:
-    """Return the sums plus `products(a, b)` plus `products(b, a)`."""
+    """Add `products(a, b)` and `products(b, a)` to sums of products."""
     return (four.fma(four.yzx(a), four.zxy(b), four.fma(four.zxy(a), four.yzx(b), sums[0])),
             four.fma(scale(2.0, a), b, sums[1]))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The earliest and the latest time of an array."""
+"""Find the earliest and the latest time in an array."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rigid_body_ros.kernels.jit import njit
 
 @njit
 def extent(times_ns: Annotated[Ints, 'n']) -> tuple[bool, int, int]:
-    """Return whether times ascend, the earliest time, and the latest time."""
+    """Return whether the times are in ascending order, the earliest time and the latest time."""
     ascends, first, last = True, NEVER_NS, -NEVER_NS
     for k in range(len(times_ns)):
         ascends = ascends and (k == 0 or times_ns[k] >= times_ns[k - 1])

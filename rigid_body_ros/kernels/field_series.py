@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-The Taylor series of torques that depend on the attitude; see `fields`.
+Taylor series of the attitude-dependent torques described in `fields`.
 
 A uniform field is fixed in space, so its body components obey v' = v x w. On a circular orbit, the
-unit vectors to the body, r, and along the orbit, s, turn in space at the rate n: r' = r x w + n s
-and s' = s x w - n r. These equations do not contain the attitude, so the series need no products
-with the attitude.
+unit vector r to the body and the unit vector s along the orbit turn in space at the rate n, so
+they obey r' = r x w + n s and s' = s x w - n r. None of these equations involves the attitude, so
+we never have to multiply by the series of the attitude.
 """
 
 from __future__ import annotations
@@ -52,45 +52,46 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Size of the vectors of one order. The vectors are the uniform fields, the unit vector to the
-#: body and the unit vector along the orbit, each in its three permutations.
+#: Number of doubles per order of the series. These doubles hold the uniform fields, the unit
+#: vector to the body and the unit vector along the orbit, each in three permutations.
 _ORDER = PERMUTED * (fields.MOST + 2)
-#: The vectors of all orders are followed by a matrix for each uniform field.
+#: Where the matrices begin in the workspace, after the vectors of all orders. There is one matrix
+#: for each uniform field.
 _MATRICES = _ORDER * (MAX_ORDER + 1)
 WORKSPACE = _MATRICES + PERMUTED * fields.MOST
-#: The two sums of products whose difference is a vector product.
+#: Two sums of products. The difference between the two sums is a vector product.
 Turn = tuple[Vector, Vector]
 
 
 class StepFields(NamedTuple):
-    """The fields of a step, and the series of their vectors."""
+    """The fields that act during a step, and the series of their vectors."""
 
     #: Array of `fields.FIELDS`, shape (1,).
     fields: NDArray[Any]
-    #: Angle of the orbit at the beginning of the step; see `fields.angle_at`.
+    #: The angle by which the orbit has turned at the beginning of the step; see `fields.angle_at`.
     angle: DoubleDouble
-    #: The terms of the vectors, and the matrices.
+    #: Workspace that holds the terms of the vectors, and the matrices of the uniform fields.
     vectors: Floats
 
 
 @optional
 def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> Floats:
     """
-    Store the matrix J^-1 [m]x of each uniform field, which all steps need.
+    Compute the matrix J^-1 [m]x of each uniform field once, for use in all steps.
 
     Parameters
     ----------
     found : array of fields.FIELDS, shape (1,), or None
         The fields of the scene.
     work : float64 (WORKSPACE,)
-        The array in which to store the matrices.
+        The workspace in which to store the matrices.
     coefficients : Coefficients
         The coefficients of Euler's equations.
 
     Returns
     -------
     array or None
-        The workspace; None without fields.
+        The workspace, or None if the scene has no fields.
 
     """
     a, b, c = coefficients[0][6:]
@@ -105,19 +106,23 @@ def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> F
 
 @optional
 def of_step(found: NDArray[Any], angle: DoubleDouble, work: Floats) -> StepFields:
-    """Return the fields of a step, with series not yet filled; None without fields."""
+    """
+    Return the fields that act during a step, or None if there are no fields.
+
+    The series of the returned fields do not contain any terms yet.
+    """
     return StepFields(found, angle, work)
 
 
 @inlined
 def begin(step: StepFields | None, state: KernelState, coefficients: Coefficients) -> float:
     """
-    Store the vectors at the beginning of a step.
+    Begin the series of the field vectors with their values at the beginning of a step.
 
     Parameters
     ----------
     step : StepFields or None
-        The fields. The function fills their vectors.
+        The fields. The function stores the vectors in `step.vectors`.
     state : KernelState
         The state at the beginning of the step.
     coefficients : Coefficients
@@ -126,7 +131,7 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
     Returns
     -------
     float
-        The size of the acceleration that the fields cause at the beginning of the step, rad/s^2.
+        The magnitude of the acceleration due to the fields at the beginning of the step, rad/s^2.
 
     """
     if step is None:
@@ -147,13 +152,13 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
 
 @optional
 def vectors_of(step: StepFields) -> Floats:
-    """Return the terms of the vectors; None without fields."""
+    """Return the workspace that holds the terms of the vectors, or None if there are no fields."""
     return step.vectors
 
 
 @optional
 def no_turn(vectors: Floats) -> Turn:
-    """Return zeros, to which `add_turn` adds; None without fields."""
+    """Return zeros to which `add_turn` can add products, or None if there are no fields."""
     zero = four.zero(four.load(vectors, 0))
     return zero, zero
 
@@ -161,11 +166,14 @@ def no_turn(vectors: Floats) -> Turn:
 @optional
 def add_turn(turn: Turn, vectors: Floats, k: int, yzx: Vector, zxy: Vector) -> Turn:
     """
-    Add the term of order k of the first vector times a vector that is given in two permutations.
+    Multiply the order-k term of the first field vector by another vector.
 
-    Inside the loop over the products of the rates, this addition costs nothing, because the
-    processor waits for the latest sum anyway. A separate loop would take as long as the loop over
-    the products.
+    The function adds the products to `turn`, and returns the sums.
+
+    The other vector is given in two permutations, `yzx` and `zxy`. This function is called inside
+    the loop that multiplies the series of the rates. There the call costs no time, because the
+    processor would otherwise be waiting for the latest sum. A separate loop would take as long as
+    the loop over the rates.
     """
     _, v_yzx, v_zxy = load_permuted(vectors, _ORDER * k)
     return four.fma(v_yzx, zxy, turn[0]), four.fma(v_zxy, yzx, turn[1])
@@ -173,7 +181,7 @@ def add_turn(turn: Turn, vectors: Floats, k: int, yzx: Vector, zxy: Vector) -> T
 
 @inlined
 def store_turn(turn: Turn | None, vectors: Floats, k: int) -> None:
-    """Store the term of order k + 1 of the first vector, as `series_table.turned` returns it."""
+    """Compute the order-(k + 1) term of the first field vector from `turn`, and store the term."""
     if turn is None:
         return
     _store(vectors, 0, k, scale(float(RECIPROCALS[k]), four.subtract(turn[0], turn[1])))
@@ -183,15 +191,18 @@ def store_turn(turn: Turn | None, vectors: Floats, k: int) -> None:
 def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, seconds: float,
                      coefficients: Coefficients) -> Vector:
     """
-    Return a vector plus seconds^2 times the term of order k of the acceleration.
+    Return a vector plus seconds^2 times the order-k term of the acceleration due to the fields.
+
+    The function also computes the order-(k + 1) terms of all field vectors but the first.
+    `store_turn` computes the terms of the first field vector.
 
     Parameters
     ----------
     u : Vector
-        The sum of other terms, radians per step.
+        The vector to which the function adds, in radians per step. This vector contains the terms
+        of the acceleration that have already been added.
     step : StepFields or None
-        The fields. The function stores the terms of order k + 1 of all vectors except the first,
-        whose terms `store_turn` stores.
+        The fields. The function stores the new terms in `step.vectors`.
     table : array
         The terms of the step up to order k; see `series_table`.
     k : int
@@ -219,7 +230,7 @@ def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, 
 @inlined
 def _add_uniform(u: Vector, step: StepFields, k: int, i: int, square: float,
                  coefficients: Coefficients) -> Vector:
-    # Add the acceleration by a uniform field, times the square of the step.
+    # Add the acceleration due to a uniform field, multiplied by the square of the step.
     vectors, row, place = step.vectors, _ORDER * k + PERMUTED * i, _MATRICES + PERMUTED * i
     if coefficients.form == euler_equations.THIN:  # see `acceleration_from_torque`
         torque = cross(fields.moment(step.fields, i), four.load(vectors, row))
@@ -234,7 +245,7 @@ def _add_uniform(u: Vector, step: StepFields, k: int, i: int, square: float,
 @inlined
 def _add_gradient(u: Vector, step: StepFields, k: int, square: float,
                   coefficients: Coefficients) -> Vector:
-    # Add the acceleration by the gravity gradient, times the square of the step.
+    # Add the acceleration due to the gravity gradient, multiplied by the square of the step.
     found, vectors = step.fields, step.vectors
     rate = found[0].mean_motion
     gradient = euler_equations.gyroscopic_acceleration(
@@ -244,7 +255,8 @@ def _add_gradient(u: Vector, step: StepFields, k: int, square: float,
 
 @internal
 def _squares(vectors: Floats, place: int, k: int) -> Products:
-    # Return the term of order k of the products of the components of the vector at a place.
+    # Return the order-k terms of the products of the components of a vector with each other. The
+    # terms of the vector are stored at `place`.
     one = other = four.broadcast(0.0)
     for j in range(k + 1):
         r, yzx, _ = load_permuted(vectors, _ORDER * j + place)
@@ -255,8 +267,9 @@ def _squares(vectors: Floats, place: int, k: int) -> Products:
 
 @internal
 def _expand_orbit(vectors: Floats, count: int, angle: float, table: Floats, k: int) -> None:
-    # Store the terms of order k + 1 of the position, which follows `count` uniform fields, and of
-    # the direction along the orbit. `angle` is the angle by which the orbit turns in a step.
+    # Store the order-(k + 1) terms of the unit vector to the body and of the unit vector along the
+    # orbit. In the workspace, these two vectors come after the `count` uniform fields. The orbit
+    # turns by `angle` in a step.
     place, place_along = PERMUTED * count, PERMUTED * (count + 1)
     position, along = (four.load(vectors, _ORDER * k + place),
                        four.load(vectors, _ORDER * k + place_along))
@@ -275,7 +288,11 @@ def _store(vectors: Floats, place: int, k: int, value: Vector) -> None:
 
 @inlined
 def lowest_order(step: StepFields | None) -> int:
-    """Return a bound on how many consecutive terms may be zero by chance; see `taylor.step`."""
+    """
+    Return an upper bound on how many consecutive terms may be zero by coincidence.
+
+    `taylor.step` uses this bound so that it does not mistake such zeros for convergence.
+    """
     if step is None:
         return 0
     return 0 if step.fields[0].mean_motion == 0.0 else 1

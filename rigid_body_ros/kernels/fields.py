@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-Torques that depend on the attitude: uniform fields and the gravity gradient.
+Attitude-dependent torques: uniform fields and the gravity gradient.
 
-A uniform field f, space axes, exerts the torque m x R^T f on a moment m, body axes. On a circular
-orbit of rate n, the gravity gradient exerts 3 n^2 r x J r, where r is the unit vector from the
-planet to the body, in body axes (Hughes, "Spacecraft attitude dynamics", 1986). The acceleration
-by the gravity gradient is -3 n^2 times the gyroscopic acceleration with r in place of w.
+A uniform field f, given in space axes, exerts the torque m x R^T f on a moment m, given in body
+axes. On a circular orbit with rate n, the gravity gradient exerts the torque 3 n^2 r x J r
+(Hughes, "Spacecraft attitude dynamics", 1986). Here r is the unit vector from the planet to the
+body, in body axes. To compute the acceleration due to the gravity gradient, we replace w by r in
+the gyroscopic acceleration, and multiply the result by -3 n^2.
 """
 
 from __future__ import annotations
@@ -45,13 +46,13 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Largest number of uniform fields in a record. A larger number of fields is replaced by three
-#: fields, one along each space axis.
+#: Maximum number of uniform fields in a record. If a scene has more, they are replaced by three
+#: equivalent fields, one along each space axis.
 MOST = 3
-#: The record of the fields of a scene. For uniform fields, the record contains their number, their
-#: moments and their fields. For an orbit, it contains the rate, rad/s (0 without an orbit), the
-#: unit vectors from the planet to the body and along the orbit, space axes, at a time, and this
-#: time, ns.
+#: Record that describes all fields of a scene. It begins with the number of uniform fields, their
+#: moments, and the fields themselves. The rest describes the orbit: the rate in rad/s (0 if there
+#: is no orbit), the unit vectors from the planet to the body and along the orbit, in space axes,
+#: and the time in ns at which the orbit has these unit vectors.
 FIELDS = record([
     ('count', np.int64), ('moments', np.float64, 3 * MOST), ('fields', np.float64, 3 * MOST),
     ('mean_motion', np.float64), ('position', np.float64, 3), ('along', np.float64, 3),
@@ -60,7 +61,11 @@ FIELDS = record([
 
 @inlined
 def exist(fields: Any) -> bool:
-    """Return whether fields, or other terms that may be None, exist in a scene."""
+    """
+    Return whether a scene contains fields.
+
+    You can also pass any other kind of term that is None if the scene does not contain it.
+    """
     if fields is None:  # noqa: SIM103 (the compiler resolves this by type)
         return False
     return True
@@ -68,7 +73,8 @@ def exist(fields: Any) -> bool:
 
 @inlined
 def act(fields: NDArray[Any] | None) -> bool:
-    """Return whether fields act; with lags, even a scene without fields has a record of fields."""
+    """Return whether any field acts on the body."""
+    # A scene with lags always has a record of fields, even if the scene contains no fields.
     if fields is None:
         return False
     return fields[0].count > 0 or fields[0].mean_motion != 0.0
@@ -94,10 +100,11 @@ def _vector(values: Any, start: int) -> Vector:
 @inlined
 def angle_at(fields: NDArray[Any] | None, time_ns: int) -> DoubleDouble:
     """
-    Return the angle, rad, by which the orbit has turned since the time of the given position.
+    Return the angle in rad by which the orbit has turned since the time stored in `fields`.
 
-    After many turns, the error of a rounded angle would shift the orbit differently in each step,
-    and the energy of the body would grow.
+    The angle is a double-double. If the angle were rounded to a double, the rounding error after
+    many turns would shift the orbit by a different amount in each step, and the energy of the body
+    would grow.
     """
     if fields is None:
         return 0.0, 0.0
@@ -110,14 +117,22 @@ def angle_at(fields: NDArray[Any] | None, time_ns: int) -> DoubleDouble:
 
 @inlined
 def turned_on(angle: DoubleDouble, rate: float, seconds: float) -> DoubleDouble:
-    """Return the angle after a time, s, that is so short that the turn may be rounded."""
+    """
+    Return the orbit angle after `seconds` more seconds.
+
+    The time must be so short that the additional turn can be rounded to a double.
+    """
     high, low = two_sum(angle[0], rate * seconds)
     return high, low + angle[1]
 
 
 @internal
 def orbit_at(fields: NDArray[Any], angle: DoubleDouble) -> tuple[Vector, Vector]:
-    """Return the unit vectors to the body and along the orbit, space axes; see `angle_at`."""
+    """
+    Return the unit vector to the body and the unit vector along the orbit, in space axes.
+
+    The angle is the orbit angle, as returned by `angle_at`.
+    """
     high, low = angle
     sine, cosine = elementary.sine_cosine(high)
     sine, cosine = fma(low, cosine, sine), fma(-low, sine, cosine)
@@ -128,7 +143,7 @@ def orbit_at(fields: NDArray[Any], angle: DoubleDouble) -> tuple[Vector, Vector]
 
 @inlined
 def rate_bound(fields: NDArray[Any] | None) -> float:
-    """Return the rate, rad/s, at which the gravity gradient turns in space."""
+    """Return the rate in rad/s at which the gravity gradient turns in space."""
     if fields is None:
         return 0.0
     return float(fields[0].mean_motion)
@@ -136,7 +151,7 @@ def rate_bound(fields: NDArray[Any] | None) -> float:
 
 @inlined
 def acceleration_bound(fields: NDArray[Any] | None, coefficients: Coefficients) -> float:
-    """Return a bound on the acceleration by fields, rad/s^2, in any attitude."""
+    """Return an upper bound in rad/s^2 on the acceleration due to the fields in any attitude."""
     if fields is None:
         return 0.0
     torque = norm = 0.0
@@ -145,15 +160,19 @@ def acceleration_bound(fields: NDArray[Any] | None, coefficients: Coefficients) 
         torque += math.sqrt(dot(a, a) * dot(b, b))
     for column in coefficients[0][6:]:
         norm += dot(column, column)
-    # The gyroscopic acceleration of a unit vector is less than 1.
+    # With a unit vector as the angular velocity, the gyroscopic acceleration is less than 1.
     return math.sqrt(norm) * torque + 3.0 * fields[0].mean_motion * fields[0].mean_motion
 
 
 @internal
 def acceleration(fields: NDArray[Any], angle: DoubleDouble, q: Quaternion,
                  coefficients: Coefficients) -> Vector:
-    """Return the acceleration by fields, rad/s^2, body axes; see `angle_at`."""
-    # The solvers with fixed steps, which use this function, treat all tensors as full.
+    """
+    Return the acceleration due to the fields in rad/s^2, in body axes.
+
+    The angle is the orbit angle, as returned by `angle_at`.
+    """
+    # Only the fixed-step solvers use this function, and they treat every tensor as full.
     full = Coefficients(coefficients.columns, coefficients.low, coefficients.main,
                         coefficients.diagonal, euler_equations.FULL)
     torque = four.broadcast(0.0)

@@ -13,15 +13,16 @@
 # limitations under the License.
 
 """
-Four doubles: a quaternion, or a vector and a zero.
+Arithmetic on four doubles at once.
 
-The compiled kernels hold four doubles in one SIMD register. Operations act on each element and
-round as operations on single doubles do, so results do not depend on the size of a machine's
-registers. Kernels read the elements as a[0] to a[3]. In plain Python, four doubles are a tuple.
+The four doubles are a quaternion, or a vector followed by a zero. The compiled kernels keep them
+in one SIMD register, and read them as a[0] to a[3]. In plain Python, four doubles are a tuple.
+Operations act element by element, with the same rounding as operations on single doubles, so the
+results do not depend on how large the registers of a machine are.
 
-The compiled operations also take the quaternions or vectors of several bodies. Such an argument
-fills four registers with a lane for each body; see `lanes`. If one argument has lanes, the result
-has lanes.
+The compiled operations can also process the quaternions or vectors of several bodies at once. Then
+an argument consists of four registers, each with one lane per body; see `lanes`. The result has
+lanes if any of the arguments does.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ Four = tuple[float, float, float, float]
 
 
 def of(a: float, b: float, c: float, d: float) -> Four:
-    """Return four doubles."""
+    """Return four separate doubles combined into one `Four`."""
     return a, b, c, d
 
 
 def broadcast(value: float) -> Four:
-    """Return the same double four times."""
+    """Return four copies of a double."""
     return value, value, value, value
 
 
@@ -85,45 +86,50 @@ def zxy(a: Four) -> Four:
 
 
 def times_i(q: Four) -> Four:
-    """Return Hamilton's product q i."""
+    """Return the quaternion product q i, as Hamilton defined it."""
     return q[3], q[2], -q[1], -q[0]
 
 
 def times_j(q: Four) -> Four:
-    """Return Hamilton's product q j."""
+    """Return the quaternion product q j, as Hamilton defined it."""
     return -q[2], q[3], q[0], -q[1]
 
 
 def times_k(q: Four) -> Four:
-    """Return Hamilton's product q k."""
+    """Return the quaternion product q k, as Hamilton defined it."""
     return q[1], -q[0], q[3], -q[2]
 
 
 def load(values: NDArray[np.float64], start: int) -> Four:
     """
-    Return four successive elements of an array, shape (n,), from an index on.
+    Load four consecutive elements of an array of shape (n,), beginning at the index `start`.
 
-    With lanes, these are four rows of an array, shape (n, LANES).
+    If the array has lanes, and thus shape (n, LANES), load four consecutive rows.
     """
     a, b, c, d = values[start:start + 4].tolist()
     return a, b, c, d
 
 
 def store(values: NDArray[np.float64], start: int, four: Four) -> None:
-    """Write four elements to where `load` reads them."""
+    """Store four doubles in the elements from which `load` would load them."""
     values[start:start + 4] = four
 
 
 def zero(like: Four) -> Four:
-    """Return four zeros."""
+    """Return four zeros, with lanes if the argument has lanes."""
     return 0.0, 0.0, 0.0, 0.0
 
 
 def choose(condition: bool, one: Four, other: Four) -> Four:
-    """Return, in each lane, the first of two fours if a condition holds, otherwise the second."""
+    """Return `one` where the condition holds, and `other` where the condition does not hold."""
     return one if condition else other
 
 
 def has_lanes(values: NDArray[np.float64]) -> bool:
-    """Return whether an array has lanes; the compiler leaves out the branch that is not taken."""
+    """
+    Return whether an array has lanes.
+
+    The result is known at compile time. If you branch on it, the compiler drops the branch that is
+    never taken.
+    """
     return values.ndim == 2

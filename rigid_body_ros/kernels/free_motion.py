@@ -13,21 +13,22 @@
 # limitations under the License.
 
 """
-Exact torque-free motion of any body from any start, at any time in one evaluation.
+Closed-form solution for the torque-free motion of a rigid body.
 
-In principal axes the angular momentum m is an elliptic function of time. The attitude needs one
-more angle, an elliptic integral of the third kind. The formulas are those of Celledoni, Fasso,
-Saefstroem and Zanna, "The exact computation of the free rigid body motion and its use in splitting
-methods", 2008, with the corrections of Principia's `Celledoni.tex`. Here the formulas are
-rearranged so that nothing cancels:
+The solution holds for any body and any start state, and one evaluation gives the state at any
+time. In principal axes, the angular momentum m is an elliptic function of time. The attitude
+depends on one more angle, which is an elliptic integral of the third kind. The formulas come from
+Celledoni, Fasso, Saefstroem and Zanna, "The exact computation of the free rigid body motion and
+its use in splitting methods", 2008, with the corrections in Principia's `Celledoni.tex`. We have
+rearranged them so that nothing cancels:
 
     m = (B1 cn u, -B2 sn u, B3 dn u),   u = u0 + lambda t,
     q(t) = q(0) conj(P(0)) exp(psi e3 / 2) P(t),
 
-where P is the shortest rotation from m to axis 3. The axes are numbered such that m stays in the
-half space around axis 3. Axis 3 is the axis of the largest moment or, beyond the separatrix, the
-axis of the smallest moment. With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and
-C = G (I3 - I1) / (lambda I1 I3),
+where P is the shortest rotation from m to axis 3. The axes are numbered so that m always stays in
+the half space around axis 3. This makes axis 3 the axis of the largest moment or, on the other
+side of the separatrix, the axis of the smallest moment. With G = |m|,
+n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I1 I3),
 
     psi = (G / I3) t + [C Pi(n; u) + atan2(sqrt(1 - n) sn u, cn u)] from u0 to u,
     Pi(n; u) = u + n sn^3 R_J(cn^2, dn^2, 1, 1 - n sn^2) / 3                   if n >= -1,
@@ -35,10 +36,10 @@ C = G (I3 - I1) / (lambda I1 I3),
                - k^2 sn^3 R_J(cn^2, dn^2, 1, 1 - k^2 sn^2 / n) / (3 n),
                g^2 = (1 - n) (1 - k^2 / n)                                     if n < -1,
 
-with Carlson's integral R_J and the elliptic parameter k^2. DLMF 19.21.12 transforms one form of Pi
-into the other. If n >= -1, C u and (G / I3) t add up to (G / I1) t. The half period, and the
-increment of psi per half period, have 32 digits, because a long motion multiplies the errors of
-these two numbers by the number of half periods.
+with Carlson's integral R_J and the elliptic parameter k^2. The two forms of Pi are related by
+DLMF 19.21.12. If n >= -1, C u and (G / I3) t add up to (G / I1) t. The half period, and the amount
+by which psi grows in a half period, are computed to 32 digits, because over a long motion the
+errors of these two numbers are multiplied by the number of half periods.
 """
 
 from __future__ import annotations
@@ -64,13 +65,15 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Relative rounding error of numbers of 32 digits, and largest accepted relative error of m_c.
-#: Near the separatrix, m_c is a difference of such numbers. If the error of m_c is larger than
-#: accepted, the Taylor series is more accurate than the closed form.
+#: The relative rounding error of 32-digit numbers, and the largest relative error of m_c that we
+#: accept. Near the separatrix, m_c is the difference between two nearly equal 32-digit
+#: numbers. If its error is larger than we accept, the Taylor series is more accurate than the
+#: closed form.
 _ROUNDING, _ACCEPTED = 1e-31, 1e-12
-#: If Delta_1 or Delta_3 is below this value, the body turns about a principal axis.
+#: If Delta_1 or Delta_3 is below this value, we treat the motion as a rotation about a principal
+#: axis.
 _NEGLIGIBLE = 1e-70
-#: Below this value, the low-order part of a double-double leaves the range of doubles.
+#: If a double-double is below this value, its low-order part may be too small for a double.
 _UNDERFLOW = 1e-250
 
 NEAR_SEPARATRIX, STEADY, PERIODIC, SEPARATRIX = range(4)
@@ -81,26 +84,27 @@ Triple = tuple[DoubleDouble, DoubleDouble, DoubleDouble]
 
 
 class Motion(NamedTuple):
-    """Constants of a torque-free motion, along canonical axes, in scaled units."""
+    """The constants that describe a torque-free motion, along canonical axes in scaled units."""
 
     kind: int
     start: KernelState
-    #: Unit of all rates in this record, 1/s; a power of two.
+    #: The unit of all rates in this record, 1/s. It is a power of two.
     scale: float
-    #: The canonical axes as rows, in body axes.
+    #: The unit vectors along the canonical axes, each given by its components in body axes.
     axes: tuple[Vector, Vector, Vector]
-    #: Amplitudes of the components of the angular velocity, and of the unit vector along m.
+    #: The amplitudes of the components of the angular velocity, and the amplitudes of the
+    #: components of the unit vector along m.
     rates: Vector
     directions: Vector
     #: The complementary parameter m_c, the characteristic n, and C.
     complement: float
     n: float
     factor: float
-    #: u0, counted from the nearest zero of sn, and whether cn is negative at the start.
+    #: u0, measured from the nearest zero of sn, and whether cn is negative at the start.
     phase: float
     cn_negative: bool
-    #: lambda, 2 K, the rate of the linear part of psi, and the increment of psi per half period,
-    #: rad.
+    #: lambda, the half period 2 K, the rate of the linear part of psi, and the amount by which the
+    #: rest of psi grows in a half period, rad.
     speed: DoubleDouble
     half_period: DoubleDouble
     psi_rate: DoubleDouble
@@ -108,27 +112,28 @@ class Motion(NamedTuple):
 
 
 class _Principal(NamedTuple):
-    """The rotation of a body along three orthogonal principal axes, in scaled units."""
+    """The motion of a body at one time, described along its principal axes in scaled units."""
 
     rates: Triple
     momentum: Triple
-    #: I w^2 along each axis; the sum is twice the kinetic energy.
+    #: I w^2 for each axis. The sum over the axes is twice the kinetic energy.
     energies: Triple
     moments: Triple
-    #: The axes as rows, in body axes.
+    #: The unit vectors along the principal axes, each given by its components in body axes.
     axes: tuple[Vector, Vector, Vector]
     #: Unit of the rates, 1/s.
     scale: float
-    #: 1 if the moments are in ascending order, -1 if they are in descending order.
+    #: 1 if the moments ascend from axis 1 to axis 3, and -1 if they descend.
     sign: float
 
 
 class _Invariants(NamedTuple):
     """
-    The constants of a motion that determine its kind.
+    The invariants that determine the kind of a motion.
 
-    As in the paper, Delta_k = G^2 - 2 T I_k, with the angular momentum G and the kinetic energy T.
-    The Delta_k are computed from sums in which only the two terms of Delta_2 can cancel.
+    As in the paper, Delta_k = G^2 - 2 T I_k, where G is the angular momentum and T the kinetic
+    energy. Each Delta_k is computed as a sum of two terms, and only the two terms of Delta_2 can
+    cancel each other.
     """
 
     #: |I2 - I1|, |I3 - I1| and |I3 - I2|.
@@ -144,20 +149,21 @@ class _Invariants(NamedTuple):
 @internal
 def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
     """
-    Return the torque-free motion that starts with a state.
+    Compute the constants of the torque-free motion from a start state.
 
     Parameters
     ----------
     state : KernelState
-        The start, from which `at` counts the time.
+        The state at the start of the motion.
     frame : PrincipalFrame
-        Principal moments and axes of the body.
+        The principal moments and axes of the body.
 
     Returns
     -------
     Motion
-        The motion. The kind is NEAR_SEPARATRIX if the motion is not on the separatrix, but so
-        close to the separatrix that rounding in the 32nd digit makes the closed form inaccurate.
+        The motion, which you can evaluate with `at`. If the kind of the motion is NEAR_SEPARATRIX,
+        the closed form cannot be used. Such a motion is not on the separatrix, but so close to the
+        separatrix that rounding in the 32nd digit makes the closed form inaccurate.
 
     """
     body = _principal(state, frame)
@@ -172,7 +178,11 @@ def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
 
 @internal
 def start_only(state: KernelState, kind: int) -> Motion:
-    """Return a motion of kind STEADY or NEAR_SEPARATRIX, which needs only the start state."""
+    """
+    Return a motion of kind STEADY or NEAR_SEPARATRIX.
+
+    Motions of these two kinds need no constants besides the start state.
+    """
     unit = (of(1.0, 0.0, 0.0), of(0.0, 1.0, 0.0), of(0.0, 0.0, 1.0))
     zero = of(0.0, 0.0, 0.0)
     return Motion(kind, state, 1.0, unit, zero, zero, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,
@@ -199,8 +209,8 @@ def _is_steady(w: Triple, invariants: _Invariants) -> bool:
 
 @internal
 def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: PrincipalFrame) -> bool:
-    # Return whether the relative rounding error of Delta_2, a difference of two terms, may be too
-    # large.
+    # Return whether rounding may have made the relative error of Delta_2 too large. Delta_2 is the
+    # difference between two terms that may cancel each other.
     w, m, e = body.rates, body.momentum, body.energies
     i21, i32, delta_2 = invariants.i21[0], invariants.i32[0], invariants.delta_2[0]
     uncertain = terms = abs(e[2][0] * i32) + abs(e[0][0] * i21)
@@ -213,9 +223,9 @@ def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: Princi
 
 @internal
 def _renumber_axes(body: _Principal, invariants: _Invariants) -> tuple[_Principal, _Invariants]:
-    # Renumber the axes such that m stays in the half space around axis 3.
+    # Renumber the axes so that m always stays in the half space around axis 3.
     w, m, e, i, axes, scale, sign = body
-    if invariants.delta_2[0] < 0.0:  # axes 3, -2, 1: all differences change their signs
+    if invariants.delta_2[0] < 0.0:  # the new axes 3, -2, 1 reverse the sign of all differences
         i, e = (i[2], i[1], i[0]), (e[2], e[1], e[0])
         m, w = (m[2], dd.negative(m[1]), m[0]), (w[2], dd.negative(w[1]), w[0])
         axes, sign = (axes[2], four.negative(axes[1]), axes[0]), -1.0
@@ -263,7 +273,7 @@ def _canonical(state: KernelState, body: _Principal, invariants: _Invariants) ->
 @internal
 def _psi_increment(complement: DoubleDouble, n: DoubleDouble,
                    factor: DoubleDouble) -> DoubleDouble:
-    # Return the increment of psi per half period.
+    # Return the amount by which psi grows in a half period, apart from its linear part.
     p = dd.subtract(_ONE, n)
     if n[0] >= -1.0:
         integral = dd.multiply(n, elliptic.complete(complement, p, _ZERO, _ONE))
@@ -274,8 +284,8 @@ def _psi_increment(complement: DoubleDouble, n: DoubleDouble,
 
 @internal
 def _phase(sine: float, cosine: float, cn_negative: bool, complement: float) -> float:
-    # Return u0 from sn and |cn| at u0. Rounding has moved the point (cn, sn) slightly off the unit
-    # circle.
+    # Compute u0 from sn and |cn| at u0. Normalize sn and cn first, because rounding has moved the
+    # point (cn, sn) slightly off the unit circle.
     norm = dd.sqrt(dd.add(dd.two_product(sine, sine), dd.two_product(cosine, cosine)))[0]
     sine, cosine = (-sine / norm if cn_negative else sine / norm), cosine / norm
     return sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
@@ -284,7 +294,11 @@ def _phase(sine: float, cosine: float, cn_negative: bool, complement: float) -> 
 
 @internal
 def at(motion: Motion, span_ns: int) -> KernelState:
-    """Return the state some nanoseconds after the start; not for the kind NEAR_SEPARATRIX."""
+    """
+    Return the state `span_ns` nanoseconds after the start of a motion.
+
+    Do not call this function for a motion of kind NEAR_SEPARATRIX.
+    """
     if motion.kind == STEADY:
         return _steady_rotation(motion, span_ns)
     t = dd.seconds(span_ns)
@@ -308,7 +322,7 @@ def at(motion: Motion, span_ns: int) -> KernelState:
 @internal
 def _periodic_part(motion: Motion, u: float,
                    cn_negative: bool) -> tuple[float, Quaternion, Vector]:
-    # Return the periodic part of psi, the quaternion P and the angular velocity, for |u| <= K.
+    # For |u| <= K, return the periodic part of psi, the quaternion P, and the angular velocity.
     sn, cn, dn = elliptic.jacobi(u, motion.complement)
     n, m, cube = motion.n, 1.0 - motion.complement, sn * sn * sn
     if motion.kind == SEPARATRIX:
@@ -347,7 +361,8 @@ def _steady_rotation(motion: Motion, span_ns: int) -> KernelState:
 
 @internal
 def _state(motion: Motion, w: Vector, rotation: Quaternion) -> KernelState:
-    # Return the state with the rates `w` and the attitude q R: q at the start, R the rotation.
+    # Return the state with the rates `w` and the attitude q R, where q is the attitude at the
+    # start, and R is the rotation since the start.
     _, q, _, low = motion.start
     q = add(multiply(q, rotation), multiply(low, rotation))
     return w, add_scaled(q, -0.5 * (dot(q, q) - 1.0), q), four.broadcast(0.0), four.broadcast(0.0)
@@ -355,8 +370,8 @@ def _state(motion: Motion, w: Vector, rotation: Quaternion) -> KernelState:
 
 @internal
 def _principal(state: KernelState, frame: PrincipalFrame) -> _Principal:
-    # Scale rates and moments to about 1, so that neither fourth powers of rates nor products of
-    # moments leave the range of doubles.
+    # Scale the rates and moments to about 1. Otherwise fourth powers of the rates or products of
+    # the moments might leave the range of doubles.
     w, low = state[0], state[2]
     high, low_moments, axes, low_axes = frame
     scale = _power_of_two(max(abs(w[0]), abs(w[1]), abs(w[2])))
@@ -374,7 +389,8 @@ def _principal(state: KernelState, frame: PrincipalFrame) -> _Principal:
 
 @internal
 def _power_of_two(value: float) -> float:
-    # Return the largest power of two up to a value; 2^-1000 below 2^-1000, 1 for zero.
+    # Return the largest power of two that does not exceed the value. If the value is below
+    # 2^-1000, return 2^-1000, and if it is zero, return 1.
     return math.ldexp(1.0, max(math.frexp(value)[1] - 1, -1000)) if value > 0.0 else 1.0
 
 
@@ -387,7 +403,8 @@ def _component(v: Triple, axis: Vector, low: Vector) -> DoubleDouble:
 
 @internal
 def _is_along_body_axes(frame: PrincipalFrame) -> bool:
-    # Return whether the principal axes are body axes, so that products with them are exact.
+    # Return whether the principal axes coincide with the body axes. If they coincide, products
+    # with the components of the axes are exact.
     total = 0.0
     for axis in frame[2]:
         total += abs(axis[0]) + abs(axis[1]) + abs(axis[2])
@@ -396,7 +413,7 @@ def _is_along_body_axes(frame: PrincipalFrame) -> bool:
 
 @internal
 def _modulo_4_pi(angle: DoubleDouble) -> DoubleDouble:
-    # Return the angle minus a multiple of 4 pi, the period of a quaternion.
+    # Reduce the angle by a multiple of 4 pi, because a quaternion repeats after two turns.
     turns = float(round(angle[0] / (4.0 * dd.PI[0])))
     return dd.subtract(angle, dd.multiply((4.0 * turns, 0.0), dd.PI))
 

@@ -15,12 +15,12 @@
 """
 Viscous friction of named wheels.
 
-The torque on a wheel along its axis a is the torque u of its motor minus f W. Here f is the
-friction, and W = H / I - a . w is the speed of the wheel relative to the body. So the axial
-momentum H obeys H' = u - f W, and the body feels the torque -H' a. H depends on the motion.
-Therefore H is a part of the state, and the series of H follows from the series of the rates.
+Along its axis a, a wheel feels the motor torque u minus the friction torque f W. Here f is the
+friction coefficient, and W = H / I - a . w is the speed of the wheel relative to the body. So the
+axial momentum H obeys H' = u - f W, and the body feels the torque -H' a. Because H depends on the
+motion, we include it in the state, and compute its series from the series of the rates.
 
-Wheels are computed four at a time.
+The computations treat four wheels at a time.
 """
 
 from __future__ import annotations
@@ -58,31 +58,32 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Number of doubles for four wheels: components of the axes, 1 / I with low-order parts, and f.
+#: Number of doubles that describe four wheels. For each wheel, these are the three components of
+#: the axis, 1 / I, the low-order part of 1 / I, and f.
 SIZE = 24
 _X, _Y, _Z, _INVERSE, _LOST_INVERSE, _FRICTION = range(0, SIZE, 4)
-#: Layout of the series of one order: the momenta, and the sum of H a in its three permutations.
-#: The sum of order 0 is left out, because it is in the linear terms.
+#: Layout of the terms of one order: the momenta, followed by the sum of H a over all wheels in
+#: three permutations. At order 0 the sum is zero, because the linear terms already include it.
 _SUM, _ORDER = MOST_WHEELS, MOST_WHEELS + PERMUTED
-#: The series are followed by the torques on the wheels at the beginning of the step, and by the
-#: weights of the momenta.
+#: After the series, the workspace contains the torques on the wheels at the beginning of the step,
+#: and the weights of the momenta.
 _TORQUES = _ORDER * (MAX_ORDER + 1)
 _WEIGHTS = _TORQUES + MOST_WHEELS
 WORKSPACE = _WEIGHTS + MOST_WHEELS
 
 
 class WheelStates(NamedTuple):
-    """The packed states of a `layout.GridStates`, with the momenta of wheels."""
+    """The three states of `layout.GridStates` as packed arrays that include the wheel momenta."""
 
     grid: Floats
     begin: Floats
     latest: Floats
-    #: The momenta at the requested times; see `layout.Friction`.
+    #: The wheel momenta at the requested times; see `layout.Friction`.
     requested: Floats
 
 
 class RowFriction(NamedTuple):
-    """The wheels in a row."""
+    """The wheels with friction while a given row is in force."""
 
     #: See `layout.Friction`.
     efforts: Floats
@@ -93,22 +94,26 @@ class RowFriction(NamedTuple):
 
 
 class StepFriction(NamedTuple):
-    """The wheels in a step, and their series."""
+    """The wheels with friction during a step, and the series of their momenta."""
 
     friction: RowFriction
-    #: Array of size WORKSPACE.
+    #: The workspace, of size WORKSPACE, that contains the series.
     series: Floats
 
 
 @optional
 def states_of(found: Any, progress: NDArray[Any]) -> WheelStates:
-    """Return the states in an array of `layout.PROGRESS`; None without friction."""
+    """
+    Return the packed states of a motion, or None if no wheel has friction.
+
+    The argument `progress` is an array of `layout.PROGRESS`.
+    """
     return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest, found.momenta)
 
 
 @inlined
 def accept(found: RowFriction | None) -> None:
-    """Copy the latest momenta to the grid."""
+    """Copy the latest wheel momenta to the grid state."""
     if found is None:
         return
     _copy(found.states.latest, found.states.grid)
@@ -116,7 +121,7 @@ def accept(found: RowFriction | None) -> None:
 
 @inlined
 def begin_segment(states: WheelStates | None) -> None:
-    """Copy the latest momenta to the grid and to the beginning of a segment."""
+    """Copy the latest wheel momenta to the grid state and to the state that begins the segment."""
     if states is None:
         return
     _copy(states.latest, states.grid)
@@ -125,7 +130,7 @@ def begin_segment(states: WheelStates | None) -> None:
 
 @inlined
 def go_back(states: WheelStates | None) -> None:
-    """Copy the momenta on the grid to the latest momenta."""
+    """Reset the latest wheel momenta to the wheel momenta of the grid state."""
     if states is None:
         return
     _copy(states.grid, states.latest)
@@ -139,7 +144,7 @@ def _copy(source: Floats, target: Floats) -> None:
 
 @inlined
 def store(states: WheelStates | None, row: int) -> None:
-    """Store the latest momenta as the momenta at a requested time."""
+    """Store the latest wheel momenta as the momenta at a requested time, in the given row."""
     if states is None:
         return
     for k in range(states.requested.shape[1]):
@@ -148,7 +153,11 @@ def store(states: WheelStates | None, row: int) -> None:
 
 @inlined
 def momentum(found: RowFriction | None, others: Vector, low: Vector) -> tuple[Vector, Vector]:
-    """Add the wheel momenta on the grid to the momenta of other rotors, in two parts."""
+    """
+    Return the sum of the wheel momenta on the grid and the momentum of the other rotors.
+
+    Both the argument and the result consist of a momentum and its low-order part.
+    """
     if found is None:
         return others, low
     high, grid = others, found.states.grid
@@ -170,9 +179,10 @@ def _axis(wheels: Floats, k: int) -> Vector:
 @inlined
 def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
     """
-    Return the square, 1/s^2, of the rate of rotation that limits a step as much as friction does.
+    Return the square, in 1/s^2, of a body rate that would limit the step as much as friction does.
 
-    The rate is half a bound on the rate at which speeds decay, as in `linear_terms.square_rate`.
+    This body rate is half of an upper bound on the rate at which the wheel speeds decay. The
+    factor of one half is the same as in `linear_terms.square_rate`.
     """
     largest = coupled = 0.0
     if found is None:
@@ -187,7 +197,11 @@ def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
 
 @inlined
 def acceleration(found: RowFriction | None, w: Vector, coefficients: Coefficients) -> float:
-    """Return the size of the acceleration that wheels cause at a grid point, rad/s^2."""
+    """
+    Return the magnitude of the body's acceleration due to the wheels, rad/s^2.
+
+    The wheel momenta are those of the grid state.
+    """
     if found is None:
         return 0.0
     torque = four.broadcast(0.0)
@@ -199,7 +213,7 @@ def acceleration(found: RowFriction | None, w: Vector, coefficients: Coefficient
 
 @inlined
 def _torques(found: RowFriction, w: Vector, place: int) -> Four:
-    # Return the torques on four wheels, given their momenta on the grid.
+    # Return the torques on four wheels, computed from the wheel momenta of the grid state.
     pull = _friction(found.wheels, place, w, four.load(found.states.grid, MOMENTA + place))
     row = max(found.row, 0)
     return add(pull, four.of(found.efforts[row, place], found.efforts[row, place + 1],
@@ -208,7 +222,7 @@ def _torques(found: RowFriction, w: Vector, place: int) -> Four:
 
 @inlined
 def _friction(wheels: Floats, place: int, w: Vector, momenta: Four) -> Four:
-    # Return the torques of friction on four wheels.
+    # Return the friction torques on four wheels.
     first = place // 4 * SIZE
     rate = add_scaled(add_scaled(scale(w[2], four.load(wheels, first + _Z)), w[1],
                                  four.load(wheels, first + _Y)), w[0],
@@ -220,7 +234,7 @@ def _friction(wheels: Floats, place: int, w: Vector, momenta: Four) -> Four:
 
 @inlined
 def _along(wheels: Floats, place: int, amounts: Four) -> Vector:
-    # Return the sum of amounts times the axes of four wheels.
+    # Multiply the axes of four wheels by the given amounts, and return the sum of the products.
     first = place // 4 * SIZE
     return of(dot(amounts, four.load(wheels, first + _X)),
               dot(amounts, four.load(wheels, first + _Y)),
@@ -229,19 +243,23 @@ def _along(wheels: Floats, place: int, amounts: Four) -> Vector:
 
 @optional
 def workspace(_found: RowFriction, work: Floats) -> Floats:
-    """Return the workspace; None without friction."""
+    """Return the workspace, or None if there is no friction."""
     return work
 
 
 @optional
 def of_step(found: RowFriction, work: Floats) -> StepFriction:
-    """Return the wheels in a step, with series not yet filled; None without friction."""
+    """
+    Return the wheels with friction for a step, or None if there is no friction.
+
+    The series of the wheel momenta do not contain any terms yet.
+    """
     return StepFriction(found, work)
 
 
 @inlined
 def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficients) -> float:
-    """Store the momenta at the beginning of a step, and return the result of `acceleration`."""
+    """Begin the series of the wheel momenta, and return the value that `acceleration` returns."""
     if step is None:
         return 0.0
     found, series = step
@@ -258,7 +276,7 @@ def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficie
 
 @inlined
 def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
-    """Store the weights that make momenta comparable to the angle by which the body turns."""
+    """Compute weights that make the wheel momenta comparable to the turn angle of the body."""
     if step is None:
         return
     found, series = step
@@ -273,9 +291,10 @@ def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
 def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int, seconds: float,
                      coefficients: Coefficients) -> Vector:
     """
-    Return a vector plus seconds^2 times the term of order k of the acceleration.
+    Return a vector plus seconds^2 times the order-k term of the acceleration due to the wheels.
 
-    The arguments are those of `field_series.add_acceleration`.
+    The arguments are the same as for `field_series.add_acceleration`. The function also computes
+    the terms of order k + 1 of the wheel momenta.
     """
     if step is None:
         return u
@@ -288,7 +307,8 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
             _friction(found.wheels, place, w, four.load(series, row + place))
         torque = add(torque, _along(found.wheels, place, torques))
         four.store(series, row + _ORDER + place, scale(factor, torques))
-    # In body axes, the momentum changes because of the torque and because the body turns.
+    # In body axes, the total wheel momentum changes because torques act and because the body
+    # turns.
     turn = scale((k + 1) / seconds, turned(series, _SUM, _ORDER, table, k))
     store_permuted(series, row + _ORDER + _SUM, scale(factor, torque))
     return add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
@@ -297,7 +317,11 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
 
 @inlined
 def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
-    """Return the size of the terms of order k, including the terms of the momenta."""
+    """
+    Return the size of the terms of order k, including the terms of the wheel momenta.
+
+    The terms of the wheel momenta are weighted; see `weigh`.
+    """
     if step is None:
         return size
     found, series = step
@@ -309,14 +333,14 @@ def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
 
 @inlined
 def end(step: StepFriction | None, order: int) -> None:
-    """Store the latest momenta: the momenta on the grid plus the terms up to an order."""
+    """Sum the series of the wheel momenta up to an order, and store the latest wheel momenta."""
     if step is None:
         return
     found, series = step
     states = found.states
     for place in range(0, found.efforts.shape[1], 4):
         change = four.broadcast(0.0)
-        for k in range(order, 0, -1):  # the small terms first
+        for k in range(order, 0, -1):  # begin with the smallest terms
             change = add(change, four.load(series, _ORDER * k + place))
         high, low = accumulate(four.load(states.grid, MOMENTA + place),
                                four.load(states.grid, LOST_MOMENTA + place), change)
@@ -326,5 +350,9 @@ def end(step: StepFriction | None, order: int) -> None:
 
 @inlined
 def lowest_order(step: StepFriction | None) -> int:
-    """Return a bound on how many consecutive terms may be zero by chance; see `taylor.step`."""
+    """
+    Return an upper bound on how many consecutive terms may be zero by coincidence.
+
+    `taylor.step` uses this bound so that it does not mistake such zeros for convergence.
+    """
     return 0 if step is None else 1

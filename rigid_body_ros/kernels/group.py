@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-A group of runs, one in each lane, and the steps that they take together.
+Data and operations for a group of runs that take their steps together, one run per lane.
 
-The workspace has a column for each lane.
+The workspace has one column per lane.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.layout import Method
 
-#: Smallest number of steps in a segment, or of stamps before the next output, for which gathering
-#: a group saves time.
+#: Forming a group saves time only if the segment takes at least this many steps, or if there are
+#: at least this many stamps before the next output.
 FEWEST = 4
-#: Number of steps after which to return, so that Python handles signals.
+#: The kernels return after this many steps, so that Python can handle signals.
 BUDGET = 20_000
-#: Longest time that a group steps at once, ns. Up to this time, doubles represent the remaining
-#: nanoseconds exactly.
+#: A group steps only to a time that is at most this many nanoseconds away. Up to this limit, a
+#: double can represent the remaining nanoseconds exactly.
 FARTHEST = 2 ** 52
-#: Offsets of the rows of a workspace: the states on the grid, the latest states, the coefficients
-#: of Euler's equations, the factors of the torque, the torques, N m, the time left, ns, whether
-#: more than one step is left, and the table of the series.
+#: The rows at which the parts of the workspace begin. The parts are the states on the grid, the
+#: latest states, the coefficients of Euler's equations, the torque factors, the torques in N m,
+#: the time left in ns, whether more than one step is left, and the table of the series.
 STATE, LATEST, CONSTANTS = 0, state_layout.SIZE, 2 * state_layout.SIZE
 GAIN = CONSTANTS + body_layout.MOMENTS
 TORQUE = GAIN + 1
@@ -57,27 +57,28 @@ ROWS = TABLE + series_table.WORKSPACE_OF_LANES
 
 
 class Group(NamedTuple):
-    """The arrays of all runs, and which runs are in the group."""
+    """The arrays of all runs, and the indices of the runs in the group."""
 
-    #: intp (LANES,): the run in each lane. The last run may fill several lanes.
+    #: intp (LANES,): the run in each lane. The last run may occupy several lanes.
     rows: NDArray[np.intp]
-    #: An element or row for each run; see `loop.run`.
+    #: Arrays with one element or row per run; see `loop.run`.
     progress: NDArray[Any]
     motions: Floats
     constants: Floats
-    #: Factors of the torque, an element for each run.
+    #: The torque factor of each run.
     gains: Floats
-    #: Torques of the rows, shape (k, ...). Run i uses the torques at index i % k.
+    #: The torques of the rows, shape (k, ...). Run i uses the torques at index i % k.
     torques: Floats
     #: The array that `workspace` returns.
     work: Floats
-    #: bool (LANES,) and int64 (LANES,): whether the run in a lane steps, and up to which time, ns.
+    #: bool (LANES,) and int64 (LANES,): whether the run in each lane is stepping, and the time in
+    #: ns up to which it steps.
     going: NDArray[np.bool_]
     limits_ns: NDArray[np.int64]
 
 
 def workspace(lanes: int) -> Floats:
-    """Return an array, shape (n, lanes), in which each row is in one cache line."""
+    """Return an array of shape (n, lanes), aligned so that no row is split between cache lines."""
     line = 64 // 8
     buffer = np.empty(ROWS * lanes + line)
     start = -(buffer.ctypes.data // 8) % line
@@ -86,7 +87,7 @@ def workspace(lanes: int) -> Floats:
 
 @inlined
 def load(group: Group, lane: int) -> None:
-    """Copy the state on the grid, the body and the torque factor of a run to the lane."""
+    """Copy a run into its lane: the state on the grid, the body, and the torque factor."""
     row = group.rows[lane]
     group.work[GAIN, lane] = group.gains[row]
     grid = group.progress[row].grid
@@ -98,7 +99,7 @@ def load(group: Group, lane: int) -> None:
 
 @inlined
 def store(group: Group, lane: int) -> None:
-    """Copy the state on the grid from a lane back to the run in this lane."""
+    """Copy the state on the grid from a lane back to its run."""
     grid = group.progress[group.rows[lane]].grid
     for k in range(state_layout.SIZE):
         grid[k] = group.work[STATE + k, lane]
@@ -106,7 +107,11 @@ def store(group: Group, lane: int) -> None:
 
 @inlined
 def begin_segment(group: Group, lane: int, time_ns: int, row: int, done: int) -> None:
-    """Copy the state on the grid from a lane back to the run, as the beginning of a segment."""
+    """
+    Copy the state on the grid back to the run in a lane, and begin a new segment of the run.
+
+    The new segment begins at the copied state.
+    """
     store(group, lane)
     progress = group.progress[group.rows[lane]]
     for k in range(state_layout.SIZE):
@@ -116,7 +121,7 @@ def begin_segment(group: Group, lane: int, time_ns: int, row: int, done: int) ->
 
 @inlined
 def torque(group: Group, lane: int, index: int) -> vector.Vector:
-    """Return the torque of a run, N m, not multiplied by the factor of the run."""
+    """Return the torque for a run in N m, before it is multiplied by the torque factor."""
     torques = group.torques
     slot = group.rows[lane] % len(torques)
     return vector.of(torques[slot, index, 0, 0], torques[slot, index, 0, 1],
@@ -125,7 +130,7 @@ def torque(group: Group, lane: int, index: int) -> vector.Vector:
 
 @inlined
 def torques(work: Floats) -> vector.Vector:
-    """Return the torques in the workspace, N m."""
+    """Return the torques stored in the workspace, N m."""
     return vector.of(lanes.load(work, TORQUE), lanes.load(work, TORQUE + 1),
                      lanes.load(work, TORQUE + 2))
 
@@ -133,7 +138,7 @@ def torques(work: Floats) -> vector.Vector:
 @inlined
 def step(state: vector.KernelState, seconds: float, coefficients: vector.Coefficients,
          acceleration: vector.Vector, tolerance: float, table: Floats) -> vector.KernelState:
-    """Return the states after a step of the series under a held torque."""
+    """Return the states after one Taylor step in every lane, during which the torque is held."""
     none = four.zero(acceleration)
     bound = math.sqrt(vector.dot(acceleration, acceleration))
     drive = taylor.SeriesDrive((acceleration, none, none, none), 0, False, bound)
@@ -142,7 +147,7 @@ def step(state: vector.KernelState, seconds: float, coefficients: vector.Coeffic
 
 @inlined
 def full_steps_ns(square: float, bound: float, method: Method) -> float:
-    """Return, in each lane, the length of a step on the grid, ns, as `stepping.full_step_ns`."""
+    """Return the length in ns of a grid step in each lane; see `stepping.full_step_ns`."""
     seconds = 2.0 * method.angle / taylor.turning_rate(square, bound, method.angle)
     longest, step_ns = float(method.max_step_ns), seconds * 1e9
     step_ns = lanes.truncated(lanes.where(step_ns < longest, step_ns, longest))
@@ -151,7 +156,11 @@ def full_steps_ns(square: float, bound: float, method: Method) -> float:
 
 @inlined
 def is_one_step(rest_ns: float, square: float, bound: float, method: Method) -> bool:
-    """Return, in each lane, whether one step covers the time left, as `stepping.is_one_step`."""
+    """
+    Return for each lane whether one step covers the remaining time.
+
+    The condition is the one that `stepping.is_one_step` checks.
+    """
     rest = rest_ns / 1e9
     return lanes.both(rest_ns <= float(method.max_step_ns),
                       rest * rest * (square + bound) < 0.01)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Steps of a group on the grids of a segment, to the outputs in the segment and to its end.
+Advance a group of runs through a segment, stopping at each output and at the end of the segment.
 
-Each lane has its own grid and outputs. A run that has filled its outputs gives its lane to a
-waiting run.
+Every lane has its own grid and its own outputs. When a run has filled all its outputs, a waiting
+run takes over the lane.
 """
 
 from __future__ import annotations
@@ -47,17 +47,18 @@ from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 
-#: A step of the group takes about as long as this many steps of single runs.
+#: One step of a group takes about as long as this many steps of single runs.
 _FEWEST_RUNS = 3
-#: Number of steps for which an idle lane waits before lanes get new runs. Similar runs that begin
-#: together need series of similar orders.
+#: Once one lane has been idle for this many steps, all idle lanes get new runs. Several runs then
+#: begin together, and similar runs that begin together need series of similar orders.
 _PATIENCE = 64
 
 
 class Shared(NamedTuple):
-    """The inputs that all runs of a group have in common in a segment."""
+    """The inputs that all runs of a group share during a segment."""
 
-    #: The row in force, and when the next row begins, ns; NEVER_NS if there is none.
+    #: The row in force, and the time in ns when the next row begins. The time is NEVER_NS if there
+    #: is no next row.
     row: int
     end_ns: int
     #: The requested times; see `layout.Requested`.
@@ -71,27 +72,29 @@ class Shared(NamedTuple):
 def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared, body: Body,
             method: Method) -> tuple[int, int]:
     """
-    Advance the runs of a group, and runs that wait, in a segment.
+    Advance the runs of a group, and then the runs that wait for a lane, through a segment.
 
     Parameters
     ----------
     group : Group
-        The runs. The kernel updates `group.rows` where one run replaces another.
+        The runs. When a waiting run takes over a lane, the kernel updates `group.rows`.
     count : int
-        The number of lanes that contain distinct runs: the first `count` lanes.
+        Number of distinct runs in the group. They are in the first `count` lanes.
     waiting : intp (n,)
         Runs that have not begun.
     segment : Shared
-        The inputs that all runs have in common.
+        The inputs that all runs share.
     body : Body
-        The body of the first run. Other runs step only if their tensors have the same form.
+        The body of the first run. Other runs take part only if their inertia tensors have the same
+        form.
     method : Method
-        The method of a step.
+        The method for computing a step.
 
     Returns
     -------
     int, int
-        The number of steps, and the number of runs that no longer wait.
+        The number of steps taken, and the number of waiting runs that were given a lane or
+        skipped.
 
     """
     if not _are_many(group, segment, body, method):
@@ -112,7 +115,7 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared
         more, is_slow = _step_together(group.work, segment.form, method, replace_at - steps)
         steps += more
         if not is_slow:
-            break  # `loop.run` reports that a body is too fast
+            break  # leave it to `loop.run` to report the body that is too fast
         for lane in range(LANES):
             if going[lane] and group.work[runs.MOVES, lane] == 0.0:
                 going[lane] = _arrive(group, lane, segment, method)
@@ -135,7 +138,7 @@ def _count(going: NDArray[np.bool_]) -> int:
 
 @inlined
 def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool:
-    # Return whether the first run has enough steps left to make a group worthwhile.
+    # Return whether the first run has so many steps left that forming a group is worthwhile.
     first = group.rows[0]
     place = layout.load_place(group.progress[first:first + 1])
     acceleration = euler_equations.acceleration_from_torque(
@@ -149,7 +152,7 @@ def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool
 
 @inlined
 def _output_ns(k: int, segment: Shared) -> int:
-    # Return the k-th requested time in ascending order.
+    # Return the requested time that comes k-th in ascending order.
     return segment.times_ns[_row(k, segment)]
 
 
@@ -166,12 +169,12 @@ def _torque(group: Group, lane: int, segment: Shared) -> vector.Vector:
 
 @internal
 def _enter(group: Group, lane: int, segment: Shared, method: Method) -> bool:
-    # Load a run into its lane and return True if the run can step with the other runs.
+    # If a run can step together with the other runs, load it into its lane and return True.
     row = group.rows[lane]
     place, torque = layout.load_place(group.progress[row:row + 1]), _torque(group, lane, segment)
     if (_is_done(group, row, segment) or place.row != segment.row
             or layout.form_of(group.constants[row]) != segment.form
-            or vector.is_zero(torque)):  # `loop.run` may use the closed form
+            or vector.is_zero(torque)):  # without torque, `loop.run` may use the closed form
         return False
     runs.load(group, lane)
     for k in range(3):
@@ -181,8 +184,9 @@ def _enter(group: Group, lane: int, segment: Shared, method: Method) -> bool:
 
 @inlined
 def _aim(group: Group, lane: int, segment: Shared, method: Method) -> bool:
-    # Set the time up to which a run steps: the time of the next output, or the end of the segment.
-    # Return False if the run is finished, or if `loop.run` has to continue it.
+    # Set the time up to which a run steps: the time of the next output or the end of the segment,
+    # whichever comes first. Return False if the run is finished, or if `loop.run` has to continue
+    # it.
     row = group.rows[lane]
     progress = group.progress[row]
     grid_ns, done = progress.grid_ns, progress.done
@@ -202,7 +206,7 @@ def _aim(group: Group, lane: int, segment: Shared, method: Method) -> bool:
 
 @inlined
 def _is_short(group: Group, lane: int, rest_ns: int, segment: Shared, method: Method) -> bool:
-    # Return whether `loop.run` takes a short step from the beginning of the segment.
+    # Return whether `loop.run` would take a short step from the beginning of the segment.
     row = group.rows[lane]
     acceleration = euler_equations.acceleration_from_torque(
         body_layout.coefficients(group.constants[row], segment.form),
@@ -213,7 +217,8 @@ def _is_short(group: Group, lane: int, rest_ns: int, segment: Shared, method: Me
 
 @inlined
 def _idle(work: Floats, lane: int) -> None:
-    # Put a body at rest into a lane: its series has no terms, and it never reaches its limit.
+    # Put a body at rest into a lane. The terms of this body's series are zero, and the lane never
+    # reaches its time limit.
     for k in range(3):
         work[runs.STATE + state_layout.RATES + k, lane] = 0.0
         work[runs.TORQUE + k, lane] = 0.0
@@ -222,8 +227,8 @@ def _idle(work: Floats, lane: int) -> None:
 
 @internal
 def _step_together(work: Floats, form: int, method: Method, budget: int) -> tuple[int, bool]:
-    # Step until a run reaches its limit. Return the number of steps, and whether no body is too
-    # fast.
+    # Step until a run reaches its time limit, until a body spins faster than `FASTEST`, or until
+    # `budget` steps have been taken. Return the number of steps, and whether no body is too fast.
     lanes.align_stack()
     coefficients = body_layout.coefficients(work[runs.CONSTANTS:], form)
     acceleration = euler_equations.acceleration_from_torque(
@@ -254,15 +259,17 @@ def _step_together(work: Floats, form: int, method: Method, budget: int) -> tupl
 @inlined
 def _choose(condition: bool, one: vector.KernelState,
             other: vector.KernelState) -> vector.KernelState:
-    # Return, in each lane, the first of two states if a condition holds, otherwise the second.
+    # Return the state `one` in each lane in which the condition holds, and the state `other` in
+    # all other lanes.
     return (four.choose(condition, one[0], other[0]), four.choose(condition, one[1], other[1]),
             four.choose(condition, one[2], other[2]), four.choose(condition, one[3], other[3]))
 
 
 @inlined
 def _arrive(group: Group, lane: int, segment: Shared, method: Method) -> bool:
-    # Fill the output of a run that has reached its limit. Return whether the run continues in its
-    # lane; otherwise its state is copied back.
+    # Fill the output of a run that has reached its time limit. Return True if the run can go on in
+    # its lane. Otherwise return False, and copy the state of the lane back to the run unless the
+    # run is finished.
     row, limit_ns = group.rows[lane], group.limits_ns[lane]
     progress = group.progress[row]
     grid_ns, done = _grid_ns(group, lane, limit_ns), progress.done
@@ -286,22 +293,22 @@ def _arrive(group: Group, lane: int, segment: Shared, method: Method) -> bool:
 
 @inlined
 def _grid_ns(group: Group, lane: int, limit_ns: int) -> int:
-    # Return the time of the state on the grid.
+    # Return the time in ns of the state on the grid.
     return limit_ns - int(group.work[runs.REST, lane])
 
 
 @inlined
 def _leave(group: Group, lane: int, limit_ns: int) -> None:
-    # Copy the state on the grid, and the time of this state, back to the run.
+    # Copy the state on the grid and its time back to the run.
     runs.store(group, lane)
     group.progress[group.rows[lane]].grid_ns = _grid_ns(group, lane, limit_ns)
 
 
 @internal
 def _replace(group: Group, waiting: NDArray[np.intp], segment: Shared, method: Method) -> int:
-    # If a run has filled its outputs, give its lane to the next waiting run that can step with the
-    # others. Return the number of runs that no longer wait. Runs that cannot step with the others
-    # are left to another group.
+    # When a run has filled all its outputs, give its lane to the next waiting run that can step
+    # with the others. Waiting runs that cannot step with the others are skipped, and left to
+    # another group. Return the number of waiting runs that were given a lane or skipped.
     taken, going = 0, group.going
     for lane in range(LANES):
         row = group.rows[lane]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Steps of a group from stamp to stamp, as long as one step is enough for every run."""
+"""Advance a group of runs from stamp to stamp, as long as every run needs one step per stamp."""
 
 from __future__ import annotations
 
@@ -38,29 +38,29 @@ from rigid_body_ros.kernels.layout import Body, Method, Place, Rows
 def advance(group: Group, place: Place, limit_ns: int, rows: Rows, stop: int, body: Body,
             method: Method) -> int:
     """
-    Step from row to row, up to a time, as long as one step from row to row is enough.
+    Advance from row to row, as long as one step is enough to reach the next row.
 
     Parameters
     ----------
     group : Group
-        Runs with the same next output, and the same row in force.
+        The runs, which must have the same next output and the same row in force.
     place : Place
         The progress of the first run.
     limit_ns : int
-        The time of the next output.
+        The time of the next output, beyond which the group does not step.
     rows : Rows
-        The rows of all runs.
+        The rows, which are the same for all runs.
     stop : int
         The row at which to stop.
     body : Body
-        The body of the first run; the tensors of all runs have the same form.
+        The body of the first run. The inertia tensors of all runs must have the same form.
     method : Method
-        The method of a step.
+        The method for computing a step.
 
     Returns
     -------
     int
-        The number of steps.
+        The number of steps taken.
 
     """
     times_ns, row, grid_ns = rows.times_ns, place.row, place.grid_ns
@@ -100,7 +100,7 @@ def advance(group: Group, place: Place, limit_ns: int, rows: Rows, stop: int, bo
 
 @inlined
 def _begin_together(group: Group, time_ns: int) -> bool:
-    # Return whether all runs are at the beginning of a segment at the same time.
+    # Return whether every run is at the beginning of a segment that begins at `time_ns`.
     for row in group.rows:
         progress = group.progress[row]
         if progress.grid_ns != time_ns or progress.begin_ns != time_ns:
@@ -110,7 +110,7 @@ def _begin_together(group: Group, time_ns: int) -> bool:
 
 @inlined
 def _torques(group: Group, index: int, gain: float) -> vector.Vector:
-    # Return the torque in every lane.
+    # Return the torques of a row, with one lane per run.
     if len(group.torques) == 1:
         return vector.scale(gain, runs.torque(group, 0, index))
     for lane in range(LANES):
@@ -122,15 +122,15 @@ def _torques(group: Group, index: int, gain: float) -> vector.Vector:
 
 @inlined
 def _acts_in_every_lane(torque: vector.Vector) -> bool:
-    # Return whether the torque in every lane is nonzero. Without torque, `loop.run` may use the
-    # closed form.
+    # Return whether there is a torque in every lane. If a run has no torque, `loop.run` may use
+    # the closed form for this run.
     return lanes.every(vector.total(four.absolute(torque)) > 0.0)
 
 
 @inlined
 def _is_full_step(state: vector.KernelState, span_ns: int, acceleration: vector.Vector,
                   method: Method) -> bool:
-    # Return whether one step of the series is enough for every run.
+    # Return whether one Taylor step covers the span for every run.
     square, rest_ns = vector.dot(state[0], state[0]), lanes.zero(state[0][0]) + float(span_ns)
     bound = math.sqrt(vector.dot(acceleration, acceleration))
     left = lanes.where(runs.is_one_step(rest_ns, square, bound, method), 0.0, rest_ns)

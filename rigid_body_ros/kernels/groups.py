@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Steps of a group of runs, one in each lane.
+Advance a group of runs together, one run per lane.
 
-Under held torques in body axes, a group takes two kinds of steps in place of `loop.run`, with the
-same bits: steps of the series on the grid of a segment and to the outputs in the segment, and
-single steps from stamp to stamp. All other steps are left to `loop.run`, which continues each run
-from where the group leaves the run.
+Under held torques in body axes, a group does part of the work of `loop.run`, with bit-identical
+results. A group takes two kinds of steps: Taylor steps within a segment, to grid points and
+outputs, and single steps from stamp to stamp. All other steps are left to `loop.run`, which
+continues each run from the point where the group stopped.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from rigid_body_ros.kernels.layout import Method, Place, Rows
 class Advanced(NamedTuple):
     """The result of `advance`."""
 
-    #: The number of steps. If this number reaches `group.BUDGET`, there may be more steps to do.
+    #: The number of steps taken. If it reaches `group.BUDGET`, there may be more steps to take.
     steps: int
-    #: The number of runs that no longer wait.
+    #: The number of waiting runs that were given a lane or skipped.
     taken: int
-    #: The row to which `loop.run` must bring the runs before they step together again.
+    #: The row up to which `loop.run` must advance the runs before they can step together again.
     until: int
 
 
@@ -50,22 +50,22 @@ class Advanced(NamedTuple):
 def advance(group: Group, count: int, waiting: NDArray[np.intp], times_ns: NDArray[np.int64],
             order: NDArray[np.intp], rows: Rows, method: Method) -> Advanced:
     """
-    Advance the runs of a group as far as they can step together.
+    Advance the runs of a group for as long as they can step together.
 
     Parameters
     ----------
     group : Group
         The runs. The kernel updates their rows, progress and motions.
     count : int
-        The number of lanes that contain distinct runs: the first `count` lanes.
+        Number of distinct runs in the group. They are in the first `count` lanes.
     waiting : intp (n,)
-        Runs that have not begun. They replace runs that end.
+        Runs that have not begun. They take over the lanes of runs that end.
     times_ns, order : array
         See `loop.run`.
     rows : Rows
-        The rows of all runs.
+        The rows, which are the same for all runs.
     method : Method
-        The method of a step.
+        The method for computing a step.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], times_ns: NDArr
 
 @internal
 def _are_alike(group: Group, place: Place, form: int) -> bool:
-    # Return whether the runs have inertia tensors of the same form, the same next output, and the
+    # Return whether all runs have inertia tensors of the same form, the same next output, and the
     # same row in force.
     for row in group.rows:
         other = group.progress[row]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Straight lines and cubics through samples, with coefficients beyond double precision."""
+"""Interpolate samples by straight lines or cubics, with more than double precision."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 
-#: Number of samples that determine a slope of the cubic interpolation.
+#: The cubic interpolation determines each slope from this many samples.
 _NEAREST = 5
-#: In the workspace of `fill_cubics`, the rows before `_SLOPES` are the weights of the nearest
-#: samples, and the rows from `_SLOPES` on are the slopes at two nodes. `WORKSPACE` is the shape.
+#: The workspace of `fill_cubics` has the shape `WORKSPACE`. It begins with the weights of the
+#: nearest samples. The slopes at two nodes begin at row `_SLOPES`.
 _SLOPES, WORKSPACE = _NEAREST, (_NEAREST + 2 * 3, 2)
 
 
@@ -36,10 +36,11 @@ _SLOPES, WORKSPACE = _NEAREST, (_NEAREST + 2 * 3, 2)
 def fill_slopes(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3'],
                 slopes: Annotated[Floats, 'n 3', WRITTEN]) -> None:
     """
-    Compute the slopes of straight lines through samples; the slope after the last sample is zero.
+    Compute the slopes of the straight lines that connect samples.
 
-    Because slopes are rounded, a line does not end exactly at the next sample. The next line
-    begins at this end, so that rounding errors do not accumulate.
+    Because its slope is rounded, a line does not end exactly at the next sample. Each line begins
+    where the previous line ends, so that rounding errors do not accumulate. The slope after the
+    last sample is zero.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def fill_slopes(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3']
     values : float64 (n, 3)
         The samples.
     slopes : float64 (n, 3), 1/s
-        The output, which the caller sets to zero.
+        The output, which the caller must initialize to zero.
 
     """
     for axis in range(3 if len(values) else 0):
@@ -65,23 +66,25 @@ def fill_cubics(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3']
                 stop: int, work: Annotated[Floats, '11 2', WRITTEN],
                 cubics: Annotated[Floats, 'm 7 3', WRITTEN]) -> None:
     """
-    Compute cubics through samples.
+    Compute the cubics that connect samples.
 
-    The slope at each sample is the slope of the polynomial through the nearest samples. The
-    low-order parts of the coefficients matter for a thin rod, where torques may cancel.
+    At each sample, the slope of the cubics is the slope of the polynomial through the nearest
+    samples. The low-order parts of the coefficients are needed for thin rods, where torques may
+    cancel.
 
     Parameters
     ----------
     times_ns, values
         See `fill_slopes`.
     first, stop : int
-        Index of the first sample, and index after the last sample.
+        The range of samples for which to compute cubics: from index `first` up to, but not
+        including, index `stop`. Each cubic begins at its sample.
     work : float64, shape WORKSPACE
         Workspace.
     cubics : float64 (stop - first, 7, 3)
-        The output. For each sample, the output contains four coefficients of a polynomial in the
-        fraction of the time to the next sample, followed by the low-order parts of all
-        coefficients except the first.
+        The output. Each cubic is a polynomial in the fraction of the time to the next sample. The
+        cubic is stored as four coefficients, followed by the low-order parts of all coefficients
+        but the first.
 
     """
     last = len(times_ns) - 1
@@ -105,13 +108,14 @@ def fill_cubics(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3']
 
 @internal
 def _first_of(node: int, count: int, last: int) -> int:
-    # Return the first of the samples nearest to a node.
+    # Return the index of the first of the `count` samples nearest to a node.
     return min(max(min(node, last) - count // 2, 0), last + 1 - count)
 
 
 @internal
 def _are_alike(times_ns: NDArray[np.int64], node: int, count: int, last: int) -> bool:
-    # Return whether the samples nearest to a node and to the previous node have the same spacing.
+    # Return whether the samples nearest to a node are spaced like those nearest to the previous
+    # node.
     here, before = min(node, last), node - 1
     begin, begin_before = _first_of(node, count, last), _first_of(before, count, last)
     for k in range(count):
@@ -123,9 +127,10 @@ def _are_alike(times_ns: NDArray[np.int64], node: int, count: int, last: int) ->
 @internal
 def _fill_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int,
                   weights: Floats) -> None:
-    # Fill the weights, 1/ns. The slope at a node is the weighted sum of the differences between
-    # the samples and the value at the node. The weights are the derivatives of the Lagrange
-    # polynomials at the node, which depend on the spacing only.
+    # Compute weights in 1/ns for the samples nearest to a node. To get the slope at the node,
+    # subtract the value at the node from each sample, and sum the weighted differences. The
+    # weights are the derivatives of the Lagrange polynomials at the node, so the weights depend
+    # only on the spacing of the samples.
     for k in range(count):
         distance = times_ns[begin + k] - times_ns[node]
         above, below = (1.0, 0.0), dd.from_int(distance)
@@ -140,7 +145,7 @@ def _fill_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int
 @internal
 def _store_cubic(row: Floats, here: float, following: float, span: DoubleDouble,
                  start: DoubleDouble, end: DoubleDouble) -> None:
-    # Store the coefficients on one axis, given the values and the slopes, 1/ns, at both ends.
+    # Store the coefficients for one axis, given the values and the slopes (1/ns) at both ends.
     delta = dd.two_sum(following, -here)
     start, end = dd.multiply(start, span), dd.multiply(end, span)
     curved = dd.subtract(delta, start)

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-What acts on a body between two changes.
+Collect what acts on a body during the interval between one row and the next.
 
-A row of `layout.Rows` is in force from its time to the time of the next row. Row -1 stands for the
-time before the first row. Consecutive intervals in which nothing acts are one *coast*.
+A row of `layout.Rows` is in force from its time until the time of the next row. Row -1 stands for
+the time before the first row. If nothing acts in several consecutive intervals, these intervals
+form one *coast*.
 """
 
 from __future__ import annotations
@@ -44,7 +45,11 @@ from rigid_body_ros.kernels.layout import Body
 
 
 class BodyTerms(NamedTuple):
-    """The terms of rows, with the constants and states for these terms; see `layout.Terms`."""
+    """
+    Everything that acts on a body besides the torques of the rows; see `layout.Terms`.
+
+    The tuple also contains the constants and states needed to evaluate these terms.
+    """
 
     momentum: Floats
     motors: Floats | None
@@ -53,68 +58,71 @@ class BodyTerms(NamedTuple):
     lags: layout.Lags | None
     friction: layout.Friction | None
     constants: linear_terms.Constants
-    #: The states with the momenta of wheels; None without friction.
+    #: The states that include the wheel momenta, or None if there is no friction.
     wheel_states: friction.WheelStates | None
 
 
 class Interval(NamedTuple):
-    """A span of time in which one polynomial describes the torque."""
+    """A time interval in which a single polynomial describes the torque."""
 
-    #: The torque, N m. The variable is 0 at the beginning, and grows by 1 in `span` seconds.
+    #: The torque in N m, as a polynomial in a variable that is 0 at the beginning of the interval,
+    #: and grows by 1 in `span` seconds.
     torque: vector.Polynomial
-    #: Whether the torque is zero throughout.
+    #: Whether the torque is zero during the whole interval.
     is_zero: bool
     span: float
-    #: Time of the row in force (0 before the first row) and of the next row (NEVER_NS after the
-    #: last row).
+    #: The time in ns at which the row in force begins (0 before the first row), and the time at
+    #: which the next row begins (NEVER_NS after the last row).
     begin_ns: int
     end_ns: int
 
 
 class Drive(NamedTuple):
-    """The acceleration or the torque in Euler's equations during an interval."""
+    """The acceleration or the torque that drives Euler's equations during an interval."""
 
-    #: The acceleration J^-1 tau, rad/s^2, for a torque in body axes; otherwise the torque, N m.
+    #: The acceleration J^-1 tau in rad/s^2 if the torque is in body axes. If the torque is in
+    #: space axes, the torque itself in N m.
     polynomial: vector.Polynomial
-    #: The degree of the polynomial; coefficients of higher degree are zero.
+    #: The degree of the polynomial. All coefficients of higher degree are zero.
     degree: int
     in_space: bool
-    #: Time at which the variable of the polynomial is 0, ns, and seconds from then until it is 1.
+    #: The time in ns at which the variable of the polynomial is 0, and the number of seconds in
+    #: which the variable grows by 1.
     origin_ns: int
     span: float
-    #: Bound on the acceleration, including the acceleration by the space torque of the loads,
-    #: rad/s^2.
+    #: An upper bound on the acceleration in rad/s^2, including the acceleration due to the space
+    #: torque in the loads.
     bound: float
 
 
 class Loads(NamedTuple):
-    """What acts during an interval besides the drive."""
+    """Everything that acts during an interval besides the drive."""
 
-    #: Momentum of the rotors, N m s, as a polynomial in the variable of the drive, and the
+    #: The momentum of the rotors in N m s, as a polynomial in the variable of the drive, and the
     #: low-order part of its first coefficient.
     momentum: linear_terms.Momentum
     low_momentum: vector.Vector
     #: The matrices of the body.
     constants: linear_terms.Constants
-    #: Degree of `momentum`, not counting wheels with friction. The degree is negative if there are
+    #: The degree of `momentum`, not counting wheels with friction. It is negative if there are
     #: neither rotors nor damping.
     linear_degree: int
-    #: Torque in space axes, N m, that acts in addition to a drive in body axes, and the degree of
-    #: this torque, which is negative if there is no such torque.
+    #: A torque polynomial in space axes (N m) that acts in addition to a drive in body axes, and
+    #: its degree. If there is no such torque, the degree is negative.
     space_torque: vector.Polynomial
     space_degree: int
-    #: The torques that depend on the attitude, see `fields.FIELDS`; None without fields.
+    #: The attitude-dependent torques (see `fields.FIELDS`), or None if there are no fields.
     fields: NDArray[Any] | None
-    #: The torques that lag; None without lags.
+    #: The torques that lag behind their commands, or None if there are no lags.
     lags: lags.RowLags | None
-    #: The wheels with friction; None without such wheels.
+    #: The wheels with friction, or None if there are no such wheels.
     friction: friction.RowFriction | None
 
 
 @optional
 def load_terms(terms: layout.AnyTerms, body_constants: Floats,
                progress: NDArray[Any]) -> BodyTerms:
-    """Return the terms of rows with the constants of a body and the states of its motion."""
+    """Combine the terms of the rows with the constants of a body and the states of its motion."""
     return BodyTerms(terms.momentum, terms.motors, terms.space, terms.fields, terms.lags,
                      terms.friction, body_layout.linear_constants(body_constants),
                      friction.states_of(terms.friction, progress))
@@ -122,13 +130,13 @@ def load_terms(terms: layout.AnyTerms, body_constants: Floats,
 
 @optional
 def wheel_states(terms: BodyTerms) -> friction.WheelStates | None:
-    """Return the states with the momenta of wheels; None without friction."""
+    """Return the states that include the wheel momenta, or None if there is no friction."""
     return terms.wheel_states
 
 
 @inlined
 def interval(times_ns: NDArray[np.int64], torques: Floats, spans: Floats, row: int) -> Interval:
-    """Return the interval that begins with a row."""
+    """Return the interval in which a row is in force."""
     torque = torque_of(torques, row)
     return Interval(torque, is_zero(torque), spans[row] if row >= 0 and len(spans) else 1.0,
                     times_ns[row] if row >= 0 else 0,
@@ -138,7 +146,13 @@ def interval(times_ns: NDArray[np.int64], torques: Floats, spans: Floats, row: i
 @inlined
 def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool, body: Body,
           loads: Loads | None) -> Drive:
-    """Return the drive of an interval: the acceleration by a body torque, or the space torque."""
+    """
+    Return the drive of Euler's equations during an interval.
+
+    If the torque is in body axes, the drive is the acceleration due to the torque. If the torque
+    is in space axes, the drive is the torque itself. `low` contains the low-order parts of the
+    torque.
+    """
     polynomial = now.torque
     if not in_space and not now.is_zero:
         polynomial = euler_equations.acceleration_polynomial(
@@ -162,13 +176,13 @@ def _space_bound(loads: Loads | None, body: Body) -> float:
 
 @inlined
 def coefficient(polynomials: Floats, row: int, k: int) -> vector.Vector:
-    """Return one coefficient of a polynomial."""
+    """Load one coefficient of the polynomial of a row."""
     return vector.of(polynomials[row, k, 0], polynomials[row, k, 1], polynomials[row, k, 2])
 
 
 @inlined
 def store_coefficient(polynomials: Floats, row: int, k: int, value: vector.Vector) -> None:
-    """Store one coefficient of a polynomial."""
+    """Store one coefficient of the polynomial of a row."""
     polynomials[row, k, 0], polynomials[row, k, 1] = value[0], value[1]
     polynomials[row, k, 2] = value[2]
 
@@ -176,9 +190,9 @@ def store_coefficient(polynomials: Floats, row: int, k: int, value: vector.Vecto
 @inlined
 def torque_of(torques: Floats, row: int) -> vector.Polynomial:
     """
-    Return the torque of a row; zeros before the first row.
+    Return the torque of a row, or zeros before the first row.
 
-    The result is a tuple, because making an array takes half the time of a short step.
+    The result is a tuple, because allocating an array would take half as long as a short step.
     """
     none = four.broadcast(0.0)
     if row < 0:
@@ -188,7 +202,7 @@ def torque_of(torques: Floats, row: int) -> vector.Polynomial:
 
 @inlined
 def polynomial_of(polynomials: Floats, row: int, degree: int) -> vector.Polynomial:
-    """Return the coefficients of a polynomial."""
+    """Return the coefficients of the polynomial of a row, padded with zeros to degree three."""
     none = four.broadcast(0.0)
     return (coefficient(polynomials, row, 0),
             coefficient(polynomials, row, 1) if degree > 0 else none,
@@ -198,7 +212,7 @@ def polynomial_of(polynomials: Floats, row: int, degree: int) -> vector.Polynomi
 
 @inlined
 def low_order_parts(torques: Floats, row: int) -> vector.Polynomial:
-    """Return the low-order parts of the coefficients of a row."""
+    """Return the low-order parts of the coefficients of the torque of a row."""
     none = four.broadcast(0.0)
     if torques.shape[1] == 1:
         return none, none, none, none
@@ -210,7 +224,7 @@ def low_order_parts(torques: Floats, row: int) -> vector.Polynomial:
 
 @inlined
 def is_zero(torque: vector.Polynomial) -> bool:
-    """Return whether a torque is zero throughout."""
+    """Return whether a torque is zero during the whole interval."""
     a, b, c, d = torque
     return (vector.is_zero(a) and vector.is_zero(b) and vector.is_zero(c)
             and vector.is_zero(d))
@@ -218,10 +232,10 @@ def is_zero(torque: vector.Polynomial) -> bool:
 
 @optional
 def loads_of(terms: BodyTerms, row: int, span: float) -> Loads:
-    """Return what acts in a row besides the drive."""
+    """Return everything that acts on the body, besides the drive, while a row is in force."""
     first, low = _momentum(terms, row)
-    # Hide from the compiler that `zero` is zero. A compiler that knew this would inline
-    # `stepping.advance`, and the inlined code takes longer.
+    # Compute `zero` in a way that hides its value from the compiler. If the compiler knew the
+    # value, it would inline `stepping.advance`, which makes the code slower.
     zero = vector.scale(0.0, first)
     (a, b, c, d), degree = _polynomial_or(zero, terms.motors, row)
     torque, space_degree = _polynomial_or(zero, terms.space, row)
@@ -249,8 +263,9 @@ def _row_friction(found: layout.Friction, row: int,
 
 @inlined
 def _momentum(terms: BodyTerms, row: int) -> tuple[vector.Vector, vector.Vector]:
-    # Return the momentum of the rotors at a row, and its low-order part. A constant momentum has a
-    # single row. Before the first row, the momentum of the first row applies.
+    # Return the momentum of the rotors at the beginning of a row, and its low-order part. A
+    # constant momentum is stored in a single row. Before the first row, the momentum is that of
+    # the first row.
     row = max(min(row, len(terms.momentum) - 1), 0)
     return coefficient(terms.momentum, row, 0), coefficient(terms.momentum, row, 1)
 
@@ -268,7 +283,7 @@ def _polynomial_or(zero: vector.Vector, polynomials: Floats | None,
 
 @inlined
 def acts(loads: Loads | None) -> bool:
-    """Return whether anything acts besides the drive."""
+    """Return whether anything acts on the body besides the drive."""
     if loads is None:
         return False
     return (loads.linear_degree >= 0 or loads.space_degree >= 0 or fields.act(loads.fields)
@@ -277,7 +292,7 @@ def acts(loads: Loads | None) -> bool:
 
 @inlined
 def rotors_change(loads: Loads | None) -> bool:
-    """Return whether the momentum of the rotors changes."""
+    """Return whether the momentum of the rotors changes during the interval."""
     if loads is None:
         return False
     return loads.linear_degree > 0 or fields.exist(loads.friction)
@@ -285,7 +300,7 @@ def rotors_change(loads: Loads | None) -> bool:
 
 @inlined
 def vary(terms: BodyTerms | None) -> bool:
-    """Return whether the loads differ from row to row."""
+    """Return whether anything that acts besides the drive changes from row to row."""
     if terms is None:
         return False
     return len(terms.momentum) > 1 or fields.exist(terms.space)
@@ -293,7 +308,7 @@ def vary(terms: BodyTerms | None) -> bool:
 
 @inlined
 def are_polynomials(terms: BodyTerms | None) -> bool:
-    """Return whether all torques that act are polynomials in time."""
+    """Return whether every torque on the body is a polynomial in time."""
     if terms is None:
         return True
     return not (fields.exist(terms.fields) or fields.exist(terms.lags)
@@ -302,17 +317,21 @@ def are_polynomials(terms: BodyTerms | None) -> bool:
 
 @inlined
 def coasts(torques: Floats, terms: BodyTerms | None, row: int) -> bool:
-    """Return whether nothing acts from a row to the next."""
+    """Return whether nothing acts on the body from one row until the next row begins."""
     return is_zero(torque_of(torques, row)) and not acts(loads_of(terms, row, 1.0))
 
 
 @optional
 def during_step(terms: BodyTerms, row: int, seconds: float) -> short_step.HeldLoads:
-    """Return what acts besides the drive in a step from the beginning of a row of held torques."""
+    """
+    Return everything besides the drive that acts during a step.
+
+    The step must start at the beginning of a row, and the torques of this row must be held.
+    """
     constants, momentum = terms.constants, _momentum(terms, row)
     on_rotors, torque = _held(terms.motors, row), _held(terms.space, row)
     linear, is_linear = _linear(constants, momentum, on_rotors)
-    # The matrix of a vector product with tau has the squared Frobenius norm 2 |tau|^2.
+    # The squared Frobenius norm of the matrix of a vector product with tau is 2 |tau|^2.
     square_torque = 0.5 * _square(on_rotors) + _square(torque)
     return short_step.HeldLoads(
         linear, is_linear, _change(on_rotors, seconds), torque,
@@ -323,11 +342,11 @@ def during_step(terms: BodyTerms, row: int, seconds: float) -> short_step.HeldLo
 @inlined
 def _linear(constants: linear_terms.Constants, momentum: tuple[vector.Vector, vector.Vector],
             on_rotors: vector.Vector | None) -> tuple[linear_terms.Linear, bool]:
-    # Return the linear terms, and whether there are linear terms.
+    # Return the linear terms of Euler's equations, and whether there are any such terms.
     first, low = momentum
     if on_rotors is not None and not vector.is_zero(on_rotors):
-        # The matrix may be rounded, because the rounding error differs from step to step, so that
-        # the errors do not add up.
+        # It is safe to round the matrix here. The rounding error of the matrix differs from step
+        # to step, so these errors do not add up.
         return linear_terms.rounded_at(constants, first), True
     return linear_terms.at(constants, first, low), not (
         vector.is_zero(first) and linear_terms.is_zero(constants.damping.matrix))

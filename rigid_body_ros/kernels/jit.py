@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-The marks of kernels, for the build step that compiles them.
+Decorators that mark the kernels for the build step.
 
-The build step replaces this module with a module that compiles the kernels. In this module, a mark
-does nothing. The functions stay plain Python, which computes the same bits but is hundreds of
-times slower.
+The build step replaces this module with one that compiles the kernels. The decorators defined here
+do almost nothing, so the kernels run as plain Python. The results are then bit-identical to those
+of compiled kernels, but the kernels run hundreds of times slower.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from typing import Any, TypeVar
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 
-#: In the annotation of an array, this mark means that the kernel writes to the array.
+#: Put this mark in the annotation of an array that the kernel writes to.
 WRITTEN = 'written'
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
@@ -36,19 +36,20 @@ Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 
 def njit(kernel: Kernel) -> Kernel:
     """
-    Mark a kernel that Python calls.
+    Mark a kernel that is called from Python.
 
-    The kernel is compiled once for each combination of types that its annotations allow. The
-    annotation of an array contains the shape, as in ``Annotated[Floats, 'n 3']``, and WRITTEN if
-    the kernel writes to it. A dimension is a number, a variable, or a linear function of a
-    variable, such as '7m' or '2d+1'. A variable has the same value in all arguments. '|' separates
-    alternatives, as in 'n|0'. L is the number of lanes; see `lanes`.
+    The build step compiles the kernel once for each combination of types that its annotations
+    allow. The annotation of an array gives the shape, as in ``Annotated[Floats, 'n 3']``, and adds
+    WRITTEN if the kernel writes to the array. Each dimension is a number, a variable, or a linear
+    function of a variable, such as '7m' or '2d+1'. A variable has the same value in all arguments
+    of a kernel. Alternatives are separated by '|', as in 'n|0'. The variable L is the number of
+    lanes; see `lanes`.
     """
     return kernel
 
 
 def internal(kernel: Kernel) -> Kernel:
-    """Mark a function that kernels call."""
+    """Mark a function that other kernels call."""
     return kernel
 
 
@@ -56,18 +57,19 @@ def inlined(kernel: Kernel) -> Kernel:
     """
     Mark a function that is inlined into each kernel that calls it.
 
-    A call that is not inlined passes tuples in memory. This takes as long as the arithmetic of a
-    short step.
+    If a call is not inlined, its tuples are passed through memory, which takes as long as all the
+    arithmetic of a short step.
     """
     return kernel
 
 
 def optional(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """
-    Mark an inlined function for a part that is absent in some scenes.
+    Mark an inlined function that handles an optional part of a scene.
 
-    If the first argument is None, the function returns None. The compiler decides this by type, so
-    the kernels for scenes without the part are compiled without its code.
+    If the first argument is None, the function returns None without running its body. The compiler
+    makes this choice from the type of the argument, so kernels for scenes without the part do not
+    contain any code for it.
     """
     def choose(first: Any, *rest: Any) -> Any:
         return None if first is None else kernel(first, *rest)
@@ -75,15 +77,16 @@ def optional(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def record(fields: list[tuple[Any, ...]]) -> Any:
-    """Return a structured type whose fields a kernel reads as attributes."""
+    """Return a structured dtype whose fields kernels can read as attributes."""
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
 def scratch(count: int) -> Floats:
     """
-    Return an array of constant size, not yet filled, for use during one call.
+    Return an uninitialized array of constant size, for use during one call.
 
-    In compiled kernels the array is on the stack. The array is valid until the function that makes
-    it ends, even if that function is inlined. So do not return the array.
+    In compiled kernels, the array lives on the stack. It is valid only until the function that
+    called `scratch` returns, even if that function is inlined. So never return the array from that
+    function.
     """
     return np.empty(count)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The Taylor series of torques that decay; see `lags`.
+Taylor series of the decaying torques described in `lags`.
 
-By e' = -e / T, each term of e = exp(-t / T) follows from the previous term. The body components v
-of an excess in space axes obey v' = v x w - v / T.
+The factor e = exp(-t / T) obeys e' = -e / T, so each term of the series of e follows from the
+previous term. For an excess in space axes, the body components v obey v' = v x w - v / T.
 """
 
 from __future__ import annotations
@@ -45,15 +45,17 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Size of the vectors of one order: the excesses in space axes, one for each time constant.
+#: Number of doubles for one order of the series. Each order stores the excesses in space axes, one
+#: for each time constant.
 _ORDER = PERMUTED * lags.MOST
-#: The vectors of all orders are followed by the latest term of each excess in body axes.
+#: Where the latest terms of the excesses in body axes are stored. These terms come after the
+#: vectors of all orders.
 _BODY = _ORDER * (MAX_ORDER + 1)
 WORKSPACE = _BODY + 4 * lags.MOST
 
 
 class StepLags(NamedTuple):
-    """The excesses of a step, and their series."""
+    """The excesses that act during a step, and the terms of their series."""
 
     lags: RowLags
     #: The time from the beginning of the row to the beginning of the step, s.
@@ -64,19 +66,23 @@ class StepLags(NamedTuple):
 
 @optional
 def workspace(_found: RowLags, work: Floats) -> Floats:
-    """Return the workspace; None without lags."""
+    """Return the workspace, or None if the scene has no lags."""
     return work
 
 
 @optional
 def of_step(found: RowLags, since: float, work: Floats) -> StepLags:
-    """Return the excesses of a step, with series not yet filled; None without lags."""
+    """
+    Return the excesses that act during a step, or None if the scene has no lags.
+
+    The series of the returned excesses do not contain any terms yet.
+    """
     return StepLags(found, since, work)
 
 
 @inlined
 def begin(step: StepLags | None, state: KernelState) -> None:
-    """Store the first terms of the series of a step that begins with a state."""
+    """Store the first term of each excess's series, for a step that begins at the given state."""
     if step is None:
         return
     found, since, vectors = step
@@ -91,9 +97,9 @@ def begin(step: StepLags | None, state: KernelState) -> None:
 def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, seconds: float,
                      coefficients: Coefficients) -> Vector:
     """
-    Return a vector plus seconds^2 times the term of order k of the acceleration.
+    Return a vector plus seconds^2 times the order-k term of the acceleration due to the lags.
 
-    The arguments are those of `field_series.add_acceleration`.
+    The arguments are the same as those of `field_series.add_acceleration`.
     """
     if step is None:
         return u
@@ -115,5 +121,9 @@ def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, se
 
 @inlined
 def lowest_order(step: StepLags | None) -> int:
-    """Return a bound on how many consecutive terms may be zero by chance; see `taylor.step`."""
+    """
+    Return an upper bound on how many consecutive terms may be zero by coincidence.
+
+    `taylor.step` uses this bound so that it does not mistake such zeros for convergence.
+    """
     return 0 if step is None else 1

@@ -15,13 +15,15 @@
 """
 Torques that follow their commands with a first-order lag.
 
-The torque y follows a command u with the time constant T: T y' + y = u. If the command is held
-from a time on, at which the torque is y0, the torque after t seconds is
+The torque y follows its command u with time constant T, according to T y' + y = u. Suppose that
+the torque is y0 and that the command is held constant from now on. Then the torque after t seconds
+is
 
     y = u + (y0 - u) exp(-t / T).
 
-The row contains the command u. The difference y - u is the *excess*, which decays. The excess is
-in the axes of the command, body or space. After EXPIRY time constants, the excess is set to zero.
+The rows contain the command u. The difference y - u is called the *excess*. It decays with time,
+and it is expressed in the axes of the command, which are either body axes or space axes. After
+EXPIRY time constants, the excess is set to zero.
 """
 
 from __future__ import annotations
@@ -35,14 +37,14 @@ from rigid_body_ros.kernels.jit import inlined, internal, njit, WRITTEN
 
 #: Number of time constants after which an excess is set to zero: exp(-40) is 4e-18.
 EXPIRY = 40.0
-#: Largest number of distinct time constants in a scene.
+#: A scene can have at most this many different time constants.
 MOST = 4
 
 
 class RowLags(NamedTuple):
-    """The excess of a row."""
+    """The excess torques that act on the body while one row is in force."""
 
-    #: See `layout.Lags`.
+    #: The excesses of all rows; see `layout.Lags`.
     excess: Floats
     time_constants: Floats
     row: int
@@ -50,7 +52,11 @@ class RowLags(NamedTuple):
 
 @inlined
 def excess(lags: RowLags, i: int, axes: int) -> vector.Vector:
-    """Return the excess of time constant i at the row's time, in body (0) or space axes (1)."""
+    """
+    Return the excess for time constant `i` at the time when the row begins, N m.
+
+    `axes` is 0 for body axes and 1 for space axes.
+    """
     found = lags.excess
     return vector.of(found[lags.row, i, axes, 0], found[lags.row, i, axes, 1],
                      found[lags.row, i, axes, 2])
@@ -58,13 +64,13 @@ def excess(lags: RowLags, i: int, axes: int) -> vector.Vector:
 
 @inlined
 def acts(lags: RowLags | None) -> bool:
-    """Return whether there is an excess in a row."""
+    """Return whether any excess acts on the body while a row is in force."""
     return square_rate(lags) > 0.0
 
 
 @inlined
 def square_rate(lags: RowLags | None) -> float:
-    """Return the square of the largest decay rate of an excess, 1/s^2; 0 without an excess."""
+    """Return the square of the fastest decay rate of the excesses, 1/s^2; 0 if there are none."""
     largest = 0.0
     if lags is None:
         return largest
@@ -80,7 +86,7 @@ def square_rate(lags: RowLags | None) -> float:
 
 @inlined
 def torque_bound(lags: RowLags | None) -> float:
-    """Return a bound on the sum of the excesses of a row, N m."""
+    """Return an upper bound on the magnitude of the sum of a row's excesses, N m."""
     bound = 0.0
     if lags is None:
         return bound
@@ -94,13 +100,13 @@ def torque_bound(lags: RowLags | None) -> float:
 
 @inlined
 def decay(seconds: float, time_constant: float) -> float:
-    """Return the factor by which an excess decays in a time, s."""
+    """Return the factor by which an excess decays within the given number of seconds."""
     return elementary.exponential(-seconds / time_constant)
 
 
 @internal
 def torque(lags: RowLags, seconds: float, q: vector.Quaternion) -> vector.Vector:
-    """Return the sum of the excesses, N m, body axes, some seconds after the time of the row."""
+    """Return the sum of the excesses in body axes, N m, `seconds` after the row begins."""
     body = space = vector.of(0.0, 0.0, 0.0)
     for i in range(len(lags.time_constants)):
         factor = decay(seconds, lags.time_constants[i])
@@ -110,15 +116,15 @@ def torque(lags: RowLags, seconds: float, q: vector.Quaternion) -> vector.Vector
 
 
 class CommandChanges(NamedTuple):
-    """The commands of one source, and the torques that follow them."""
+    """The commands from one source, and the torques that follow these commands."""
 
     #: The times at which the command changes, ns, ascending.
     times_ns: Annotated[Ints, 'm']
-    #: The command from each change on, N m: a row in body axes and a row in space axes, one of
-    #: which is zero.
+    #: The command that takes effect at each change, N m, as a row in body axes and a row in space
+    #: axes. One of the two rows is zero.
     commands: Annotated[Floats, 'm 2 3']
-    #: The torque at each change, N m, and the low-order part of this torque. The caller sets the
-    #: torque at the first change.
+    #: The torque at each change, N m, followed by its low-order part. The caller sets the torque
+    #: at the first change.
     torques: Annotated[Floats, 'm 2 6', WRITTEN]
 
 
@@ -126,20 +132,20 @@ class CommandChanges(NamedTuple):
 def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_constant: float,
             expiry_ns: int, which: int, into: Annotated[Floats, 'n l 2 3', WRITTEN]) -> None:
     """
-    Add the excess of one source, at the time of each row, to an array.
+    Compute the excess of one source at the time of each row, and add it to an array.
 
     Parameters
     ----------
     row_times_ns : int64 (n,), ns
-        The times of the rows, ascending.
+        The times of the rows, in ascending order.
     source : CommandChanges
-        The commands. The kernel computes the torques after the first change.
+        The commands of the source. The kernel fills in the torques after the first change.
     time_constant : float, s
         The time constant T of the source.
     expiry_ns : int, ns
-        EXPIRY time constants.
+        The duration of EXPIRY time constants.
     which : int
-        Index of the time constant.
+        Index of the time constant in `into`.
     into : float64 (n, l, 2, 3), N m
         The array to which the excess is added.
 
@@ -156,9 +162,9 @@ def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_con
                 high, low = command, 0.0
                 if span_ns < expiry_ns:
                     high, low = torques[k - 1, axes, j], torques[k - 1, axes, j + 3]
-                    # The torque changes by a share of its difference from the command. So the
-                    # errors of all changes together are only as large as the error of a single
-                    # change.
+                    # The torque moves toward the command by a share of the remaining difference.
+                    # Because each change also shrinks earlier errors, the total error is only as
+                    # large as the error of a single change.
                     high, lost = double_double.two_sum(high, share * ((command - high) - low))
                     high, low = double_double.quick_two_sum(high, lost + low)
                 torques[k, axes, j], torques[k, axes, j + 3] = high, low
@@ -177,6 +183,6 @@ def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_con
 
 @internal
 def _share(seconds: float, time_constant: float) -> float:
-    # Return 1 - exp(-t / T), correct to the last digits even for a short time.
+    # Return 1 - exp(-t / T), accurate to the last digits even if t is much shorter than T.
     growth = elementary.expm1(min(seconds / time_constant, 700.0))
     return double_double.divide(growth, double_double.add((1.0, 0.0), growth))[0]

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Lanes: numbers of several bodies, one per body, in one SIMD register of the compiled kernels.
+Lanes hold one number for each of several bodies, side by side in a SIMD register.
 
-If the arguments of a step have lanes, its result has lanes as well, so the same source steps
-several bodies at once. Each lane rounds as a single double does, so each body has the same bits as
-when it is computed alone. Plain Python has no lanes: this module contains the operations on single
-numbers.
+If the arguments of a step have lanes, its result has lanes too, so the same source code can step
+several bodies at once. Each lane rounds exactly as a single double does, so the result for each
+body is bit-identical to the result of computing this body alone. Only compiled kernels have lanes.
+In plain Python, the functions in this module operate on single numbers.
 """
 
 from __future__ import annotations
@@ -29,53 +29,54 @@ import operator
 
 from rigid_body_ros.common.arrays import Floats
 
-#: Number of bodies in a step. In the compiled kernels, the number depends on the processor level.
+#: Number of bodies that are stepped at once. In compiled kernels, this number depends on the
+#: processor level.
 LANES = 1
 
 
 def fma(a: float, b: float, c: float) -> float:
-    """Return a b + c, rounded once."""
+    """Return a b + c with a single rounding."""
     if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c)):
         return a * b + c
     return float(Fraction(a) * Fraction(b) + Fraction(c))
 
 
 def load(values: Floats, row: int) -> float:
-    """Return the number in a row of an array, shape (n, LANES)."""
+    """Return the number in the given row of an array of shape (n, LANES)."""
     return float(values[row, 0])
 
 
 def store(values: Floats, row: int, number: float) -> None:
-    """Write a number into a row of an array, shape (n, LANES)."""
+    """Write a number to the given row of an array of shape (n, LANES)."""
     values[row] = number
 
 
 def align_stack() -> None:
-    """Align the stack of a compiled function for SIMD registers; do nothing in plain Python."""
+    """Align the stack of a compiled function for SIMD registers (no effect in plain Python)."""
 
 
 def where(condition: bool, one: float, other: float) -> float:
-    """Return the first of two numbers if a condition holds, otherwise the second."""
+    """Return `one` if the condition holds, otherwise `other`."""
     return one if condition else other
 
 
 def truncated(number: float) -> float:
-    """Return a number without its fraction."""
+    """Return a number without its fractional part."""
     return float(math.trunc(number))
 
 
 def zero(like: float) -> float:
-    """Return zero, with lanes if the argument has lanes."""
+    """Return 0.0, with lanes if the argument has lanes."""
     return 0.0
 
 
 def no_count(like: float) -> int:
-    """Return zero as the start of a count, with lanes if the argument has lanes."""
+    """Return 0 as the initial value of a count, with lanes if the argument has lanes."""
     return 0
 
 
 def counted(condition: bool, count: int) -> int:
-    """Return zero if a condition holds, otherwise the count plus one."""
+    """Return 0 if the condition holds, otherwise the count plus one."""
     return 0 if condition else count + 1
 
 

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-The records of the time loop.
+Data structures of the time loop.
 
-Python passes a record such as PROGRESS to the kernels as a structured array with one element. Such
-an array is as fast to pass as any other array, whereas a named tuple takes several microseconds.
-Inside the kernels, the numbers are in named tuples such as `Place`, which the kernels keep in
-registers.
+Python passes a record such as PROGRESS to the kernels as a structured array with one element,
+because such an array is as fast to pass as any other array, while a named tuple takes several
+microseconds. Inside the kernels, the numbers are unpacked into named tuples such as `Place`, so
+that the compiler can keep them in registers.
 """
 
 from __future__ import annotations
@@ -39,38 +39,38 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.jit import inlined, internal, record, WRITTEN
 
-#: Cost of a full step or of a state in closed form, in units of work. Everything else,
+#: Cost of a full step, or of a state computed in closed form, in units of work. Everything else,
 #: such as a short step, costs 1.
 STEP_COST = 16
-#: After this many units of work, which take at most about 0.1 s, a kernel returns so that Python
-#: can handle signals.
+#: Number of units of work after which a kernel returns, so that Python can handle signals. A
+#: kernel takes at most about 0.1 s for this work.
 BUDGET = 20_000 * STEP_COST
-#: Results of `loop.run`. FINISHED: all outputs are filled, or the row at which to stop is reached.
-#: UNFINISHED: the budget is used up, and another call continues. TOO_FAST: the body turns faster
-#: than FASTEST.
+#: Results of `loop.run`. FINISHED: all outputs are filled, or the loop has reached the row at
+#: which it was told to stop. UNFINISHED: the budget is used up; call the kernel again to continue.
+#: TOO_FAST: the body turns faster than FASTEST.
 FINISHED, UNFINISHED, TOO_FAST = range(3)
-#: Up to this speed, rad/s, the series converges in a step of a nanosecond.
+#: Up to this angular speed, rad/s, a step of 1 ns is short enough for the series to converge.
 FASTEST = 1e9
-#: The argument `order` of `loop.run` if the times ascend.
+#: Pass this as the argument `order` of `loop.run` if the requested times are in ascending order.
 IN_ORDER = np.empty(0, np.intp)
-#: The codes of the solvers.
+#: The number of each solver, as stored in METHOD.
 AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER = range(6)
-#: The solver and its limits on a step; see `Method`.
+#: Record of the solver, its tolerance and its limits on a step; see `Method`.
 METHOD = record([
     ('solver', np.int64), ('fixed_step', np.bool_), ('closed_form_beyond', np.float64),
     ('tolerance', np.float64), ('angle', np.float64), ('max_step_ns', np.int64)])
-#: The progress of a motion (see `GridStates` and `Place`), the row at which to stop, and the units
-#: of work after which to return.
+#: Record of how far a motion has been computed (see `GridStates` and `Place`), the row at which
+#: the loop stops, and the number of units of work after which the kernel returns.
 PROGRESS = record([
     ('grid', np.float64, state_layout.WITH_WHEELS),
     ('begin', np.float64, state_layout.WITH_WHEELS),
     ('latest', np.float64, state_layout.WITH_WHEELS), ('grid_ns', np.int64),
     ('begin_ns', np.int64), ('row', np.int64), ('done', np.int64), ('stop', np.int64),
     ('budget', np.int64)])
-#: The integers of PROGRESS.
+#: The six integers at the end of PROGRESS.
 _COUNTS = struct.Struct('6q')
-#: Value of `stop` that marks a failed run among many runs. A run fails if its body becomes too
-#: fast or its inputs are invalid.
+#: When many runs are computed together, this value of `stop` marks a run that has failed. A run
+#: fails if its body becomes too fast or if its inputs are invalid.
 FAILED = -2
 
 
@@ -84,13 +84,13 @@ class Body(NamedTuple):
 class Method(NamedTuple):
     """The solver, its tolerance and its limits on a step."""
 
-    #: `Solver.code`, `Solver.fixed_step` and `Solver.closed_form_beyond`.
+    #: The values of `Solver.code`, `Solver.fixed_step` and `Solver.closed_form_beyond`.
     solver: int
     fixed_step: bool
     closed_form_beyond: float
-    #: Bound on the truncation error of the attitude per radian turned.
+    #: Bound on the truncation error of the attitude for each radian that the body turns.
     tolerance: float
-    #: Angle of a full step of the series, rad.
+    #: The angle by which the body turns in a full step of the series, rad.
     angle: float
     max_step_ns: int
 
@@ -98,26 +98,34 @@ class Method(NamedTuple):
 class Terms(NamedTuple):
     """What acts on a body besides the torques of the rows."""
 
-    #: Momentum of the rotors and its low-order part, N m s; a single row if it is constant.
+    #: The rotor momentum and its low-order part, N m s. The array has a single row if the momentum
+    #: is constant.
     momentum: Annotated[Floats, 'n|1 2 3']
-    #: Coefficients of the torque on the rotors, N m, of degree d; None without such a torque.
+    #: The torque on the rotors, N m, as the coefficients of a polynomial of degree d. None if no
+    #: torque acts on the rotors.
     motors: Annotated[Floats, 'n d+1 3'] | None
-    #: Coefficients of a torque in space axes that acts in addition to a torque in body axes; None
-    #: without such a torque.
+    #: The torque in space axes, N m, as the coefficients of a polynomial of degree d. None unless
+    #: such a torque acts in addition to a torque in body axes.
     space: Annotated[Floats, 'n d+1 3'] | None
-    #: None in `Terms`; see `FieldTerms`, `LagTerms` and `FrictionTerms`.
+    #: The next three attributes are always None in this class; see `FieldTerms`, `LagTerms` and
+    #: `FrictionTerms`.
     fields: None = None
     lags: None = None
     friction: None = None
 
 
 class FieldTerms(NamedTuple):
-    """`Terms` with fields. No kind of torque is None, so that kernels are compiled only once."""
+    """
+    `Terms` with fields.
+
+    In this class, `motors` and `space` are never None. The kernels therefore have to be compiled
+    only once for scenes with fields.
+    """
 
     momentum: Annotated[Floats, 'n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
     space: Annotated[Floats, 'n d+1 3']
-    #: The torques that depend on the attitude.
+    #: The fields, whose torques depend on the attitude.
     fields: Annotated[NDArray[Any], '1', FIELDS]
     lags: None = None
     friction: None = None
@@ -126,15 +134,16 @@ class FieldTerms(NamedTuple):
 class Lags(NamedTuple):
     """Torques that follow their commands with a lag; see `lags`."""
 
-    #: Torques minus commands at the time of each row, N m, one for each time constant, in body
-    #: axes and in space axes. The rows contain the commands; the excess decays.
+    #: The excess, which is the torque minus the command, at the time of each row, N m. Each time
+    #: constant has one excess in body axes and one in space axes. Every excess decays with time.
+    #: The commands themselves are in the rows.
     excess: Annotated[Floats, 'n l 2 3']
     #: The time constants, s.
     time_constants: Annotated[Floats, 'l']
 
 
 class LagTerms(NamedTuple):
-    """`FieldTerms` with torques that lag; fields may be absent."""
+    """`FieldTerms` with torques that lag their commands. The fields may be missing."""
 
     momentum: Annotated[Floats, 'n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
@@ -145,18 +154,22 @@ class LagTerms(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Wheels with friction, see `friction`; their number is padded to a multiple of four."""
+    """Wheels with friction, padded to a multiple of four wheels; see `friction`."""
 
-    #: The torque of the motor of each wheel in each row, N m.
+    #: The motor torque on each wheel in each row, N m.
     efforts: Annotated[Floats, 'n 4g']
     #: The constants of the wheels; see `friction.SIZE`.
     wheels: Annotated[Floats, '24g']
-    #: The axial momenta at the requested times, N m s.
+    #: The axial momenta of the wheels at the requested times, N m s.
     momenta: Annotated[Floats, 'm 4g', WRITTEN]
 
 
 class FrictionTerms(NamedTuple):
-    """`LagTerms` with friction; fields and lags may be absent, and `motors` contains zeros."""
+    """
+    `LagTerms` with friction.
+
+    The fields and the lags may be missing, and all `motors` are zero.
+    """
 
     momentum: Annotated[Floats, 'n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
@@ -170,25 +183,25 @@ AnyTerms = Terms | FieldTerms | LagTerms | FrictionTerms
 
 
 class Rows(NamedTuple):
-    """What acts on a body: each row acts from its time to the time of the next row."""
+    """What acts on a body. Each row is in force from its own time until the next row begins."""
 
-    #: When each row begins, ns, strictly ascending. Before the first row no torque acts.
+    #: When each row begins, ns, in strictly ascending order. No torque acts before the first row.
     times_ns: Annotated[Ints, 'n']
-    #: Torques on the body, N m, as polynomials of degree d; see `TorqueLog.polynomials`. The
-    #: torque on the rotors is already subtracted from a torque in body axes.
+    #: Torques on the body, N m, as polynomials of degree d; see `TorqueLog.polynomials`. If a
+    #: torque is in body axes, the torque on the rotors has already been subtracted from it.
     torques: Annotated[Floats, 'n 2d+1 3']
     #: Whether the torque of each row is in space axes.
     in_space: Annotated[NDArray[np.bool_], 'n']
-    #: The time in which the variable of the polynomials grows from 0 to 1, s. Empty if the
-    #: polynomials are constant.
+    #: How long the variable of each polynomial takes to grow from 0 to 1, s. The array is empty if
+    #: the polynomials are constant.
     spans: Annotated[Floats, 'n|0']
-    #: What acts besides the torques of the rows. None if there are no rotors, no damping, no
-    #: fields, no lags and no torques in two frames.
+    #: What acts besides the torques of the rows. None if the scene has no rotors, damping, fields
+    #: or lags, and does not combine torques in body axes with torques in space axes.
     terms: AnyTerms | None = None
 
 
 class Sums(NamedTuple):
-    """The sums of torques at the rows, and the momentum of the rotors; see `Rows`."""
+    """The summed torques and the rotor momentum in each row; see `Rows` and `Terms`."""
 
     times_ns: Annotated[Ints, 'n', WRITTEN]
     in_space: Annotated[NDArray[np.bool_], 'n', WRITTEN]
@@ -199,34 +212,35 @@ class Sums(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """The samples of all sources, one source after the other."""
+    """The torque samples of all sources, one source after another."""
 
-    #: Torques, N m, as polynomials of degree d, as in `Rows`.
+    #: Torques, N m, as polynomials of degree d; see `Rows`.
     coefficients: Annotated[Floats, 'p 2d+1 3']
     stamps_ns: Annotated[Ints, 'p']
     in_space: Annotated[NDArray[np.bool_], 'p']
-    #: The index at which each source begins, and the number of samples.
+    #: The index of the first sample of each source, followed by the total number of samples.
     offsets: Annotated[Ints, 's+1']
 
 
 class Requested(NamedTuple):
-    """The requested times, and the arrays for the results."""
+    """The requested times, and the arrays that receive the results."""
 
-    #: int64 (m,): the requested times, ns, none before the start of the motion.
+    #: int64 (m,): the requested times, ns. None of them is before the start of the motion.
     times_ns: NDArray[np.int64]
-    #: int (m,): the indices into `times_ns` and the motion, in ascending order of time; shape (0,)
-    #: if the times ascend.
+    #: int (m,): indices that sort the requested times in ascending order. The shape is (0,) if the
+    #: times are already sorted.
     order: NDArray[np.intp]
     #: float64 (7 m,): the motion; see `motion_layout`.
     motion: Floats
-    #: bool (n + 1,): at index row + 1, whether the coast in this row was computed in closed form.
+    #: bool (n + 1,): the element at index row + 1 tells whether the coast in that row was computed
+    #: in closed form.
     closed: NDArray[np.bool_]
 
 
 class Place(NamedTuple):
-    """Progress of the loop."""
+    """How far the loop has advanced the motion."""
 
-    #: Time of the state on the step grid, and of the beginning of the segment.
+    #: The time of the state on the step grid, and the time at which the segment begins, ns.
     grid_ns: int
     begin_ns: int
     #: The row in force; -1 before the first row.
@@ -236,36 +250,36 @@ class Place(NamedTuple):
 
 
 class GridStates(NamedTuple):
-    """The states of the loop."""
+    """The states of the motion that the loop stores in PROGRESS."""
 
-    #: The state on the step grid.
+    #: The state at the last point of the step grid that the loop has reached.
     grid: vector.KernelState
     #: The state at the beginning of the segment.
     begin: vector.KernelState
-    #: The state that was computed last.
+    #: The state that was computed most recently.
     latest: vector.KernelState
 
 
 def begun(grid: Floats, grid_ns: int, begin: Floats, begin_ns: int, row: int,
           stop: int) -> NDArray[Any]:
     """
-    Return the progress of a motion that continues from a step grid.
+    Return the progress record of a motion that continues from a grid point.
 
     Parameters
     ----------
     grid, begin : array, shape (state_layout.WITH_WHEELS,)
-        The states on the grid and at the beginning of the segment.
+        The state at the grid point, and the state at the beginning of the segment.
     grid_ns, begin_ns : int
-        The times of these states.
+        The times of these two states, ns.
     row, stop : int
-        The row in force, and the row at which to stop.
+        The row that is in force, and the row at which to stop.
 
     Returns
     -------
     array of PROGRESS, shape (1,)
 
     """
-    # Pack the bytes, because assigning the fields one by one would take three times as long.
+    # Pack all fields as bytes, because assigning them one by one would take three times as long.
     states, latest = grid.tobytes() + begin.tobytes(), grid.tobytes()
     return np.frombuffer(bytearray(states + latest + _COUNTS.pack(
         grid_ns, begin_ns, row, 0, stop, BUDGET)), PROGRESS)
@@ -273,7 +287,7 @@ def begun(grid: Floats, grid_ns: int, begin: Floats, begin_ns: int, row: int,
 
 @internal
 def load_method(methods: NDArray[Any]) -> Method:
-    """Return the method in an array of METHOD."""
+    """Return the contents of an array of METHOD as a `Method`."""
     found = methods[0]
     return Method(found.solver, found.fixed_step, found.closed_form_beyond, found.tolerance,
                   found.angle, found.max_step_ns)
@@ -281,7 +295,7 @@ def load_method(methods: NDArray[Any]) -> Method:
 
 @internal
 def load_body(constants: Floats) -> Body:
-    """Return a body from its constants, see `body_layout`."""
+    """Return the body with the given constants; see `body_layout`."""
     return Body(body_layout.coefficients(constants, form_of(constants)),
                 body_layout.principal_frame(constants))
 
@@ -300,14 +314,18 @@ def form_of(constants: Floats) -> int:
 
 @internal
 def load_states(progress: NDArray[Any]) -> GridStates:
-    """Return the states; `latest` is the state on the grid until the loop computes another."""
+    """
+    Return the states that are stored in a progress record.
+
+    Until the loop computes another state, the state `latest` is equal to the grid state.
+    """
     grid = state_layout.load(progress[0].grid, 0)
     return GridStates(grid, state_layout.load(progress[0].begin, 0), grid)
 
 
 @internal
 def store_states(reached: GridStates, progress: NDArray[Any]) -> None:
-    """Write the states back."""
+    """Write the states of the motion back to the progress record."""
     state_layout.store(reached.grid, progress[0].grid, 0)
     state_layout.store(reached.begin, progress[0].begin, 0)
     state_layout.store(reached.latest, progress[0].latest, 0)
@@ -315,13 +333,13 @@ def store_states(reached: GridStates, progress: NDArray[Any]) -> None:
 
 @inlined
 def load_place(progress: NDArray[Any]) -> Place:
-    """Return the progress of the loop."""
+    """Return how far the loop has advanced the motion, as stored in the progress record."""
     found = progress[0]
     return Place(found.grid_ns, found.begin_ns, found.row, found.done)
 
 
 @internal
 def store_place(place: Place, progress: NDArray[Any]) -> None:
-    """Write the progress of the loop back to the record."""
+    """Write how far the loop has advanced the motion back to the progress record."""
     progress[0].grid_ns, progress[0].begin_ns = place.grid_ns, place.begin_ns
     progress[0].row, progress[0].done = place.row, place.done

@@ -17,9 +17,9 @@ The terms of Euler's equations that are linear in the angular velocity: rotors a
 
     J dw/dt = (J w + h) x w + tau - D w
 
-The momentum h of the rotors and the damping D contribute A w to the acceleration, where
-A = J^-1 ([h]x - D). The matrix A is computed in twice the working precision, because an error that
-is the same in every step would change the energy in a long run.
+Together, the rotor momentum h and the damping D contribute A w to the acceleration, where
+A = J^-1 ([h]x - D). The matrix A is computed in twice the working precision. Otherwise the
+rounding error of A would be the same in every step, and the energy would drift in a long run.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.vector import add, of, scale, total, two_sum, Vector
 
-#: The entries (i, i + k) of a matrix, modulo 3, for k = 0, 1 and 2. In this order, a product with
-#: a vector takes three multiplications of four numbers each.
+#: The three diagonals of a matrix: the entries (i, i + k mod 3) for k = 0, 1 and 2. Stored this
+#: way, a matrix can be multiplied by a vector with three multiplications of four numbers each.
 Matrix = tuple[Vector, Vector, Vector]
-#: Coefficients of the momentum of the rotors, N m s: a polynomial of degree 4 in the fraction of a
-#: span.
+#: The rotor momentum, N m s, as the coefficients of a polynomial of degree 4. The variable of the
+#: polynomial is the fraction of a time span.
 Momentum = tuple[Vector, Vector, Vector, Vector, Vector]
 #: A vector and its low-order part.
 Pair = tuple[Vector, Vector]
@@ -48,7 +48,7 @@ class Linear(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """The matrices of a body."""
+    """The matrices that belong to a body."""
 
     #: J^-1, 1 / (kg m^2).
     inverse: Linear
@@ -58,21 +58,21 @@ class Constants(NamedTuple):
 
 @inlined
 def from_columns(a: Vector, b: Vector, c: Vector) -> Matrix:
-    """Return the matrix with these columns."""
+    """Return the matrix with the columns a, b and c."""
     return of(a[0], b[1], c[2]), of(b[0], c[1], a[2]), of(c[0], a[1], b[2])
 
 
 @inlined
 def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
     """
-    Return the matrix A for a momentum of the rotors.
+    Return the matrix A for a given rotor momentum.
 
     Parameters
     ----------
     constants : Constants
         The matrices of the body.
     momentum, low : Vector
-        Momentum of the rotors and its low-order part, N m s, body axes.
+        The rotor momentum and its low-order part, N m s, body axes.
 
     Returns
     -------
@@ -96,7 +96,8 @@ def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
 
 @inlined
 def _diagonal(first: Pair, second: Pair, third: Pair, fourth: Pair, last: Pair) -> Pair:
-    # Return p a + q b - d, where p, a, q, b and d are the arguments, and its low-order part.
+    # Return p a + q b - d and its low-order part. The arguments are p, a, q, b and d, each with
+    # its own low-order part.
     (p, low_p), (a, low_a), (q, low_q), (b, low_b), (d, low_d) = first, second, third, fourth, last
     left, right = four.multiply(p, a), four.multiply(q, b)
     rest = add(four.fma(p, a, four.negative(left)), four.fma(q, b, four.negative(right)))
@@ -115,7 +116,7 @@ def rotor_matrix(constants: Constants, momentum: Vector) -> Matrix:
 
 @inlined
 def times_cross(inverse: Matrix, momentum: Vector) -> Matrix:
-    """Return a matrix times [h]x, without low-order parts."""
+    """Return the product of a matrix and [h]x, without low-order parts."""
     p, q, r = inverse
     yzx, zxy, minus = four.yzx(momentum), four.zxy(momentum), four.negative(momentum)
     return (four.fma(q, zxy, four.multiply(r, four.yzx(minus))),
@@ -125,7 +126,11 @@ def times_cross(inverse: Matrix, momentum: Vector) -> Matrix:
 
 @inlined
 def rounded_at(constants: Constants, momentum: Vector) -> Linear:
-    """Return the matrix of `at` without low-order parts, which take most of the time of `at`."""
+    """
+    Return the matrix that `at` returns, but without its low-order part.
+
+    Leaving out the low-order part saves most of the time that `at` takes.
+    """
     x, y, z = rotor_matrix(constants, momentum)
     d, e, f = constants.damping.matrix
     none = four.broadcast(0.0)
@@ -136,11 +141,11 @@ def rounded_at(constants: Constants, momentum: Vector) -> Linear:
 @inlined
 def square_rate(matrix: Matrix) -> float:
     """
-    Return the square, 1/s^2, of the rate of rotation that limits a step as much as this matrix.
+    Return the square, 1/s^2, of the angular rate that would limit a step as much as a matrix.
 
-    The rate is half the Frobenius norm of the matrix. Linear terms limit a step less than products
-    of w do: with linear terms alone, the motion is an entire function, whose series converges
-    everywhere.
+    This rate is half the Frobenius norm of the matrix. Linear terms limit the step size less than
+    the products of w. With linear terms alone, the motion would be an entire function, whose
+    series converges everywhere.
     """
     x, y, z = matrix
     return 0.25 * total(four.fma(x, x, four.fma(y, y, four.multiply(z, z))))
@@ -149,13 +154,13 @@ def square_rate(matrix: Matrix) -> float:
 @inlined
 def is_zero(matrix: Matrix) -> bool:
     """Return whether all entries are zero."""
-    x, y, z = matrix  # squares of small entries would underflow
+    x, y, z = matrix  # do not add up squares, because squares of small entries would underflow
     return total(add(four.absolute(x), add(four.absolute(y), four.absolute(z)))) == 0.0
 
 
 @inlined
 def add_product(rest: Vector, matrix: Matrix, w: Vector, w_yzx: Vector, w_zxy: Vector) -> Vector:
-    """Return `rest` plus a matrix times a vector w, whose three permutations are given."""
+    """Return `rest` plus the matrix times the vector w, given w in its three permutations."""
     x, y, z = matrix
     return add(four.fma(z, w_zxy, rest), four.fma(y, w_yzx, four.multiply(x, w)))
 
@@ -168,14 +173,14 @@ def product(matrix: Matrix, w: Vector) -> Vector:
 
 @inlined
 def multiple(factor: float, matrix: Matrix) -> Matrix:
-    """Return a multiple of a matrix."""
+    """Return a matrix multiplied by a factor."""
     x, y, z = matrix
     return scale(factor, x), scale(factor, y), scale(factor, z)
 
 
 @inlined
 def scaled(linear: Linear, factor: float) -> Linear:
-    """Return a multiple of a matrix with a low-order part."""
+    """Return a matrix and its low-order part, both multiplied by a factor."""
     (x, y, z), (low_x, low_y, low_z) = linear
     one, low_one = _scaled_diagonal(x, low_x, factor)
     two, low_two = _scaled_diagonal(y, low_y, factor)

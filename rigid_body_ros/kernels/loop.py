@@ -13,22 +13,24 @@
 # limitations under the License.
 
 """
-The loop from one torque change to the next.
+The time loop, which advances the motion from one torque change to the next.
 
-This is the contract of `run` with every solver:
+With every solver, `run` guarantees the following:
 
-1. The motion is a function of the start, the torque and the options. No bit of the motion
-   depends on the other requested times, on the number of calls of `run`, or on its budget.
-2. A *segment* runs from one torque change to the next. Consecutive intervals without torque are
-   one segment, a *coast*. The state at the beginning of a segment is kept.
-3. Steps end on a grid that begins with the segment. The grid depends only on the state at the
-   beginning of the segment, the torque and the method. The last grid point reached is kept, so
-   that a later call computes only new steps. A state between grid points takes one more step, and
-   no later state depends on this step.
-4. A coast in closed form is always computed from its beginning.
+1. The motion depends only on the start state, the torque and the options. Not a single bit of a
+   state changes if you request other times as well, split the run into more calls of `run`, or
+   change its budget.
+2. A *segment* lasts from one torque change to the next. Consecutive intervals without torque form
+   a single segment, which is called a *coast*. The loop keeps the state at the beginning of the
+   segment.
+3. Steps end at the points of a grid that starts at the beginning of the segment. The grid depends
+   only on the state at that time, the torque and the method. The loop keeps the last grid point
+   that it has reached, so a later call computes only the new steps. A state between two grid
+   points is computed by one extra step, and no later state depends on this extra step.
+4. If a coast is computed in closed form, every state is computed from the beginning of the coast.
 5. `run` returns when it has filled all outputs, has reached the row at which to stop, has used up
-   its budget, or finds that the body is too fast. Another call continues from the progress that
-   this call has stored.
+   its budget, or finds that the body turns too fast. Before it returns, it stores its progress, so
+   another call can continue from there.
 """
 
 from __future__ import annotations
@@ -76,12 +78,12 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
         constants: Annotated[Floats, f'{body_layout.SIZE}'],
         methods: Annotated[NDArray[Any], '1', METHOD]) -> int:
     """
-    Compute the motion from row to row, and store it at the requested times.
+    Advance the motion from row to row, and store it at the requested times.
 
     Parameters
     ----------
     progress : array of layout.PROGRESS, shape (1,)
-        The progress of the motion, which the kernel updates.
+        How far the motion has been computed. The kernel updates this record.
     times_ns, order, motion, closed
         See `layout.Requested`.
     rows : Rows
@@ -108,17 +110,18 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
     return UNFINISHED if place.row < stop and place.done < len(times_ns) else FINISHED
 
 
-# A pass of the loop goes to the next requested time in the row, or to the end of the row. Each
-# pass is one of these cases; a comment with the name of the case marks its code below:
-#   SKIP         a row of a coast without an output: the next row continues the coast
-#   CLOSED FORM  a coast, computed from its beginning
-#   REACHED      the time is that of the last grid point
-#   SHORT STEPS  consecutive rows, each of which takes one short step
-#   SHORT STEP   one short step to a time within such a row
+# Each pass of the loop advances to the next requested time within the row, or to the end of the
+# row if no requested time is left in it. Each pass falls into one of the following cases, which
+# are marked by their names in the code below.
+#   SKIP         the row belongs to a coast that the next row continues, and contains no output
+#   CLOSED FORM  a coast is computed from its beginning
+#   REACHED      the time is that of the last grid point, so there is nothing to compute
+#   SHORT STEPS  several consecutive rows take one short step each
+#   SHORT STEP   one short step leads to a time within such a row
 #   STEPS        steps on the grid of the segment, by the series or by a solver with fixed steps
-# Then the pass stores the output, if there is one. At the end of a row a segment begins, unless a
-# coast continues. The code reads the arrays from the records once before the loop, not in each
-# pass.
+# The pass then stores the output, if there is one. A new segment begins at the end of a row,
+# unless a coast continues. The arrays are read from the records once, before the loop, rather than
+# in every pass.
 @internal
 def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: Body,
                   method: Method, terms: BodyTerms | None) -> tuple[Place, GridStates]:
@@ -192,7 +195,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
 
 @inlined
 def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
-    # Return whether a coast is computed in closed form.
+    # Return whether to compute a coast in closed form.
     if span_ns == 0:
         return False
     speed = method.closed_form_beyond * 1e9 / span_ns
@@ -202,7 +205,8 @@ def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
 @inlined
 def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vector,
               held: short_step.HeldLoads | None, body: Body, method: Method) -> bool:
-    # Return whether one short step is enough, given that the torque is held in body axes.
+    # Return whether one short step is accurate enough. The torque must be held, and must be given
+    # in body axes.
     seconds = rest_ns / 1e9
     return (rest_ns < method.max_step_ns and not method.fixed_step
             and short_step.is_accurate(grid, seconds, acceleration, method.tolerance, held))
@@ -212,9 +216,9 @@ def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vecto
 def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Requested,
                      rows: Rows, body: Body, method: Method,
                      terms: BodyTerms | None) -> tuple[vector.KernelState, int, int, int]:
-    # Step from row to row under held body torques, at most to the beginning of the row `last`, as
-    # long as one short step is enough and no output lies within a row. Fill the outputs at the
-    # beginnings of rows, but not at the beginning of the last row that is reached. Return state,
+    # Step from row to row under held body torques. Stop at the beginning of the row `last`, or
+    # earlier at a row that needs more than one short step or has an output within it. Outputs at
+    # the beginning of a row are filled, except at the beginning of the row `last`. Return state,
     # grid_ns, row and done. This is a separate function so that the compiler keeps the state in
     # registers.
     grid_ns, row, done = place.grid_ns, place.row, place.done

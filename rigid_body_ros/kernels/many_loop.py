@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop over many runs, which does not return to Python between runs."""
+"""The loop that computes many runs without returning to Python between them."""
 
 from __future__ import annotations
 
@@ -29,40 +29,42 @@ from rigid_body_ros.kernels.groups import Advanced
 from rigid_body_ros.kernels.jit import inlined, internal, njit, optional, WRITTEN
 from rigid_body_ros.kernels.layout import METHOD, PROGRESS, Rows, Terms
 
-#: Number of rows after which runs that could not step together try again.
+#: If several runs cannot step together, the loop advances the runs one by one by this many rows,
+#: and then lets the runs try again to step together.
 _PIECE = 64
 
 
 class Runs(NamedTuple):
-    """All runs. Each array has an element or a row for each run."""
+    """The data of all runs. Every array has one element or one row for each run."""
 
-    #: See `loop.run`. A run that has failed is skipped. A run fails if its body becomes too
-    #: fast.
+    #: The progress of each run; see `loop.run`. The kernel skips runs that have failed. It
+    #: marks a run as failed if its body becomes too fast.
     progress: Annotated[NDArray[Any], 'r', PROGRESS, WRITTEN]
     motions: Annotated[Floats, 'r 7m', WRITTEN]
     constants: Annotated[Floats, f'r {body_layout.SIZE}']
-    #: Factors of the torque. All factors are 1 if the torque is not held.
+    #: The factor by which each run multiplies the torque. All factors are 1 unless the torque is
+    #: held.
     gains: Annotated[Floats, 'r']
 
 
 class RunsWorkspace(NamedTuple):
-    """The arrays that `run_each` needs besides its results."""
+    """Work arrays of `run_each`."""
 
-    #: See `rows`, `going`, `limits_ns` and `work` of `Group`.
+    #: The first four arrays are the attributes `rows`, `going`, `limits_ns` and `work` of `Group`.
     lanes: Annotated[Ints, 'L', WRITTEN]
     going: Annotated[NDArray[np.bool_], 'L', WRITTEN]
     limits_ns: Annotated[Ints, 'L', WRITTEN]
     table: Annotated[Floats, f'{group_of_runs.ROWS} L', WRITTEN]
     #: See `loop.run`.
     closed: Annotated[NDArray[np.bool_], 'n+1', WRITTEN]
-    #: The torques multiplied by the factor of a run.
+    #: The torques, multiplied by the factor of the current run.
     torques: Annotated[Floats, 'n 2d+1 3', WRITTEN]
 
 
 class ManyTerms(NamedTuple):
     """What acts on the bodies of all runs besides the torques of the rows; see `Terms`."""
 
-    #: Run i uses the element i % j.
+    #: The rotor momentum; run i uses element i % j.
     momentum: Annotated[Floats, 'j n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3'] | None
     space: Annotated[Floats, 'n d+1 3'] | None
@@ -75,7 +77,7 @@ class ManyFieldTerms(NamedTuple):
     momentum: Annotated[Floats, 'j n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3']
     space: Annotated[Floats, 'n d+1 3']
-    #: Run i uses the element i % f.
+    #: The fields; run i uses element i % f.
     fields: Annotated[NDArray[Any], 'f', FIELDS]
 
 
@@ -83,7 +85,7 @@ class ManyRows(NamedTuple):
     """What acts on the bodies of all runs; see `Rows`."""
 
     times_ns: Annotated[Ints, 'n']
-    #: Run i uses the element i % k.
+    #: The torques; run i uses element i % k.
     torques: Annotated[Floats, 'k n 2d+1 3']
     in_space: Annotated[NDArray[np.bool_], 'n']
     spans: Annotated[Floats, 'n|0']
@@ -91,7 +93,11 @@ class ManyRows(NamedTuple):
 
 
 def workspace(lanes: int, rows: ManyRows) -> RunsWorkspace:
-    """Return unfilled arrays for the rows of all runs; with one lane there are no groups."""
+    """
+    Return uninitialized work arrays for `run_each`.
+
+    If there is only one lane, `run_each` does not form groups.
+    """
     return RunsWorkspace(
         np.empty(lanes, np.intp), np.empty(lanes, np.bool_), np.empty(lanes, np.int64),
         group_of_runs.workspace(lanes), np.empty(len(rows.times_ns) + 1, np.bool_),
@@ -103,27 +109,26 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
              order: Annotated[Ints, 'm|0'], rows: ManyRows,
              methods: Annotated[NDArray[Any], '1', METHOD], work: RunsWorkspace) -> int:
     """
-    Run the loop for many runs, some of them in lanes.
+    Compute many runs, stepping several of them together in lanes where possible.
 
     Parameters
     ----------
     which : array of int, shape (k,)
-        The runs to compute, as indices into the arrays of `runs`.
+        Which runs to compute, as indices into the arrays of `runs`.
     runs : Runs
         All runs.
     times_ns, order, methods
-        See `loop.run`. All runs have the same times and the same method.
+        See `loop.run`. All runs share the same times and the same method.
     rows : ManyRows
         The rows of all runs.
     work : RunsWorkspace
-        Arrays that the kernel overwrites.
+        Work arrays, which the kernel overwrites.
 
     Returns
     -------
     int
-        The number of runs that are done, counted up to the first run that is not done. If this
-        number is less than the number of runs in `which`, the budget is used up, and another call
-        continues.
+        The number of runs at the beginning of `which` that are done. If this number is less than
+        the length of `which`, the budget is used up; call the kernel again to continue.
 
     """
     progress, motions, constants, gains = runs
@@ -138,7 +143,7 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
         until, going, stop = -1, True, progress[group.rows[0]].stop
         while going:
             together = Advanced(0, 0, progress[group.rows[0]].row)
-            if rows.terms is None and count > 1:  # if there are terms, this is not compiled
+            if rows.terms is None and count > 1:  # not compiled for scenes with terms
                 together = groups.advance(
                     group, count, which[ahead:], times_ns, order,
                     Rows(rows.times_ns, rows.torques[0], rows.in_space, rows.spans),
@@ -146,7 +151,7 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
                 ahead += together.taken
                 if together.steps >= BUDGET:
                     return k
-            # One by one, the runs finish the segment in which they stepped together.
+            # One by one, the runs now finish the segment in which they stepped together.
             until = max(until, together.until) + (_PIECE if together.steps == 0 else 0)
             until, going = min(stop, until), False
             for lane in range(count):
@@ -174,9 +179,9 @@ def run_each(which: Annotated[Ints, 'w'], runs: Runs, times_ns: Annotated[Ints, 
 
 @internal
 def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int) -> tuple[int, int, int]:
-    # Fill the lanes with the next runs that are not done. Return the position of the first of
-    # these runs (the length of `which` if there is none), their count, and the position after the
-    # last.
+    # Fill the lanes with the next runs that are not done. Return the position in `which` of the
+    # first run in the lanes (or the length of `which` if there is none), the number of runs in the
+    # lanes, and the position after the last run that was examined.
     begin, count = len(which), 0
     while k < len(which) and count < len(group.rows):
         i = which[k]
@@ -191,7 +196,8 @@ def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int) -> tupl
 
 @internal
 def _scaled(torques: Floats, first: int, stop: int, gain: float, results: Floats) -> Floats:
-    # Store some rows of torques times a factor in the array of results, and return these rows.
+    # Multiply the torques of the rows from `first` to `stop` by a factor, and return the products
+    # as a view of `results`.
     count = min(stop, len(torques)) - first
     for row in range(count):
         for k in range(torques.shape[1]):
@@ -202,7 +208,7 @@ def _scaled(torques: Floats, first: int, stop: int, gain: float, results: Floats
 
 @inlined
 def _is_left(progress: Any, outputs: int, stop: int) -> bool:
-    # Return whether a run has outputs to fill before it reaches a row.
+    # Return whether a run still has outputs to fill before it reaches the row `stop`.
     return progress.done < outputs and progress.row < stop and progress.stop != layout.FAILED
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decoding of messages, and of message records in files, from bytes to arrays."""
+"""Decode serialized messages into arrays, and find the messages in MCAP records."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ Bytes = NDArray[np.uint8]
 
 
 class RawMessages(NamedTuple):
-    """Messages as bytes."""
+    """Serialized messages, and where to find each of them in the data."""
 
     data: Annotated[Bytes, 's']
-    #: Position and size of each message in the data.
+    #: The position and the size of each message in the data, in bytes.
     starts: Annotated[Ints, 'n']
     sizes: Annotated[Ints, 'n']
 
 
 class Contents(NamedTuple):
-    """The contents of messages."""
+    """The decoded contents of messages."""
 
-    #: The stamps, ns. The caller sets all stamps to zero.
+    #: The stamp of each message, ns. The caller sets all stamps to zero beforehand.
     stamps: Annotated[Ints, 'n', WRITTEN]
-    #: The bits of the doubles.
+    #: The bits of the doubles in each message, stored as integers.
     bits: Annotated[Ints, 'n d', WRITTEN]
-    #: Start and size of each frame_id.
+    #: The position and the size of each frame_id in the data, in bytes.
     texts: Annotated[Ints, 'n 2', WRITTEN]
-    #: Whether the frame_id differs from the frame_id of the previous message. The caller sets all
-    #: elements to False.
+    #: Whether the frame_id of each message differs from that of the previous message. The caller
+    #: sets all elements to False beforehand.
     changes: Annotated[NDArray[np.bool_], 'n', WRITTEN]
-    #: The number of bytes after the doubles of each message.
+    #: The number of bytes that follow the doubles in each message.
     after: Annotated[Ints, 'n', WRITTEN]
 
 
@@ -55,21 +55,22 @@ class Contents(NamedTuple):
 def decode(messages: RawMessages, has_header: bool, is_list: bool, has_child_frame: bool,
            before_doubles: int, contents: Contents) -> int:
     """
-    Decode messages in CDR.
+    Decode messages that are serialized in CDR.
 
     Parameters
     ----------
     messages : RawMessages
         Messages of one type.
     has_header, is_list, has_child_frame, before_doubles : bool, bool, bool, int
-        The attributes of `MessageType`; instead of `before_doubles`, the number of its bytes.
+        The attributes of the `MessageType`, except that `before_doubles` is given as a number of
+        bytes.
     contents : Contents
         The output.
 
     Returns
     -------
     int
-        The number of valid messages before the first invalid one.
+        The number of messages decoded before the first invalid message.
 
     """
     data, starts, sizes = messages
@@ -129,13 +130,15 @@ def find_transforms(messages: RawMessages, is_list: bool, parent: Annotated[Byte
     parent, child : uint8 (size,)
         The frame_id and the child_frame_id, each followed by a zero byte.
     rows, stamps, bits : int64 (m,), (m,), (m, doubles)
-        Outputs: for each transform the index of its message, its stamp, ns, and the bits of its
-        doubles.
+        The output, with one row for each transform. `rows` receives the index of the message that
+        contains the transform, `stamps` receives the stamp of the transform in ns, and `bits`
+        receives the bits of the transform's doubles.
 
     Returns
     -------
     int, int
-        The number of transforms found, and the index of the first invalid message or -1.
+        The number of transforms found, and the index of the first invalid message, or -1 if all
+        messages are valid.
 
     """
     (data, starts, sizes), found = messages, 0
@@ -179,23 +182,24 @@ def find_transforms(messages: RawMessages, is_list: bool, parent: Annotated[Byte
 def scan(data: Annotated[Bytes, 's'], position: int, count: int,
          found: Annotated[Ints, '5 n', WRITTEN]) -> tuple[int, int]:
     """
-    Find the messages in MCAP records, up to the first record that is not a message.
+    Find the messages in MCAP records, stopping at the first record that is not a message.
 
     Parameters
     ----------
     data : array of uint8, shape (size,)
         Consecutive records, as in a decompressed chunk.
     position, count : int
-        Where to start in the data, and the number of messages found before.
+        `position` is where to start in the data, and `count` is the number of messages that have
+        been found already.
     found : int64 (5, n)
-        The output, filled from column `count` on. The rows are the channel of each message, the
-        time at which it was logged and the time at which it was published, ns, and the position
-        and the size of its content in the data.
+        The output, with one column for each message, filled from column `count` onward. The five
+        rows are the channel, the log time (ns), the publish time (ns), the position of the message
+        content in the data, and the size of this content.
 
     Returns
     -------
     position, count : int
-        Where the scan stopped, and the number of messages found so far.
+        The position at which the scan stopped, and the number of messages found up to there.
 
     """
     end = len(data)
@@ -214,8 +218,8 @@ def scan(data: Annotated[Bytes, 's'], position: int, count: int,
 
 @inlined
 def _integer(data: Bytes, start: int, size: int, little: bool) -> Any:
-    # Return a little or big endian integer. An integer of eight bytes is signed; a shorter integer
-    # is unsigned.
+    # Decode a little-endian or big-endian integer. An eight-byte integer is signed, and a shorter
+    # integer is unsigned.
     value = np.int64(0)
     for k in range(size):
         place = size - 1 - k if little else k

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The layout of a motion at m times: 7 m doubles.
+The memory layout of a motion at m times: a block of 7 m doubles.
 
-The block holds m attitudes x y z w, then m angular velocities, rad/s, body axes. The motion is one
-block instead of two, because the system reclaims the memory of two blocks that are freed together.
-The next run would then spend as much time on getting this memory back as on its arithmetic.
+The block contains m attitudes (x y z w), followed by m angular velocities (rad/s, body axes).
+Using one block instead of two saves time: when two blocks are freed together, the operating system
+reclaims their memory, and the next run then spends as much time on getting this memory back as on
+its arithmetic.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ SIZE = _ATTITUDE + _RATES
 
 
 def allocate(count: int) -> Floats:
-    """Return the block of a motion at a number of times, not yet filled."""
+    """Return an uninitialized block for a motion at `count` times."""
     return np.empty(SIZE * count)
 
 
@@ -49,7 +50,7 @@ def angular_velocity(motion: Floats) -> Floats:
 
 @inlined
 def store(state: vector.KernelState, row: int, motion: Floats) -> None:
-    """Write the attitude and the angular velocity of a state to a row of a motion."""
+    """Write the attitude and the angular velocity of a state to one row of a motion."""
     rates, start = state[0], len(motion) // SIZE * _ATTITUDE + _RATES * row
     four.store(motion, _ATTITUDE * row, state[1])
     motion[start], motion[start + 1], motion[start + 2] = rates[0], rates[1], rates[2]
@@ -57,7 +58,7 @@ def store(state: vector.KernelState, row: int, motion: Floats) -> None:
 
 @internal
 def store_packed(packed: Floats, row: int, motion: Floats) -> None:
-    """Write the attitude and the angular velocity of a packed state to a row of a motion."""
+    """Write the attitude and the angular velocity of a packed state to one row of a motion."""
     start = len(motion) // SIZE * _ATTITUDE + _RATES * row
     for k in range(_ATTITUDE):
         motion[_ATTITUDE * row + k] = packed[state_layout.ATTITUDE + k]

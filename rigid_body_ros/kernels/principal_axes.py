@@ -13,18 +13,19 @@
 # limitations under the License.
 
 """
-Principal moments and axes of many tensors, with the same bits as `tensor.principal`.
+Principal moments and axes of many tensors, bit-identical to those of `tensor.principal`.
 
-Jacobi rotations in doubles give moments m_k and axes v_k. The exact axis i has the direction of
-the sum of v_k z_k with z_i = 1. The exact moment i is m_i + d. The z_k and d obey
+We first compute approximate moments m_k and axes v_k by Jacobi rotations in double precision. The
+exact axis i then points along the sum of v_k z_k over k, with z_i = 1, and the exact moment i is
+m_i + d. The unknowns z_k and d obey
 
     sum over k of (r_jk + (m_k - m_i - d) g_jk) z_k = 0  for each j,
     r_jk = v_j . (J v_k - m_k v_k),  g_jk = v_j . v_k.
 
-The residuals are r_jk, g_jk for j != k, and g_kk - 1, all as small as rounding errors. Only the
-residuals are computed beyond double precision; doubles suffice for their products. This is the
-iterative refinement of Ogita and Aishima, "Iterative refinement for symmetric eigenvalue
-decomposition", 2018, continued until it converges.
+The numbers r_jk, g_jk for j != k, and g_kk - 1 are the residuals. They are as small as rounding
+errors. Only the residuals themselves have to be computed beyond double precision. For products of
+residuals, doubles are accurate enough. This is the method of Ogita and Aishima, "Iterative
+refinement for symmetric eigenvalue decomposition", 2018, iterated until it converges.
 """
 
 from __future__ import annotations
@@ -48,13 +49,14 @@ from rigid_body_ros.kernels.triple_double import (
 
 #: Bounds on the relative errors of a product of residuals and of double-double arithmetic.
 _PRODUCT_ERROR, _PAIR_ERROR = 2.0 ** -48, 2.0 ** -100
-#: Bound, in units of ERROR, on the error of `tensor.principal`, which neglects off-diagonal
-#: entries below 1e-54.
+#: Bound on the error of `tensor.principal`, in units of ERROR. The error is not zero, because
+#: `tensor.principal` neglects off-diagonal entries below 1e-54.
 _EXACT_ERROR = 2.0 ** -178 / ERROR
-#: If the ratio of a difference of moments to the sum of the absolute entries of the tensor is
-#: below this value, the iteration may not converge.
+#: The iteration may not converge if two moments are too close together. The difference between two
+#: moments must therefore exceed this fraction of the sum of the absolute values of all tensor
+#: entries.
 _CLOSE = 2.0 ** -30
-#: Bound on the relative error of a rotation in doubles.
+#: Bound on the relative error of a Jacobi rotation in double precision.
 _ROUNDING = 2.0 ** -49
 _SWEEPS, _ITERATIONS = 10, 3
 _AMBIGUOUS = math.inf
@@ -62,9 +64,10 @@ _ZERO = (0.0, 0.0, 0.0)
 
 
 class AxesWorkspace(NamedTuple):
-    """The arrays in which principal moments and axes are computed."""
+    """Work arrays for computing principal moments and axes."""
 
-    #: The tensor in the axes found so far, the axes as columns, and the shares of `_refine`.
+    #: The tensor expressed in the axes found so far, these axes as columns, and the shares that
+    #: `_refine` computes.
     matrix: Annotated[Floats, '3 3', WRITTEN]
     axes: Annotated[Floats, '3 3', WRITTEN]
     shares: Annotated[Floats, '3 3', WRITTEN]
@@ -78,7 +81,7 @@ class AxesWorkspace(NamedTuple):
 
 
 def workspace() -> AxesWorkspace:
-    """Return arrays, not yet filled."""
+    """Return uninitialized work arrays."""
     return AxesWorkspace(*(np.empty(dimensions * (3,)) for dimensions in (2, 2, 2, 3, 3, 1, 1, 1)))
 
 
@@ -87,7 +90,7 @@ def fill_components(high: Annotated[Floats, '3 3'], low: Annotated[Floats, '3 3'
                     vectors: Annotated[Floats, 'n 3'],
                     components: Annotated[Floats, 'n 3 2', WRITTEN]) -> None:
     """
-    Compute the components of vectors along axes.
+    Compute the components of vectors along the given axes.
 
     Parameters
     ----------
@@ -96,7 +99,7 @@ def fill_components(high: Annotated[Floats, '3 3'], low: Annotated[Floats, '3 3'
     vectors : float64 (n, 3)
         The vectors.
     components : float64 (n, 3, 2)
-        The output: high-order and low-order part of each component.
+        The output. Each component has a high-order part and a low-order part.
 
     """
     for row in range(len(vectors)):
@@ -116,16 +119,16 @@ def fill_principal(tensor: Floats, constants: Floats, work: AxesWorkspace) -> bo
     Parameters
     ----------
     tensor : float64 (3, 3), kg m^2
-        The tensor, symmetric.
+        The symmetric tensor.
     constants : float64 (body_layout.SIZE,)
-        The output; the kernel writes the moments and axes.
+        The output. Only the moments and the axes are written.
     work : AxesWorkspace
-        Arrays that the function overwrites.
+        Work arrays, which the function overwrites.
 
     Returns
     -------
     bool
-        Whether it is certain that all bits are those of `tensor.principal`.
+        Whether the output is certain to be bit-identical to the result of `tensor.principal`.
 
     """
     matrix, axes, moments = work.matrix, work.axes, work.moments
@@ -140,8 +143,8 @@ def fill_principal(tensor: Floats, constants: Floats, work: AxesWorkspace) -> bo
         return False
     if _refined(tensor, size, work, constants):
         return True
-    # If moments are close, the axes of Jacobi rotations are inaccurate, but the refined axes are
-    # accurate. So refine once more, from the refined axes.
+    # If two moments are close together, the Jacobi axes are too inaccurate for a single
+    # refinement. The refined axes are accurate, so refine once more, starting from them.
     for i in range(3):
         moments[i] = constants[body_layout.MOMENTS + i]
         for c in range(3):
@@ -151,8 +154,9 @@ def fill_principal(tensor: Floats, constants: Floats, work: AxesWorkspace) -> bo
 
 @internal
 def _diagonalized(tensor: Floats, size: float, matrix: Floats, axes: Floats) -> bool:
-    # Fill a nearly diagonal matrix, and the axes as columns, by Jacobi rotations in doubles.
-    # Return whether these are the rotations of `tensor.principal`, except for rounding errors.
+    # Make the matrix nearly diagonal by Jacobi rotations in double precision, and fill in the axes
+    # as columns. Return whether `tensor.principal` would use the same rotations, apart from
+    # rounding errors.
     for a in range(3):
         for b in range(3):
             matrix[a, b], axes[a, b] = tensor[a, b], 1.0 if a == b else 0.0
@@ -169,9 +173,9 @@ def _diagonalized(tensor: Floats, size: float, matrix: Floats, axes: Floats) -> 
 
 @internal
 def _rotated(matrix: Floats, axes: Floats, p: int, q: int, size: float, error: float) -> float:
-    # Apply a Jacobi rotation, given a bound on the error of the matrix. Return the bound after the
-    # rotation; infinity if the sign of the rotation, and therefore the sign of an axis, depends on
-    # the error.
+    # Apply a Jacobi rotation to a matrix whose error is at most `error`, and return the error
+    # bound after the rotation. Return infinity if the error could change the sign of the rotation,
+    # and therefore the sign of an axis.
     difference = matrix[q, q] - matrix[p, p]
     if abs(difference) < 64.0 * error:
         return _AMBIGUOUS
@@ -198,8 +202,8 @@ def _rotated(matrix: Floats, axes: Floats, p: int, q: int, size: float, error: f
 
 @internal
 def _sort(matrix: Floats, axes: Floats, moments: Floats) -> None:
-    # Fill the moments in ascending order, and sort the axes. If the permutation is odd, reverse
-    # the last axis, so that the axes stay right-handed.
+    # Fill in the moments in ascending order, and sort the axes accordingly. If the permutation is
+    # odd, reverse the last axis so that the axes stay right-handed.
     odd = False
     for i in range(3):
         moments[i] = matrix[i, i]
@@ -216,7 +220,8 @@ def _sort(matrix: Floats, axes: Floats, moments: Floats) -> None:
 
 @internal
 def _refined(tensor: Floats, size: float, work: AxesWorkspace, constants: Floats) -> bool:
-    # Store refined moments and axes, and return whether their bits are certain.
+    # Refine and store the moments and axes. Return whether every bit of the moments and axes is
+    # certain to be correct.
     axes, shares = work.axes, work.shares
     _fill_residuals(tensor, size, work.moments, axes, work.r, work.g)
     certain = True
@@ -237,9 +242,9 @@ def _refined(tensor: Floats, size: float, work: AxesWorkspace, constants: Floats
 @internal
 def _fill_residuals(tensor: Floats, size: float, moments: Floats, axes: Floats, r: Floats,
                     g: Floats) -> None:
-    # Fill the residuals r and g (minus 1 if j = k), each as high-order part, low-order part, and
-    # error bound in units of ERROR. If an axis is a body axis, the axis and its moment are exact
-    # in `tensor.principal`.
+    # Fill in the residuals: r_jk for all j and k, g_jk for j != k, and g_kk - 1. Each residual has
+    # a high-order part, a low-order part and an error bound in units of ERROR. If a principal axis
+    # is a body axis, `tensor.principal` computes this axis and its moment exactly.
     for k in range(3):
         a, a_size = _rest(tensor, moments[k], axes, 0, k)
         b, b_size = _rest(tensor, moments[k], axes, 1, k)
@@ -260,7 +265,8 @@ def _fill_residuals(tensor: Floats, size: float, moments: Floats, axes: Floats, 
 @internal
 def _rest(tensor: Floats, moment: float, axes: Floats, row: int, k: int) \
         -> tuple[TripleDouble, float]:
-    # Return a component of J v - m v, and the sum of the absolute values of its terms.
+    # Return one component of J v - m v, and the sum of the absolute values of the terms of this
+    # component.
     a, b = (row + 1) % 3, (row + 2) % 3
     high, low = dd.two_sum(tensor[row, row], -moment)
     total = add_product(add_product(_ZERO, high, axes[row, k]), low, axes[row, k])
@@ -272,8 +278,8 @@ def _rest(tensor: Floats, moment: float, axes: Floats, row: int, k: int) \
 
 @internal
 def _square_less_one(axes: Floats, k: int) -> tuple[TripleDouble, float]:
-    # Return v . v - 1, and the sum of the absolute values of its terms. One term is x^2 - 1, where
-    # x is the largest component. This term is computed as (x - 1) (x + 1).
+    # Return v . v - 1, and the sum of the absolute values of its terms. The 1 is subtracted from
+    # the square of the largest component x, computing x^2 - 1 as (x - 1) (x + 1).
     total, size, largest = _ZERO, 0.0, 0
     for c in range(1, 3):
         if abs(axes[c, k]) > abs(axes[largest, k]):
@@ -302,9 +308,9 @@ def _product(axes: Floats, j: int, k: int) -> tuple[TripleDouble, float]:
 
 @internal
 def _refine(i: int, work: AxesWorkspace) -> tuple[TripleDouble, float]:
-    # Return moment i and its error bound. Fill the shares of the v_k in the unit vector along axis
-    # i, each as high-order part, low-order part and error bound. Then 1 is subtracted from the
-    # share of v_i.
+    # Return moment i and its error bound. Also fill in the shares, which are the coefficients of
+    # the v_k in the unit vector along axis i, with 1 subtracted from the share of v_i. Each share
+    # has a high-order part, a low-order part and an error bound.
     _, _, shares, r, g, moments, z, sums = work
     for k in range(3):
         z[k] = sums[k] = 0.0
@@ -325,8 +331,8 @@ def _refine(i: int, work: AxesWorkspace) -> tuple[TripleDouble, float]:
 
 @internal
 def _iterate(i: int, moments: Floats, r: Floats, g: Floats, z: Floats, sums: Floats) -> float:
-    # Return d. Fill `z` (0 instead of 1 for z_i), and fill `sums` with the sum of the products of
-    # residuals in each row.
+    # Return the correction d of moment i. Fill in `z`, with 0 instead of 1 for z_i, and fill in
+    # `sums` with the sum of the products of residuals in each row.
     d = 0.0
     for _ in range(_ITERATIONS):
         for k in (i, (i + 1) % 3, (i + 2) % 3):
@@ -341,8 +347,8 @@ def _iterate(i: int, moments: Floats, r: Floats, g: Floats, z: Floats, sums: Flo
 @internal
 def _products(row: int, i: int, d: float, moments: Floats, r: Floats, g: Floats, z: Floats) \
         -> tuple[float, float]:
-    # Return the sum of the products of residuals in a row, and the sum of the absolute values of
-    # these products.
+    # Return the sum of the products of residuals in one row of the equations, and the sum of the
+    # absolute values of these products.
     total = -d * (g[row, i, 0] + z[row])
     size = abs(d) * (abs(g[row, i, 0]) + abs(z[row]))
     for k in range(3):
@@ -354,7 +360,8 @@ def _products(row: int, i: int, d: float, moments: Floats, r: Floats, g: Floats,
 
 @internal
 def _normalize(i: int, g: Floats, z: Floats, shares: Floats) -> None:
-    # Fill the share of v_i, minus 1, and scale the other shares so that the axis has unit length.
+    # Fill in the share of v_i, minus 1, and scale the other shares so that the axis has unit
+    # length.
     squares = size = 0.0
     for k in range(3):
         more = 2.0 * g[i, k, 0] + z[k]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The momentum of the rotors, integrated from the torque in twice the working precision."""
+"""Integrate the torque on the rotors to get their momentum, in twice the working precision."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Momentum of the rotors, N m s, and its low-order part.
+#: The momentum of the rotors, N m s, and its low-order part.
 Rotor = tuple[Vector, Vector]
 
 
 @inlined
 def after(before: Rotor, torque: Polynomial, passed_ns: int, span_ns: int) -> Rotor:
-    """Return the momentum of the rotors some nanoseconds after a change of the torque."""
+    """Return the rotor momentum `passed_ns` nanoseconds after the torque on the rotors changes."""
     (a, b, c, d), fraction = torque, passed_ns / span_ns
     mean = add_scaled(a, fraction, add_scaled(scale(1 / 2, b), fraction, add_scaled(
         scale(1 / 3, c), fraction, scale(1 / 4, d))))
@@ -59,8 +59,8 @@ def after(before: Rotor, torque: Polynomial, passed_ns: int, span_ns: int) -> Ro
 
 @inlined
 def _seconds(span_ns: int) -> DoubleDouble:
-    # `double_double.seconds` has more digits than are needed here, and takes several times as
-    # long.
+    # Convert nanoseconds to seconds. `double_double.seconds` would give more digits than we need
+    # here, and would take several times as long.
     rounded = float(span_ns)
     high = rounded / 1e9
     return high, (fma(-high, 1e9, rounded) + float(span_ns - int(rounded))) / 1e9
@@ -71,14 +71,14 @@ def momentum_at(row_times_ns: Annotated[Ints, 'n'], momentum: Annotated[Floats, 
                 motors: Annotated[Floats, 'n d+1 3'], times_ns: Annotated[Ints, 'm'],
                 result: Annotated[Floats, 'm 2 3', WRITTEN]) -> None:
     """
-    Compute the momentum of the rotors at given times, with its low-order part.
+    Compute the rotor momentum and its low-order part at the given times.
 
     Parameters
     ----------
     row_times_ns, momentum, motors
         See `layout.Rows` and `layout.Terms`.
     times_ns : int64 (m,), ns
-        The times, in any order, none before the first row.
+        The times, in any order. None of them may be before the first row.
     result : float64 (m, 2, 3), N m s
         The output.
 

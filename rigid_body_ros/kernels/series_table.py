@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The table of a Taylor series: its terms, order by order.
+The table that stores the terms of a Taylor series, order by order.
 
-With lanes, see `four`, the table has a lane for each body.
+If several bodies are stepped at once, the table has a lane for each of them; see `four`.
 """
 
 from __future__ import annotations
@@ -26,51 +26,52 @@ from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.vector import of, Quaternion, scale, Vector
 
-#: The terms of one order: u, u as (y, z, x), u as (z, x, y), and the rotation.
+#: The terms of one order: u in its three permutations xyz, yzx and zxy, and the rotation.
 Term = tuple[Vector, Vector, Vector, Quaternion]
 
 MAX_ORDER = 40
-#: Layout of the terms of one order in the table: u in its three permutations, the rotation since
-#: the start of the step, and up to four coefficients of a torque fixed in space, each in its three
-#: permutations.
+#: The offsets of the terms of one order in the table. The terms are u in its three permutations,
+#: the rotation since the start of the step, and up to four coefficients of a torque fixed in
+#: space, each in its three permutations.
 U, _U_YZX, _U_ZXY, _ROTATION, TORQUES = range(0, 20, 4)
-#: Size of a vector in its three permutations.
+#: Number of doubles that a vector takes in its three permutations.
 PERMUTED = 3 * 4
 _TERM = TORQUES + 4 * PERMUTED
-#: Layout with lanes: u and the rotation. With lanes, each number takes a cache line. The terms
-#: follow without gaps, so that no two terms compete for a place in the first-level cache.
+#: With lanes, the table contains only u and the rotation, and each number takes up a whole cache
+#: line. There are no gaps between the terms, so no two terms compete for the same place in the
+#: first-level cache.
 _ROTATION_IN_LANES, _TERM_IN_LANES = 4, 8
-#: Size of the table.
+#: Number of doubles in a table without lanes.
 WORKSPACE = _TERM * (MAX_ORDER + 1)
-#: Number of rows of the table with lanes.
+#: Number of rows in a table with lanes.
 WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
-#: The factors 1 / (k + 1). They are looked up, because a division takes longer.
+#: The factors 1 / (k + 1). Looking them up is faster than dividing.
 RECIPROCALS = 1.0 / np.arange(1.0, MAX_ORDER + 1.0)
 
 
 @inlined
 def without_fourth(table: Floats, u: Vector) -> Vector:
-    """Return a vector; with lanes, its fourth component becomes a constant zero."""
-    # With lanes, the fourth component would take a register. The compiler leaves out the products
-    # of a constant zero.
+    """Return a vector, replacing its fourth component by a constant zero if there are lanes."""
+    # With lanes, the fourth component would occupy a register of its own. If this component is a
+    # constant zero, the compiler drops the component and all its products.
     return of(u[0], u[1], u[2]) if four.has_lanes(table) else u
 
 
 @inlined
 def row_of(table: Floats, k: int) -> int:
-    """Return the index at which the terms of an order begin."""
+    """Return the index at which the terms of order k begin."""
     return k * (_TERM_IN_LANES if four.has_lanes(table) else _TERM)
 
 
 @inlined
 def rotation_of(table: Floats) -> int:
-    """Return the offset of the rotation among the terms of an order."""
+    """Return the offset of the rotation within the terms of one order."""
     return _ROTATION_IN_LANES if four.has_lanes(table) else _ROTATION
 
 
 @inlined
 def store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
-    """Store the terms of an order, and return them."""
+    """Store the terms of order k, and return them."""
     row = row_of(table, k)
     store_permuted(table, row + U, u)
     four.store(table, row + rotation_of(table), rotation)
@@ -81,14 +82,14 @@ def store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
 def store_permuted(table: Floats, row: int, vector: Vector) -> None:
     """Store a vector in its three permutations."""
     four.store(table, row, vector)
-    if not four.has_lanes(table):  # with lanes, a permutation costs nothing
+    if not four.has_lanes(table):  # with lanes, permuting the components costs nothing
         four.store(table, row + 4, four.yzx(vector))
         four.store(table, row + 8, four.zxy(vector))
 
 
 @inlined
 def load_term(table: Floats, row: int) -> Term:
-    """Return the terms that begin at an index; see `row_of`."""
+    """Return the terms of one order, which begin at the index `row`; see `row_of`."""
     u, yzx, zxy = load_permuted(table, row + U)
     return u, yzx, zxy, four.load(table, row + rotation_of(table))
 
@@ -105,9 +106,10 @@ def load_permuted(table: Floats, row: int) -> tuple[Vector, Vector, Vector]:
 @internal
 def turned(vectors: Floats, place: int, size: int, table: Floats, k: int) -> Vector:
     """
-    Return the term of order k + 1, in body axes, of a vector that is fixed in space.
+    Return the next term, of order k + 1, in the series of a vector that is fixed in space.
 
-    The vector obeys dv/dt = v x w. Its terms up to order k begin at `place` and are `size` doubles
+    The series describes the components v of the vector in body axes, which obey dv/dt = v x w. The
+    terms up to order k are read from `vectors`, where they begin at `place` and are `size` doubles
     apart.
     """
     one = other = four.zero(four.load(table, U))

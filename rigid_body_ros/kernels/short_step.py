@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Short step of Euler's equations and the attitude quaternion, of order 3 to 5.
+A short step of Euler's equations and the attitude quaternion, of order 3 to 5.
 
-If torque samples are close together, a step needs few terms of the Taylor series, and the loops of
-`taylor.step` take longer than the terms. Here the terms are written out, without loops. The step
-integrates the rotation vector instead of the quaternion:
+If torque samples are close together, a step needs only a few terms of the Taylor series, and the
+loops in `taylor.step` then take longer than the arithmetic. This module writes the terms out
+without loops. For the attitude, it integrates the rotation vector instead of the quaternion:
 
     d theta / dt = w + theta x w / 2 + theta x (theta x w) / 12 + ...
 
@@ -55,33 +55,35 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Bounds on the local error at order 3, 4 and 5 of a step that turns by one radian. The bounds are
-#: far above the actual error, because errors of w cause errors of the attitude that grow with the
-#: square of the time.
+#: Bounds on the local error of a step that turns by one radian, at order 3, 4 and 5. The bounds
+#: are far above the actual error of a step, because an error in w goes on to cause attitude
+#: errors, which add up and grow with the square of the time.
 _ERROR_3 = 0.5
 _ERROR_4 = 0.2
 _ERROR_5 = 0.1
-#: Powers of these bounds. The powers are written as products, because Python's ** calls the pow of
-#: the C library.
+#: Powers of the error bounds, written as products because Python's ** would call the pow function
+#: of the C library.
 _SQUARE_3, _SQUARE_5 = _ERROR_3 * _ERROR_3, _ERROR_5 * _ERROR_5
 _FOURTH_4 = (_ERROR_4 * _ERROR_4) * (_ERROR_4 * _ERROR_4)
-#: Square of the largest size of a step, rad^4, for which the bounds hold and one step suffices.
+#: The error bounds hold if the squared size of the step is below this value, rad^4. The kernels
+#: never consider a larger step accurate.
 _LARGEST = 1e-4
 
 
 class HeldLoads(NamedTuple):
-    """What acts during a step besides a torque in body axes; all torques are held."""
+    """What acts during a step besides the torque in body axes. All torques are held."""
 
     #: The matrix A of the linear terms, 1/s.
     linear: linear_terms.Linear
-    #: Whether there are rotors or damping.
+    #: Whether there are any rotors or any damping.
     is_linear: bool
-    #: Change of the momentum of the rotors during the step, N m s; None if it is constant.
+    #: How much the rotor momentum changes during the step, N m s. None if the momentum is
+    #: constant.
     rotor_change: Vector | None
-    #: Torque in space axes, N m; None if no step of the scene has such a torque.
+    #: The torque in space axes, N m. None if no step in the scene has such a torque.
     space_torque: Vector | None
-    #: `linear_terms.square_rate` of the matrix, 1/s^2, and the square of a bound on the other
-    #: accelerations, rad^2/s^4.
+    #: `linear_terms.square_rate` of the matrix, 1/s^2, and the square of an upper bound on the
+    #: remaining accelerations, rad^2/s^4.
     square_rate: float
     square_acceleration: float
 
@@ -90,20 +92,22 @@ class HeldLoads(NamedTuple):
 def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
                 tolerance: float, loads: HeldLoads | None) -> bool:
     """
-    Return whether one `step` meets the tolerance under a torque held in body axes.
+    Return whether a single short step meets the tolerance.
+
+    The torque in body axes must be held during the step.
 
     Parameters
     ----------
     state : KernelState
         The state at the start of the step. Only its angular velocity is used.
     seconds : float
-        Length of the step.
+        The length of the step, s.
     torque_acceleration : Vector
-        J^-1 tau, rad/s^2, body axes.
+        The acceleration J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
     loads : HeldLoads or None
-        What acts besides the torque; None in scenes without other terms.
+        What acts besides the torque, or None if the scene has no other terms.
 
     Returns
     -------
@@ -118,8 +122,9 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
 def _size_and_bound(state: KernelState, seconds: float, torque_acceleration: Vector,
                     tolerance: float,
                     loads: HeldLoads | None) -> tuple[float, float]:
-    # Return the squares of the size of a step, rad^4, and of the error bound, rad^2. Square roots
-    # would take a noticeable part of the time of a short step.
+    # Return the squared size of a step, rad^4, and the squared error bound, rad^2. The function
+    # returns squares, because taking square roots would add noticeably to the time of a short
+    # step.
     factor = seconds * seconds
     square = dot(state[0], state[0])
     torque_part = factor * dot(torque_acceleration, torque_acceleration)
@@ -135,22 +140,22 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
          torque_acceleration: Vector, tolerance: float,
          loads: HeldLoads | None) -> KernelState:
     """
-    Return the state after one step, of order 3, 4 or 5 as the tolerance requires.
+    Return the state after one step of order 3, 4 or 5, as the tolerance requires.
 
     Parameters
     ----------
     state : KernelState
         The state at the start of the step.
     seconds : float
-        Length of the step.
+        The length of the step, s.
     coefficients : Coefficients
         The coefficients of Euler's equations.
     torque_acceleration : Vector
-        J^-1 tau, rad/s^2, body axes.
+        The acceleration J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
     loads : HeldLoads or None
-        What acts besides the torque; None in scenes without other terms.
+        What acts besides the torque, or None if the scene has no other terms.
 
     Returns
     -------
@@ -169,8 +174,8 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
 def _step_with(state: KernelState, seconds: float, coefficients: Coefficients,
                torque_acceleration: Vector, sizes: tuple[float, float], loads: HeldLoads,
                rotor_change: Vector | None, space_torque: Vector | None) -> KernelState:
-    # Choose the code once, because a branch in every order takes longer than the terms that the
-    # branch skips.
+    # Decide only once which terms to compute. A branch at every order would take longer than the
+    # terms that it skips.
     if rotor_change is None:  # noqa: SIM102 (the compiler resolves each by type)
         if space_torque is None:
             return _step(state, seconds, coefficients, torque_acceleration, sizes,
@@ -194,18 +199,18 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients,
           space_torque: Vector | None) -> KernelState:
     size, error_bound = sizes
     w = state[0]
-    # w0 = w, w1, w2 ... are the terms of w, rad/s. u0, u1, u2 ... are the same terms in radians
-    # per step. Factors multiply operands that are known early, so that no later term waits for a
-    # factor.
+    # w0 = w, w1, w2 ... are the terms of w in rad/s, and u0, u1, u2 ... are the same terms in
+    # radians per step. Constant factors are multiplied into operands that are known early, so that
+    # no later term has to wait for such a multiplication.
     u0 = scale(seconds, w)
     if linear is not None:
         torque_acceleration = add(torque_acceleration, product(linear.low, w))
     w1 = add_scaled(gyroscopic_acceleration(coefficients, products(u0, w)), seconds,
                     torque_acceleration)
-    t0 = t1 = t2 = four.broadcast(0.0)  # the terms of a space torque in body axes, times the step
+    t0 = t1 = t2 = four.broadcast(0.0)  # terms of the space torque, in body axes, times the step
     if linear is not None:
-        # The products of w0 and the latest term are linear in the latest term, so these products
-        # are added to the matrix.
+        # The products of w0 and the latest term are linear in the latest term, so we can include
+        # them in the matrix.
         jacobian = multiple(seconds, add_jacobian(linear.matrix, coefficients, w))
         w1 = add(w1, product(linear.matrix, u0))
     if space_torque is not None:
@@ -280,14 +285,15 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients,
 
 @inlined
 def _add_linear(rest: Vector, jacobian: linear_terms.Matrix, latest: Vector) -> Vector:
-    # The terms of higher order are too small for the low-order part to matter.
+    # Leave out the low-order part of the matrix, which does not matter in the small terms of
+    # higher order.
     return add_product(rest, jacobian, latest, four.yzx(latest), four.zxy(latest))
 
 
 @inlined
 def _order_5_rotation(u0: Vector, u1: Vector, u2: Vector, u3: Vector, u0_x_u1: Vector,
                       u0_x_u2: Vector) -> Vector:
-    # Return the term of order 5 of the rotation vector, without the contribution of w4.
+    # Return the order-5 term of the rotation vector, without the contribution of w4.
     inner = add_scaled(scale(3 / 40, u3), 1 / 360, u0_x_u2)
     return add(cross(u0, add_scaled(inner, -1 / 720, cross(u0, u0_x_u1))),
                scale(1 / 60, cross(u1, add_scaled(u2, -1 / 4, u0_x_u1))))
@@ -295,7 +301,7 @@ def _order_5_rotation(u0: Vector, u1: Vector, u2: Vector, u3: Vector, u0_x_u1: V
 
 @inlined
 def _delta_q(rotation: Vector) -> Quaternion:
-    # Return the quaternion of a small rotation vector, minus the identity.
+    # Return q - 1, where q is the quaternion of a small rotation given by its rotation vector.
     half = scale(0.5, rotation)
     square = dot(half, half)
     sinc = fma(-square, fma(-square, fma(-square, 1 / 5040, 1 / 120), 1 / 6), 1.0)

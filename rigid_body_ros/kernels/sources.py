@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Hashes of the kernel sources, which are stored in the compiled kernels."""
+"""Compute hashes of the kernel sources, to be compared with the hashes in the compiled kernels."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from pathlib import Path
 from typing import Any
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-#: Fields of a syntax tree that some versions of Python lack, or that do not change a kernel.
+#: Fields of the syntax tree that do not contribute to the hash. Either some versions of Python
+#: lack the field, or the field does not change a kernel.
 _SKIPPED = ('kind', 'type_comment', 'type_params')
 
 
 def files_hash() -> str:
-    """Return a hash of the sources, including comments and docstrings."""
+    """Return a hash of the source files, including comments and docstrings."""
     digest = hashlib.sha256()
     for path in _sources():
         digest.update(path.read_bytes())
@@ -37,10 +38,10 @@ def files_hash() -> str:
 
 def sources_hash() -> str:
     """
-    Return a hash of the sources without comments and docstrings.
+    Return a hash of the source code that ignores comments and docstrings.
 
-    The hash is the same in every version of Python. The computation takes a hundred times as long
-    as `files_hash`.
+    The hash is the same in every version of Python. Computing it takes a hundred times as long as
+    computing `files_hash`.
     """
     digest = hashlib.sha256()
     for path in _sources():
@@ -50,7 +51,7 @@ def sources_hash() -> str:
 
 
 def _words(node: Any) -> Iterator[str]:
-    # Yield the syntax tree below a node as words.
+    # Yield the type names and the values in the syntax tree below a node, one by one.
     if isinstance(node, ast.AST):
         yield type(node).__name__
         for name, value in ast.iter_fields(node):
@@ -66,6 +67,6 @@ def _words(node: Any) -> Iterator[str]:
 
 
 def _sources() -> Iterator[Path]:
-    # Include common/, from which the kernels take constants.
+    # Include common/, because the kernels take constants from it.
     for folder in ('common', 'kernels'):
         yield from sorted((_PACKAGE / folder).glob('*.py'))

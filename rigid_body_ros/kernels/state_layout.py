@@ -13,12 +13,14 @@
 # limitations under the License.
 
 """
-The layout of a state: four vectors of four doubles, and the momenta of wheels.
+The memory layout of a state: four vectors of four doubles, and the wheel momenta.
 
-The first vector is the angular velocity (rad/s, body axes) followed by a zero; the second is the
-attitude x y z w. The third and the fourth vector are the low-order parts of the first two, so that
-a restarted run continues bit for bit. The vectors are followed by the axial momenta of wheels with
-friction (N m s) and the low-order parts of these momenta, or by zeros if there are no such wheels.
+The first vector is the angular velocity (rad/s, body axes) followed by a zero, and the second is
+the attitude x y z w. The third and fourth vectors are the low-order parts of the first two.
+Because the state includes these low-order parts, a run that is stopped and resumed gives the same
+bits as an uninterrupted run. After the vectors come the axial momenta of the wheels with friction
+(N m s) and then the low-order parts of these momenta. If there are no such wheels, zeros take
+their place.
 """
 
 from __future__ import annotations
@@ -29,10 +31,10 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import four, vector
 from rigid_body_ros.kernels.jit import internal
 
-#: Offsets of the four vectors.
+#: The offsets of the four vectors.
 RATES, ATTITUDE, _LOST_RATES, _LOST_ATTITUDE = range(0, 16, 4)
 SIZE = 16
-#: Largest number of wheels if one of them has friction.
+#: The largest number of wheels in a scene in which any wheel has friction.
 MOST_WHEELS = 8
 MOMENTA, LOST_MOMENTA = SIZE, SIZE + MOST_WHEELS
 WITH_WHEELS = LOST_MOMENTA + MOST_WHEELS
@@ -41,16 +43,16 @@ WITH_WHEELS = LOST_MOMENTA + MOST_WHEELS
 def pack(rates: ArrayLike, attitude: ArrayLike,
          lost_rates: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
     """
-    Return a state without momenta of wheels as an array, shape (WITH_WHEELS,).
+    Return a state as an array of shape (WITH_WHEELS,), with zeros for the wheel momenta.
 
     Parameters
     ----------
     rates : array, shape (3,), rad/s, body axes
-        Angular velocity.
+        The angular velocity.
     attitude : array, shape (4,)
-        x y z w.
+        The attitude, x y z w.
     lost_rates : array, shape (3,), rad/s, body axes
-        Low-order part of the angular velocity.
+        The low-order part of the angular velocity.
 
     """
     packed = np.zeros(WITH_WHEELS)
@@ -71,20 +73,24 @@ def attitude(packed: Floats) -> Floats:
 
 
 def momenta(packed: Floats) -> Floats:
-    """Return a view of the axial momenta and their low-order parts, N m s, (2, MOST_WHEELS)."""
+    """
+    Return a view of the axial wheel momenta and their low-order parts, N m s.
+
+    The shape is (2, MOST_WHEELS).
+    """
     return packed[MOMENTA:].reshape(2, MOST_WHEELS)
 
 
 @internal
 def load(packed: Floats, start: int) -> vector.KernelState:
-    """Return the state that begins at an index of an array."""
+    """Return the state that begins at the index `start` of an array."""
     return (four.load(packed, start + RATES), four.load(packed, start + ATTITUDE),
             four.load(packed, start + _LOST_RATES), four.load(packed, start + _LOST_ATTITUDE))
 
 
 @internal
 def store(state: vector.KernelState, packed: Floats, start: int) -> None:
-    """Write a state to an array, from an index on."""
+    """Write a state to an array, beginning at the index `start`."""
     four.store(packed, start + RATES, state[0])
     four.store(packed, start + ATTITUDE, state[1])
     four.store(packed, start + _LOST_RATES, state[2])

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Classical one-step methods with fixed steps, for comparison of speed and accuracy.
+Classical one-step methods with fixed steps, for comparing speed and accuracy.
 
-The drive is a polynomial in the fraction of the step, as for `taylor.step`. No method compensates
-for rounding errors, so each method has the rounding error of its usual implementation.
+The drive is a polynomial in the fraction of the step, as in `taylor.step`. None of the methods
+compensates for rounding errors, so each one has the same rounding errors as a textbook
+implementation.
 """
 
 from __future__ import annotations
@@ -50,12 +51,12 @@ from rigid_body_ros.kernels.vector import (
 )
 
 _HALF = Fraction(1, 2)
-#: Kutta's method of order 4 (1901).
+#: Kutta's fourth-order method (1901), commonly known as RK4.
 CLASSICAL = Tableau(
     order=4, nodes=(0, _HALF, _HALF, 1), matrix=((), (_HALF,), (0, _HALF), (0, 0, 1)),
     weights=(Fraction(1, 6), Fraction(1, 3), Fraction(1, 3), Fraction(1, 6)))
-#: Coefficients for `rk4`, whose stages use only the previous stage, and whose weights are
-#: symmetric.
+#: The coefficients of `CLASSICAL` in the form that `rk4` uses. In this method, each stage depends
+#: only on the stage before it, and the weights are symmetric.
 _C1, _C2, _C3, _C4 = map(float, CLASSICAL.nodes)
 _A21, _A32, _A43 = (float(row[-1]) for row in CLASSICAL.matrix[1:])
 _OUTER_DIVISOR = float(1 / CLASSICAL.weights[0])
@@ -63,21 +64,26 @@ _INNER_RATIO = float(CLASSICAL.weights[1] / CLASSICAL.weights[0])
 
 
 class StageLoads(NamedTuple):
-    """What acts during a step besides the drive; polynomials are in the fraction of the step."""
+    """
+    What acts during a step besides the drive.
 
-    #: Momentum of the rotors, N m s, body axes.
+    The variable of all polynomials is the fraction of the step.
+    """
+
+    #: The rotor momentum, N m s, body axes.
     momentum: Momentum
-    #: The matrix J^-1 D, 1/s.
+    #: The damping matrix J^-1 D, 1/s.
     damping: Matrix
-    #: Torque in space axes, N m.
+    #: The torque in space axes, N m.
     space_torque: Polynomial
-    #: The fields (see `fields.FIELDS`; None without fields), the angle of the orbit at the
-    #: beginning of the step (see `fields.angle_at`), and the length of the step, s.
+    #: The fields, or None if the scene has none (see `fields.FIELDS`). The next two attributes are
+    #: the orbit angle at the beginning of the step (see `fields.angle_at`) and the length of the
+    #: step, s.
     fields: NDArray[Any] | None
     field_angle: DoubleDouble
     seconds: float
-    #: The torques that lag (None without lags), and the time from the beginning of the row to the
-    #: beginning of the step, s.
+    #: The torques that lag their commands, or None if the scene has none. The next attribute is
+    #: the time from the beginning of the row to the beginning of the step, s.
     lags: lags.RowLags | None
     since: float
 
@@ -85,7 +91,7 @@ class StageLoads(NamedTuple):
 @internal
 def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
                    in_space: bool, loads: StageLoads | None) -> KernelState:
-    """Return the state after a step of Euler's method, order 1, with a normalised quaternion."""
+    """Return the state after one step of Euler's method (order 1), normalizing the quaternion."""
     w, q = state[0], state[1]
     a, v = _derivative(w, q, 0.0, equations, drive, in_space, loads)
     return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
@@ -94,7 +100,7 @@ def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, 
 @internal
 def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
         in_space: bool, loads: StageLoads | None) -> KernelState:
-    """Return the state after a step of `CLASSICAL`, order 4, with a normalised quaternion."""
+    """Return the state after one step of `CLASSICAL` (order 4), normalizing the quaternion."""
     w, q = state[0], state[1]
     a1, v1 = _derivative(w, q, _C1, equations, drive, in_space, loads)
     h = _A21 * seconds
@@ -116,12 +122,13 @@ def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Poly
 def strang(state: KernelState, seconds: float, equations: Coefficients, frame: PrincipalFrame,
            drive: Polynomial, in_space: bool, loads: StageLoads | None) -> KernelState:
     """
-    Return the state after a symmetric splitting into rotations about principal axes, order 2.
+    Return the state after one step of a splitting method (order 2).
 
-    Each rotation is exact. So without torque, the angular momentum in space is conserved within
-    rounding, and the energy error stays bounded (McLachlan 1993; Reich 1994; Touma and Wisdom
-    1994). A torque acts as two kicks of half a step each, before and after the rotations (Strang).
-    Rotors and damping are ignored.
+    The method splits the step symmetrically into rotations about the principal axes, and computes
+    each rotation exactly. Without torque, it therefore conserves the angular momentum in space to
+    within rounding errors, and the energy error stays bounded (McLachlan 1993; Reich 1994; Touma
+    and Wisdom 1994). The torque is applied as two kicks of half a step each, one before the
+    rotations and one after them (Strang). Rotors and damping are ignored.
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
@@ -213,7 +220,8 @@ def _state(w: Vector, q: Quaternion) -> KernelState:
 
 @internal
 def _rotate_about_1(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
-    # The flow of the kinetic energy m1^2 / (2 I1) is a rotation of the body about axis 1.
+    # If the kinetic energy is just m1^2 / (2 I1), the motion is a rotation of the body about
+    # axis 1.
     sine, cosine, s, c = _sines_cosines(step * m[0])
     return (of(m[0], c * m[1] + s * m[2], c * m[2] - s * m[1]),
             multiply(rotation, four.of(sine, 0.0, 0.0, cosine)))

@@ -15,21 +15,22 @@
 """
 Steps on the grid of one segment.
 
-A step may assume:
+A step can rely on the following:
 
-1. The torque is one polynomial of the given degree over the whole step, and the bound on the
-   acceleration holds over the whole interval, because a step never crosses a torque change.
-2. The step is positive and, for the series, at most about `taylor.step_seconds` long.
-3. The angular velocity is at most FASTEST. The loop checks this after each step on the grid.
+1. A step never crosses a torque change. So the torque is a single polynomial of the given degree
+   throughout the step, and the bound on the acceleration holds throughout the interval.
+2. The length of the step is positive. For the series, it is at most about `taylor.step_seconds`.
+3. The angular velocity is at most FASTEST. The loop checks this after every step on the grid.
 
-After a step:
+In return, a step guarantees the following:
 
-1. Every bit of the state at the end depends only on the state at the beginning, the torque, the
-   length of the step and the method.
-2. The attitude has unit norm and is on the continuous path from the start, without a change of
-   sign.
-3. The low-order parts of angular velocity and attitude are computed or set to zero.
-4. The state at the beginning is unchanged, because a step to an output is discarded afterwards.
+1. Every bit of the final state depends only on the initial state, the torque, the length of the
+   step and the method.
+2. The attitude has unit norm. The quaternion follows the motion continuously, so its sign never
+   flips.
+3. The low-order parts of the angular velocity and the attitude are either computed or set to zero.
+4. The initial state is left unchanged. After a step to an output, the loop discards the final
+   state and continues from the initial state.
 """
 
 from __future__ import annotations
@@ -64,34 +65,35 @@ _RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULE
 class Reached(NamedTuple):
     """The result of `advance`."""
 
-    #: The last state on the grid, and its time.
+    #: The last state on the grid, and its time, ns.
     grid: vector.KernelState
     grid_ns: int
-    #: The state at the requested time, if this time was reached.
+    #: The state at the requested time, if that time was reached.
     latest: vector.KernelState
-    #: Whether the requested time was reached before the budget was used up or the body became too
-    #: fast.
+    #: Whether the requested time was reached. If not, the budget was used up or the body became
+    #: too fast.
     arrived: bool
-    #: The budget that is left.
+    #: How many units of work are left of the budget.
     budget: int
 
 
 class LocalLoads(NamedTuple):
-    """The linear terms, and the limits on a step, from a grid point on."""
+    """The linear terms and the step limits that apply during steps from a given grid point."""
 
-    #: The momentum of the rotors, N m s, as a polynomial in the fraction of the interval.
+    #: The rotor momentum, N m s, as a polynomial in the fraction of the interval.
     momentum: linear_terms.Momentum
     linear: linear_terms.Linear
-    #: The sum of `linear_terms.square_rate` of the matrix, the square of the rate of the fields,
-    #: `lags.square_rate` and `friction.square_rate`, 1/s^2.
+    #: The sum of four squared rates, 1/s^2: `linear_terms.square_rate` of the matrix, the square
+    #: of the rate of the fields, `lags.square_rate` and `friction.square_rate`.
     square_rate: float
-    #: Bound on the change of the rate by rotors, fields and friction, 1/s^2.
+    #: Upper bound on how fast the rotors, the fields and friction can change the rates that limit
+    #: a step, 1/s^2.
     growth: float
-    #: See `field_series.prepared`.
+    #: The workspace of the fields; see `field_series.prepared`.
     field_work: Floats | None
-    #: Workspace of the lags; None without lags.
+    #: The workspace of the lags, or None if there are no lags.
     lag_work: Floats | None
-    #: Workspace of the wheels with friction; None without such wheels.
+    #: The workspace of the wheels with friction, or None if there are no such wheels.
     friction_work: Floats | None
 
 
@@ -99,20 +101,20 @@ class LocalLoads(NamedTuple):
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
             method: Method, table: Floats, budget: int, loads: Loads | None) -> Reached:
     """
-    Step to the last grid point before a time, and from this point to the time.
+    Step along the grid to the last grid point before `time_ns`, and then to `time_ns` itself.
 
     Parameters
     ----------
     grid, grid_ns : KernelState, int
-        The last grid point reached, and its time.
+        The state at the last grid point reached so far, and its time, ns.
     time_ns : int
-        The time, within the segment.
+        The time to reach, ns, which must be within the segment.
     drive, body, method : Drive, Body, Method
-        The drive of the interval, the body and the method of a step.
+        The drive during the interval, the body, and the solver with its step limits.
     table : float64 (series_table.WORKSPACE,)
         Workspace.
     budget : int
-        Units of work after which to return; a step costs `layout.STEP_COST`.
+        Number of units of work after which to return. Each step costs `layout.STEP_COST`.
     loads : Loads or None
         What acts besides the drive.
 
@@ -121,7 +123,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     Reached
 
     """
-    # Make these arrays here: an array is valid only within the function that makes it.
+    # The workspaces must be created in this function, because an array from `scratch` is valid
+    # only within the function that creates it.
     work = scratch(WORKSPACE)
     works = work, scratch(LAG_WORKSPACE), scratch(FRICTION_WORKSPACE)
     latest, now = grid, _local(loads, drive, grid, grid_ns, body, works)
@@ -154,19 +157,19 @@ def _friction_of(loads: Loads) -> friction.RowFriction | None:
 
 @inlined
 def is_too_fast(state: vector.KernelState) -> bool:
-    """Return whether the speed is above FASTEST or not a number."""
+    """Return whether the angular speed is above FASTEST or not a number."""
     return not vector.dot(state[0], state[0]) <= FASTEST * FASTEST
 
 
 @inlined
 def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method,
                 now: LocalLoads | None) -> int:
-    # Return the length of the next step on the grid. The length depends on the time left only if a
-    # step would be longer than the time left.
+    # Return the length of the next step on the grid, ns. This length does not depend on the
+    # remaining time `rest_ns`, unless a single step covers the remaining time.
     if method.fixed_step:
         return method.max_step_ns
     square = vector.dot(state[0], state[0])
-    if now is not None:  # add the rates of a rotation that changes the motion as fast as the terms
+    if now is not None:  # treat the loads as a rotation that would limit the step as much
         square, bound = square + now.square_rate, bound + now.growth
     if is_one_step(rest_ns, square, bound, method):
         return rest_ns
@@ -175,21 +178,27 @@ def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: M
 
 @inlined
 def is_one_step(rest_ns: int, square: float, bound: float, method: Method) -> bool:
-    """Return whether one step, in which a body turns by up to 0.1 rad, covers the time left."""
+    """
+    Return whether a single step covers the remaining time `rest_ns`.
+
+    A single step is enough if it is short enough for the method, and if the body turns by less
+    than 0.1 rad during the step.
+    """
     rest = rest_ns / 1e9
     return rest_ns <= method.max_step_ns and rest * rest * (square + bound) < 0.01
 
 
 @inlined
 def full_step_ns(seconds: float, method: Method) -> int:
-    """Return the length of a step on the grid, ns."""
+    """Convert a step length from seconds to ns, limiting it to between 1 ns and `max_step_ns`."""
     return max(1, int(min(seconds * 1e9, float(method.max_step_ns))))
 
 
 @optional
 def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, body: Body,
            works: tuple[Floats, Floats, Floats]) -> LocalLoads:
-    # Return the linear terms from a grid point on.
+    # Return the linear terms of Euler's equations and the step limits that apply from a grid point
+    # onward.
     orbit, lag_rate = fields.rate_bound(loads.fields), lags.square_rate(loads.lags)
     lagged = lag_series.workspace(loads.lags, works[1])
     by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
@@ -220,7 +229,7 @@ def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, b
 @inlined
 def _rotors_from(momentum: linear_terms.Momentum,
                  offset: float) -> tuple[vector.Vector, linear_terms.Momentum]:
-    # Return p(offset) - p(0) and p(offset + s) for a polynomial p(s).
+    # Return p(offset) - p(0), and the polynomial p(offset + s) in s, for the polynomial p(s).
     a, b, c, d, e = momentum
     change = vector.scale(offset, vector.add_scaled(b, offset, vector.add_scaled(
         c, offset, vector.add_scaled(d, offset, e))))
@@ -235,7 +244,7 @@ def _rotors_from(momentum: linear_terms.Momentum,
 @optional
 def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
                  seconds: float) -> steppers.StageLoads:
-    # Return what acts besides the drive, with polynomials in the fraction of a step.
+    # Return what acts besides the drive, expressing all polynomials in the fraction of the step.
     offset, ratio = (grid_ns - drive.origin_ns) / 1e9 / drive.span, seconds / drive.span
     space = loads.space_torque
     if loads.space_degree > 0:
@@ -246,13 +255,13 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
         (a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d),
          vector.scale(square * square, e)), loads.constants.damping.matrix, space, loads.fields,
         fields.angle_at(loads.fields, grid_ns), seconds, loads.lags,
-        max(grid_ns - drive.origin_ns, 0) / 1e9)  # a coast begins before its last row
+        max(grid_ns - drive.origin_ns, 0) / 1e9)  # a coast may begin before this row
 
 
 @optional
 def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
             seconds: float) -> taylor.SeriesLoads:
-    # Return what acts besides the drive during a step of the series.
+    # Return what acts besides the drive, in the form that a step of the series needs.
     none = vector.of(0.0, 0.0, 0.0)
     one = two = three = four = none, none, none
     if loads.linear_degree > 0:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The sum of several torques, and the momentum of the rotors."""
+"""Sum the torques of several sources, and compute the rotor momentum."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from rigid_body_ros.kernels.vector import add, of, Polynomial, shifted, Vector
 
 
 class _Total(NamedTuple):
-    """The sums of torques, N m, as polynomials in the fraction of an interval."""
+    """The summed torques, N m, as polynomials in the fraction of an interval."""
 
     body: Polynomial
-    #: Low-order parts of the coefficients.
+    #: Low-order parts of the coefficients of `body`.
     low: Polynomial
     space: Polynomial
     rotors: Polynomial
@@ -44,17 +44,17 @@ def sum_rows(body: Annotated[Floats, 'n|1 3'], space: Annotated[Floats, 'n|1 3']
              on_rotors: Annotated[Floats, 'n|1 3'], momentum: Annotated[Floats, '2 3'],
              sums: Sums) -> None:
     """
-    Sum held torques that change at the same times.
+    Combine held torques that all change at the same times.
 
     Parameters
     ----------
     body, space, on_rotors : float64 (n, 3), N m
-        Sums of torques in body axes, in space axes and on the rotors. A sum that is the same at
-        all times may have the shape (1, 3).
+        The total torque in body axes, in space axes and on the rotors. A total that never changes
+        may have the shape (1, 3).
     momentum : float64 (2, 3), N m s
-        Momentum of the rotors at the start, and its low-order part.
+        The rotor momentum at the start, and its low-order part.
     sums : Sums
-        The output. The caller sets `times_ns`, the times at which the torques change.
+        The output. The caller sets `times_ns` to the times at which the torques change.
 
     """
     times_ns, rotors = sums.times_ns, _loaded(momentum)
@@ -85,29 +85,29 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
              start_ns: int, marks_ns: Annotated[Ints, 'm'],
              momentum: Annotated[Floats, '2 3'], sums: Sums) -> int:
     """
-    Sum the torques of several sources, the last of which is the torque on the rotors.
+    Sum the torques of several sources. The last source is the torque on the rotors.
 
     Parameters
     ----------
     samples : Samples
         The torques.
     in_force : int (sources,)
-        For each source, the index of its first sample minus 1. The kernel overwrites the array.
+        For each source, the index of the first sample minus 1. The kernel overwrites the array.
     timeout_ns : int
         See `TorqueLog.segments`.
     start_ns : int
-        Start of the motion.
+        The time at which the motion starts.
     marks_ns : int64 (m,), ns
-        Further times at which a row begins, ascending.
+        Additional times at which rows begin, in ascending order.
     momentum : float64 (2, 3), N m s
         See `sum_rows`.
     sums : Sums
-        The output, with enough rows for all changes.
+        The output, which must have enough rows for all torque changes.
 
     Returns
     -------
     int
-        The number of rows that are filled.
+        The number of rows filled.
 
     """
     coefficients, stamps_ns, in_space, offsets = samples
@@ -124,7 +124,7 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
             next_ns = min(next_ns, _next_change(stamps_ns, in_force[k], offsets[k],
                                                 offsets[k + 1], time_ns, timeout_ns))
         length_ns = next_ns - time_ns if next_ns < NEVER_NS else NEVER_NS
-        if degree == 0:  # a separate case: copying zero coefficients would take half of the time
+        if degree == 0:  # handled separately: copying zero coefficients would take half the time
             body = space = on_rotors = four.broadcast(-0.0)
             for k in range(count):
                 row = in_force[k]
@@ -155,7 +155,7 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
 
 @inlined
 def _nothing() -> Polynomial:
-    # Adding a torque to -0 does not change any bit of the torque.
+    # Start from -0, because adding a torque to -0 leaves every bit of the torque unchanged.
     nothing = four.broadcast(-0.0)
     return nothing, nothing, nothing, nothing
 
@@ -175,7 +175,8 @@ def _zero() -> Polynomial:
 @inlined
 def _next_change(stamps_ns: NDArray[np.int64], sample: int, first: int, stop: int, time_ns: int,
                  timeout_ns: int) -> int:
-    # Return when the torque of a source changes next: at its next stamp, or when it times out.
+    # Return the time at which a source's torque next changes: the source's next stamp or the time
+    # at which the torque times out, whichever comes first.
     next_ns = stamps_ns[sample + 1] if sample + 1 < stop else NEVER_NS
     if timeout_ns > 0 and sample >= first and stamps_ns[sample] + timeout_ns > time_ns:
         return min(next_ns, stamps_ns[sample] + timeout_ns)
@@ -185,9 +186,9 @@ def _next_change(stamps_ns: NDArray[np.int64], sample: int, first: int, stop: in
 @inlined
 def _piece(coefficients: Floats, row: int, passed_ns: int, span_ns: int,
            length_ns: int) -> tuple[Polynomial, Polynomial]:
-    # Return the polynomial of a sample on the interval that begins `passed_ns` after the stamp of
-    # the sample and lasts `length_ns`. If this interval is not the whole span of the sample, the
-    # low-order parts are zero.
+    # Return the polynomial of a sample on the interval that begins `passed_ns` after the sample's
+    # stamp and lasts `length_ns`. The low-order parts are zero unless this interval covers the
+    # whole span of the sample.
     torque = intervals.torque_of(coefficients, row)
     if coefficients.shape[1] == 1 or (passed_ns == 0 and length_ns == span_ns):
         return torque, intervals.low_order_parts(coefficients, row)
@@ -219,8 +220,8 @@ def _minus(p: Polynomial, q: Polynomial) -> Polynomial:
 
 @inlined
 def _store(total: _Total, rotors: Rotor, row: int, sums: Sums) -> bool:
-    # Store the sum in a row. If only a torque in space axes acts, store it in `sums.torques`
-    # instead of `sums.space`, and return True.
+    # Store the total in a row. If the only torque is in space axes, store it in `sums.torques`
+    # rather than in `sums.space`, and return True.
     (body, low, space, on_rotors), degree = total, sums.torques.shape[1] // 2
     only_space = intervals.is_zero(body) and not intervals.is_zero(space)
     if only_space:

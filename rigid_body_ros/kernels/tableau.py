@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Butcher tableaux of explicit Runge-Kutta methods, checked when they are built."""
+"""Explicit Runge-Kutta methods as Butcher tableaux that are checked on construction."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ class Tableau:
     nodes : sequence of n numbers
         The nodes c: the time of each stage, as a fraction of the step.
     matrix : sequence of n rows
-        The matrix A: row i contains the i coefficients of the stages before stage i.
+        The matrix A. Row i contains the i coefficients of the stages before stage i.
     weights : sequence of n numbers
-        The weights b of the stages in the step.
+        The weights b with which the stages contribute to the step.
 
     Raises
     ------
     ValueError
         The shapes do not match, a row of A does not add up to its node, or the coefficients
-        violate a condition for the order (Hairer, Norsett and Wanner, "Solving Ordinary
+        violate one of the order conditions (Hairer, Norsett and Wanner, "Solving Ordinary
         Differential Equations I", section II.2).
 
     """
@@ -69,8 +69,8 @@ class Tableau:
                                  f'found {found}')
 
     def _conditions(self) -> list[tuple[int, str, Fraction | int, Fraction]]:
-        # Return the order, name, value and expected value of each order condition. There is one
-        # condition for each rooted tree with up to four vertices.
+        # Return the order, the name, the value and the expected value of each order condition.
+        # There is one condition for each rooted tree with up to four vertices.
         c = self.nodes
         squares = [node * node for node in c]
         inner = self._matrix_times(c)

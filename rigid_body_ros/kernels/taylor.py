@@ -13,24 +13,25 @@
 # limitations under the License.
 
 """
-Taylor-series step of Euler's equations and the attitude quaternion.
+A Taylor-series step of Euler's equations and the attitude quaternion.
 
-With body rates w, attitude q (x, y, z, w; body to space), inertia J and body torque tau,
+With body rates w, attitude q (x, y, z, w; body to space), inertia J and body torque tau, the
+equations of motion are
 
     J dw/dt = (J w) x w + tau,     dq/dt = q (w, 0) / 2.
 
 Rotors and damping add a term that is linear in w; see `linear_terms`.
 
-The coefficients of the solution in powers of time follow from Cauchy products (Jorba and Zou,
-"A software package for the numerical integration of ODEs by means of high-order Taylor
-methods", 2005). A torque fixed in space has the body components v = R(q)^T tau, and its series
-follows from dv/dt = v x w. There is no singular case: spheres, symmetric tops and the separatrix
-are like any other motion.
+The solution is expanded in powers of time. Its coefficients are computed by Cauchy products (Jorba
+and Zou, "A software package for the numerical integration of ODEs by means of high-order Taylor
+methods", 2005). A torque that is fixed in space has the body components v = R(q)^T tau, whose
+series follows from dv/dt = v x w. There are no singular cases, so spheres, symmetric tops and
+motion on the separatrix need no special treatment.
 
-The unit of time is the step h: u = w h is the angular velocity in radians per step. For the
-attitude, the series describes the rotation since the start of the step. Its first term is the
-identity, 1, for any q. Only the terms after the first are summed. The sum is added to the state by
-compensated summation.
+Time is measured in units of the step h, so u = w h is the angular velocity in radians per step.
+For the attitude, we expand the rotation since the start of the step. The first term of this series
+is always the identity, 1, whatever q is. We sum only the terms after the first, and add the result
+to the state by compensated summation.
 """
 
 from __future__ import annotations
@@ -84,54 +85,55 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Cauchy sums: the products (y z, z x, x y) and the squares of the components of u, and the
-#: rotation times each component.
+#: The Cauchy sums of one order: the products (y z, z x, x y) of the components of u, the squares
+#: of these components, and the rotation times each component.
 _Sums = tuple[Vector, Vector, Quaternion, Quaternion, Quaternion]
 
 
 class SeriesDrive(NamedTuple):
-    """The acceleration or the torque in Euler's equations during a step."""
+    """What drives the body during a step: a torque, or the acceleration that it causes."""
 
-    #: Polynomial in the fraction of the step, 0 to 1. For a torque in body axes, the polynomial is
-    #: J^-1 tau, rad/s^2; for a torque in space axes, it is the torque, N m.
+    #: A polynomial in the fraction of the step, from 0 to 1. For a torque in body axes, it is the
+    #: acceleration J^-1 tau, rad/s^2. For a torque in space axes, it is the torque itself, N m.
     polynomial: Polynomial
-    #: The degree of the polynomial; coefficients of higher degree are zero.
+    #: The degree of the polynomial. The coefficients of higher degrees are zero.
     degree: int
     in_space: bool
-    #: Bound on |J^-1 tau|, rad/s^2.
+    #: Upper bound on |J^-1 tau|, rad/s^2.
     bound: float
 
 
 class SeriesLoads(NamedTuple):
     """What acts during a step besides the drive."""
 
-    #: The matrix A of the linear terms times the step, as a polynomial in the fraction of the
-    #: step: the coefficient of order 0, the other coefficients, and the degree, which is negative
-    #: without linear terms.
+    #: The matrix A of the linear terms, multiplied by the step length, as a polynomial in the
+    #: fraction of the step. `linear` is the coefficient of order 0, and `changes` contains the
+    #: other coefficients. The degree is negative if there are no linear terms.
     linear: linear_terms.Linear
     changes: tuple[Matrix, Matrix, Matrix, Matrix]
     linear_degree: int
-    #: Torque in space axes, N m, as a polynomial in the fraction of the step, and the degree of
-    #: this polynomial, which is negative without such a torque.
+    #: The torque in space axes, N m, as a polynomial in the fraction of the step. The degree is
+    #: negative if there is no such torque.
     space_torque: Polynomial
     space_degree: int
-    #: None without fields.
+    #: The fields, or None if there are none.
     fields: field_series.StepFields | None
-    #: None without torques that lag.
+    #: The torques that lag their commands, or None if there are none.
     lags: lag_series.StepLags | None
-    #: None without wheels with friction.
+    #: The wheels with friction, or None if there are none.
     friction: friction.StepFriction | None
 
 
 @njit
 def step_angle(tolerance: float) -> float:
     """
-    Return the angle of a full step, rad.
+    Return the angle by which the body turns in a full step, rad.
 
-    The cost of turning by a radian is about the square of the order divided by the angle of a
-    step. This cost has a flat minimum. For the tightest tolerance, the minimum is at about
-    0.5 rad, and shorter steps also reduce the rounding error. For loose tolerances, the minimum is
-    above 1 rad, because the fixed cost of a step is a larger part of the cost.
+    The angle is chosen to make the motion cheap to compute. The cost per radian is roughly
+    proportional to the square of the order, divided by the angle of a step. As a function of the
+    angle, this cost has a flat minimum. For the tightest tolerance, the minimum is at about 0.5
+    rad, and shorter steps also reduce the rounding error. For loose tolerances, the minimum is
+    above 1 rad, because the fixed cost of a step makes up a larger share of the total.
     """
     return 0.5 + 0.09 * elementary.log10(tolerance / 1e-15)
 
@@ -139,9 +141,10 @@ def step_angle(tolerance: float) -> float:
 @inlined
 def step_seconds(square: float, acceleration: float, angle: float) -> float:
     """
-    Return the time, s, in which a body turns by an angle, rad; infinity for a body at rest.
+    Return the time that a body takes to turn by `angle`, s, or infinity if it stays at rest.
 
-    `square` is |w|^2, rad^2/s^2. `acceleration` is a bound on |J^-1 tau|, rad/s^2.
+    `angle` is in rad. `square` is |w|^2, rad^2/s^2, and `acceleration` is an upper bound on
+    |J^-1 tau|, rad/s^2.
     """
     rate = turning_rate(square, acceleration, angle)
     return 2.0 * angle / rate if rate > 0.0 else math.inf
@@ -149,7 +152,11 @@ def step_seconds(square: float, acceleration: float, angle: float) -> float:
 
 @inlined
 def turning_rate(square: float, acceleration: float, angle: float) -> float:
-    """Return the rate before a turn plus the rate after it, rad/s; see `step_seconds`."""
+    """
+    Return the sum of the angular rates before and after a turn by `angle`, rad/s.
+
+    The arguments are the same as for `step_seconds`.
+    """
     return math.sqrt(square) + math.sqrt(fma(2.0 * angle, acceleration, square))
 
 
@@ -165,18 +172,18 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     state : KernelState
         The state at the start of the step.
     seconds : float
-        Length of the step, at most about `step_seconds`.
+        The length of the step, at most about `step_seconds`.
     coefficients : Coefficients
         The coefficients of Euler's equations.
     drive : SeriesDrive
-        The drive. With lanes, the drive must be in body axes.
+        The drive. It must be in body axes if the step has lanes.
     tolerance : float
-        Bound on the truncation error of the attitude per radian turned.
+        Bound on the truncation error of the attitude for each radian that the body turns.
     table : float64 (WORKSPACE,) or (WORKSPACE_OF_LANES, LANES)
         Workspace.
     loads : SeriesLoads or None
-        What acts besides the drive. In most scenes the argument is None, and the compiler leaves
-        out the code for loads.
+        What acts besides the drive. In most scenes this is None, and the compiler leaves out the
+        code for loads.
 
     Returns
     -------
@@ -221,7 +228,8 @@ def _friction_of(loads: SeriesLoads) -> friction.StepFriction | None:
 def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
             drive: SeriesDrive, error_bound: float, table: Floats,
             loads: SeriesLoads | None) -> int:
-    # Fill the table with the terms of u and of the rotation, and return the order needed.
+    # Fill the table with the terms of u and of the rotation, up to the order that the error bound
+    # requires, and return this order.
     polynomial, degree, in_space, _ = drive
     zero = four.zero(state[0])
     one = add(zero, four.of(0.0, 0.0, 0.0, 1.0))
@@ -234,14 +242,14 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
         for i in range(loads.space_degree + 1):
             store_permuted(table, TORQUES + PERMUTED * i,
                            to_body(state[1], loads.space_torque[i]))
-    # The series of a body at rest under a torque ~ t^degree has a non-zero term only every
-    # degree + 2 orders. So the sum has converged only after degree + 2 consecutive small terms.
+    # If a torque ~ t^degree acts on a body at rest, only every (degree + 2)-th term of the series
+    # is nonzero. So the sum has converged only after degree + 2 small terms in a row.
     small, powers = lanes.no_count(error_bound), degree
     if loads is not None:
         powers = max(degree, loads.space_degree, loads.linear_degree,
                      field_series.lowest_order(loads.fields), lag_series.lowest_order(loads.lags),
                      friction.lowest_order(loads.friction))
-    past = (zero, zero, zero, zero)  # the terms of u before the latest
+    past = (zero, zero, zero, zero)  # the four terms of u before the latest one
     vectors = field_series.vectors_of(_fields_of(loads))
     for k in range(MAX_ORDER):
         products, rotation, turn = _cauchy(table, k, first, latest, coefficients.form, vectors)
@@ -270,11 +278,11 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
         u = scale(reciprocal, u)
         rotation = scale(0.5 * reciprocal, rotation)
         u = without_fourth(table, u)
-        if four.has_lanes(table) and lanes.some(small >= powers + 2):  # bodies that have converged
+        if four.has_lanes(table) and lanes.some(small >= powers + 2):  # some series have converged
             u = four.choose(small >= powers + 2, zero, u)
             rotation = four.choose(small >= powers + 2, zero, rotation)
         latest = store_term(table, k + 1, u, rotation)
-        # Errors of w count more, because the errors of attitude that they cause add up.
+        # Errors in w get a higher weight, because they cause attitude errors that keep adding up.
         size = friction.with_momenta(
             total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u))),
             _friction_of(loads), k + 1)
@@ -287,9 +295,9 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
 @inlined
 def _cauchy(table: Floats, k: int, first: Term, latest: Term, form: int,
             vectors: Floats | None) -> tuple[Products, Quaternion, field_series.Turn | None]:
-    # Return the terms of order k of the products of u, of the rotation times (u, 0), and of the
-    # first vector of the fields times u. Products with the latest term come last, and from
-    # registers, so that the other products do not wait for this term.
+    # Return the order-k terms of three products: the components of u with each other, the rotation
+    # times (u, 0), and the first field vector times u. The latest term is taken from registers,
+    # and its products are computed last, so that the other products do not have to wait for it.
     zero = four.zero(first[0])
     sums = (zero, zero, zero, zero, zero)
     turn = field_series.no_turn(vectors)
@@ -331,7 +339,7 @@ def _add_products(sums: Products, one: Term, other: Term, form: int) -> Products
 
 @inlined
 def _add_start(table: Floats, total: Quaternion, factor: float) -> Quaternion:
-    # Add a factor times the identity, which is the rotation at the start of the step.
+    # Add a multiple of the rotation at the start of the step, which is the identity.
     if four.has_lanes(table):
         return four.of(total[0], total[1], total[2], total[3] + factor)
     return add_scaled(total, factor, four.of(0.0, 0.0, 0.0, 1.0))
@@ -340,7 +348,7 @@ def _add_start(table: Floats, total: Quaternion, factor: float) -> Quaternion:
 @inlined
 def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector],
                  loads: SeriesLoads) -> Vector:
-    # Return the linear terms of order k.
+    # Return the contribution of rotors and damping to the order-k term of the acceleration.
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
     if (exist(loads.fields) or exist(loads.lags)) and loads.linear_degree < 0:  # most scenes
@@ -350,14 +358,14 @@ def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vecto
     if loads.linear_degree > 1:
         others = add(product(loads.changes[2], past[2]), product(loads.changes[3], past[3]))
         rest = add(rest, add(others, product(loads.changes[1], past[1])))
-    if k < 4:  # the terms of higher order are too small for the low-order part
+    if k < 4:  # at higher orders, the terms are too small for the low-order part to matter
         rest = add_product(rest, loads.linear.low, u, yzx, zxy)
     return add_product(rest, loads.linear.matrix, u, yzx, zxy)
 
 
 @inlined
 def _torque_term(table: Floats, k: int, degree: int) -> Vector:
-    # Return the term of order k, in body axes, of a torque in space axes.
+    # Return the order-k term, in body axes, of a torque in space axes.
     term = four.zero(four.load(table, U))
     for i in range(degree + 1):
         if i <= k:

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Constants of an inertia tensor, computed beyond double precision and rounded once.
+Constants of an inertia tensor, computed beyond double precision and then rounded once.
 
-A long run multiplies the error of a constant by the angle turned. For a thin rod, the error is
-also multiplied by the ratio of the moments, because (J w) x w may be a difference of terms a
-million times larger.
+The constants have to be this accurate because, over a long run, the effect of an error in a
+constant grows in proportion to the angle turned. For a thin rod, the error is also amplified by
+the ratio of the moments, because (J w) x w may be a difference of two terms that are a million
+times larger than the result.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Number of digits for the principal axes: 32 digits, which is twice the digits of a double, and
-#: 32 more digits for cancellation.
+#: Number of decimal digits with which the principal axes are computed. The result needs 32 digits,
+#: twice as many as a double has. The other 32 digits allow for cancellation.
 _DIGITS = 64
 _SWEEPS = 20
-#: An off-diagonal entry needs no rotation if the ratio of the entry to the smaller moment is below
-#: this value.
+#: An off-diagonal entry needs no rotation if it is at most this fraction of the smaller of the two
+#: diagonal entries in its row and its column.
 _NEGLIGIBLE = Decimal(1).scaleb(10 - _DIGITS)
 
 
@@ -43,27 +44,27 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
     """
     Return the coefficients of Euler's equations, solved for the acceleration.
 
-    dw/dt is linear in the products (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2) and in the torque
-    (tau1, tau2, tau3). The coefficients of (J w) x w are only products of inertia and differences
-    of moments. For a diagonal tensor the first three products have the coefficients
-    (I2 - I3) / I1 and so on.
+    The acceleration dw/dt is linear in the products (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2) and in
+    the torque (tau1, tau2, tau3). In (J w) x w, the coefficients are simply products of inertia
+    and differences of moments. For a diagonal tensor, the first three products have the
+    coefficients (I2 - I3) / I1 and so on.
 
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        The tensor about the centre of mass, symmetric, in body axes. The entries are doubles, or
+        The symmetric tensor about the centre of mass, in body axes. Its entries are doubles, or
         Fractions that are sums of doubles.
 
     Returns
     -------
     array, shape (2, 3, 9)
-        The correctly rounded coefficients, and their low-order parts. Without the low-order parts,
-        the energy of a body with a full tensor would drift.
+        The correctly rounded coefficients, followed by their low-order parts. Without the
+        low-order parts, the energy of a body with a full tensor would drift.
 
     Raises
     ------
     OverflowError
-        An entry is too large for a double.
+        A coefficient is too large for a double.
     ZeroDivisionError
         The tensor is singular.
 
@@ -78,7 +79,7 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
 
 def damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
     """
-    Return J^-1 D, correctly rounded, and its low-order part.
+    Return the correctly rounded matrix J^-1 D and its low-order part.
 
     Parameters
     ----------
@@ -97,17 +98,18 @@ def damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
 
 
 def _integers(entries: NDArray[Any]) -> tuple[list[list[int]], int]:
-    # Return entries times their common denominator, and the denominator. A double is an integer
-    # divided by a power of two. Integer arithmetic takes a fraction of the time of Fractions,
-    # which Python reduces to lowest terms. Python rounds quotients of integers correctly.
+    # Multiply all entries by their common denominator. Return the resulting integers and the
+    # denominator. The conversion is possible because every double is an integer divided by a power
+    # of two. Computing with integers is much faster than with Fractions, because Python reduces
+    # every Fraction to lowest terms. Python also rounds quotients of integers correctly.
     ratios = [[entry.as_integer_ratio() for entry in row] for row in entries.tolist()]
     one = max(below for row in ratios for _, below in row)
     return [[above * (one // below) for above, below in row] for row in ratios], one
 
 
 def _solved(tensor: list[list[int]], right: list[list[int]]) -> Floats:
-    # Solve for columns of right-hand sides by Cramer's rule. Return the solutions and their
-    # low-order parts. The tensor is symmetric, and so are its cofactors.
+    # Solve for several columns of right-hand sides by Cramer's rule. Return the solutions and
+    # their low-order parts. Like the tensor itself, the matrix of its cofactors is symmetric.
     cofactors = [_cross(tensor[a - 2], tensor[a - 1]) for a in range(3)]
     determinant = _dot(tensor[0], cofactors[0])
     exact = [[_dot(row, column) for column in zip(*right)] for row in cofactors]
@@ -132,19 +134,22 @@ def _rounding_error(dividend: int, divisor: int, quotient: float) -> float:
 
 def principal(tensor: Floats) -> tuple[Floats, Floats]:
     """
-    Return principal moments and axes by Jacobi rotations, each as a sum of two doubles.
+    Compute the principal moments and axes by Jacobi rotations.
+
+    Each number in the result is represented by the sum of two doubles.
 
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        The tensor about the centre of mass, symmetric, in body axes.
+        The symmetric tensor about the centre of mass, in body axes.
 
     Returns
     -------
     moments : array, shape (2, 3), kg m^2
-        The moments in ascending order, and their low-order parts.
+        The moments in ascending order, followed by their low-order parts.
     axes : array, shape (2, 3, 3)
-        The axes as columns, in body axes, right-handed, and their low-order parts.
+        The principal axes as columns, in body axes, followed by their low-order parts. The axes
+        are right-handed.
 
     """
     with localcontext() as context:
@@ -163,7 +168,7 @@ def principal(tensor: Floats) -> tuple[Floats, Floats]:
 
 
 def _rotate(matrix: list[list[Decimal]], axes: list[list[Decimal]], p: int, q: int) -> None:
-    # A Jacobi rotation; see Golub and Van Loan, Matrix Computations, section 8.5.2.
+    # Apply one Jacobi rotation; see Golub and Van Loan, Matrix Computations, section 8.5.2.
     least = min(abs(matrix[p][p]), abs(matrix[q][q]))
     if abs(matrix[p][q]) <= _NEGLIGIBLE * least:
         return

@@ -13,10 +13,12 @@
 # limitations under the License.
 
 """
-Constants of many tensors, a hundred times faster than with `tensor`, and with the same bits.
+Compute the constants of many tensors.
 
-Each number is computed with an error bound. If two numbers within the bound would give different
-bits of the result, the caller must compute the body with `tensor`.
+This module is a hundred times faster than `tensor`, and its results are bit-identical to those of
+`tensor`. The module computes every number together with an error bound. If the numbers within this
+bound do not all round to the same double, the kernel reports that the result is uncertain, and the
+caller has to compute the constants of the body with `tensor`.
 """
 
 from __future__ import annotations
@@ -41,15 +43,15 @@ from rigid_body_ros.kernels.triple_double import (
     TripleDouble,
 )
 
-#: If the largest entry is between these values, and every other entry is zero or at least _LEAST
-#: times the largest entry, products of three entries neither overflow nor underflow.
+#: Products of three entries can neither overflow nor underflow if the largest entry is between
+#: _SMALL and _LARGE, and every other entry is zero or at least _LEAST times the largest one.
 _SMALL, _LARGE = 2.0 ** -100, 2.0 ** 100
 _LEAST = 2.0 ** -100
 _ZERO = (0.0, 0.0, 0.0)
 
 
 class BodyWorkspace(NamedTuple):
-    """The arrays in which the constants of a body are computed."""
+    """Work arrays for computing the constants of a body."""
 
     cofactors: Annotated[Floats, '3 3 4', WRITTEN]
     right: Annotated[Floats, '3 12 2', WRITTEN]
@@ -57,7 +59,7 @@ class BodyWorkspace(NamedTuple):
 
 
 def workspace() -> BodyWorkspace:
-    """Return arrays, not yet filled."""
+    """Return uninitialized work arrays."""
     return BodyWorkspace(np.empty((3, 3, 4)), np.empty((3, 12, 2)),
                          principal_axes.workspace())
 
@@ -68,18 +70,19 @@ def fill_constants(tensors: Annotated[Floats, 'n 3 3'], damping: Annotated[Float
                    certain: Annotated[NDArray[np.bool_], 'n', WRITTEN],
                    work: BodyWorkspace) -> None:
     """
-    Compute the constants of bodies.
+    Compute the constants of several bodies.
 
     Parameters
     ----------
     tensors, damping : float64 (n, 3, 3)
-        Inertia, kg m^2, and damping, N m s/rad, both symmetric.
+        The inertia tensors, kg m^2, and the damping tensors, N m s/rad. They must be symmetric.
     constants : float64 (n, body_layout.SIZE)
-        The output, which the caller sets to zero.
+        The output. The caller sets it to zero beforehand.
     certain : bool (n,)
-        The output: whether a tensor is positive definite and all bits are those of `tensor`.
+        The second output. An element is True if the inertia tensor is positive definite, and if
+        the constants are certain to be bit-identical to those that `tensor` computes.
     work : BodyWorkspace
-        Arrays that the kernel overwrites.
+        Work arrays, which the kernel overwrites.
 
     """
     for row in range(len(tensors)):
@@ -120,13 +123,14 @@ def _is_diagonal(tensor: Floats) -> bool:
 
 @internal
 def _is_alone(tensor: Floats, row: int) -> bool:
-    # Return whether the body axis with the index `row` is a principal axis.
+    # Return whether the body axis with index `row` is a principal axis.
     return tensor[row, (row + 1) % 3] == 0.0 and tensor[row, (row + 2) % 3] == 0.0
 
 
 @internal
 def _sort_diagonal(tensor: Floats, constants: Floats) -> None:
-    # Store the moments of a diagonal tensor and their axes, right-handed, as `tensor.principal`.
+    # Store the moments of a diagonal tensor and the right-handed principal axes, in the same order
+    # and with the same signs as `tensor.principal`.
     first, second, third = 0, 1, 2
     if tensor[second, second] < tensor[first, first]:
         first, second = second, first
@@ -167,9 +171,9 @@ def _fill_coefficients(tensor: Floats, damping: Floats, cofactors: Floats, right
 
 @internal
 def _fill_right_hand_sides(j: Floats, damping: Floats, right: Floats) -> int:
-    # Fill the columns of the gyroscopic terms (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2), of the
-    # torque and of the damping, with high-order and low-order parts. Return the number of columns:
-    # 12, or 9 without damping.
+    # Fill in the high-order and low-order parts of the right-hand sides. The columns are those of
+    # the gyroscopic terms (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2), then those of the torque, then
+    # those of the damping. Return the number of columns, which is 12, or 9 without damping.
     for a in range(3):
         for column in range(12):
             right[a, column, 0] = right[a, column, 1] = 0.0
@@ -189,7 +193,7 @@ def _fill_right_hand_sides(j: Floats, damping: Floats, right: Floats) -> int:
 
 @internal
 def _fill_cofactors(j: Floats, cofactors: Floats) -> None:
-    # Fill three parts of each cofactor, and the sum of the absolute values of its terms.
+    # Fill in the three parts of each cofactor, and the sum of the absolute values of its terms.
     for a in range(3):
         for b in range(a, 3):
             c, d, e, f = (a + 1) % 3, (a + 2) % 3, (b + 1) % 3, (b + 2) % 3
@@ -208,7 +212,7 @@ def _cofactor(cofactors: Floats, a: int, b: int) -> TripleDouble:
 
 @internal
 def _places(column: int) -> tuple[int, int]:
-    # Return the indices of the high-order and low-order solutions for a right-hand side.
+    # Return where to store the high-order and low-order parts of the solution for a column.
     if column < 9:
         return body_layout.EQUATIONS + 4 * column, body_layout.LOST_EQUATIONS + 4 * column
     return body_layout.DAMPING + 4 * (column - 9), body_layout.LOST_DAMPING + 4 * (column - 9)
@@ -244,7 +248,8 @@ def _store_all_quotients(columns: int, right: Floats, tensor: Floats, constants:
 @internal
 def _store_quotients(row: int, columns: int, right: Floats, moment: float,
                      constants: Floats) -> bool:
-    # The remainder of a division is a double, so quotients of doubles are always certain.
+    # When a double is divided by a double, the remainder is also a double. Quotients of two
+    # doubles are therefore always certain.
     certain = True
     for column in range(columns):
         dividend = right[row, column, 0], right[row, column, 1]
@@ -261,8 +266,8 @@ def _store_quotients(row: int, columns: int, right: Floats, moment: float,
 
 @internal
 def _quotient(dividend: DoubleDouble, divisor: float) -> tuple[TripleDouble, float]:
-    # Use long division. The remainders are exact, so the quotient is exact if the division
-    # terminates.
+    # Use long division. Because the remainders are exact, the quotient is exact too if the
+    # division terminates.
     first = dividend[0] / divisor
     rest, lost = two_sum(fma(-first, divisor, dividend[0]), dividend[1])
     second = rest / divisor

@@ -27,15 +27,15 @@ from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 def fill_triangle(columns: Annotated[Floats, 'n m', WRITTEN],
                   triangle: Annotated[Floats, 'n n', WRITTEN]) -> None:
     """
-    Compute the triangular factor of a matrix by Householder reflections.
+    Compute the triangular factor R of a matrix by Householder reflections.
 
     Parameters
     ----------
     columns : float64 (n, m)
-        The input and workspace. The rows of this array are the columns of the matrix. The kernel
-        overwrites the array.
+        The transpose of the matrix, so that each row of the array is a column of the matrix. The
+        kernel also uses this array as workspace and overwrites it.
     triangle : float64 (n, n)
-        The output, which the caller sets to zero.
+        The output. The caller sets it to zero beforehand.
 
     """
     count, length = columns.shape
@@ -59,7 +59,7 @@ def fill_triangle(columns: Annotated[Floats, 'n m', WRITTEN],
 
 @internal
 def _product(one: Floats, other: Floats, first: int) -> float:
-    # Use four partial sums, which a processor computes in parallel.
+    # Use four partial sums, because a processor can compute these in parallel.
     a = b = c = d = 0.0
     i = first
     while i + 3 < len(one):

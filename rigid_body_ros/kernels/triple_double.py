@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Triple-double arithmetic for the compiled kernels: a number is the sum of three doubles.
+Triple-double arithmetic, in which three doubles represent a number, for the compiled kernels.
 
-Such a number has about 47 digits. Even after many operations, 47 digits are enough to round the
-result to a double-double number as exact arithmetic would, unless the result is very close to a
-tie. `store` detects results that are so close to a tie.
+Such a number is the sum of its three doubles and has about 47 digits. Even after many operations,
+this is enough for the result to round to the same double-double number as the exact result would.
+The only exceptions are results that are very close to a tie, and `store` detects them.
 
-The algorithms are those of `double_double` with one more part.
+The algorithms are those of `double_double`, extended by one part.
 """
 
 from __future__ import annotations
@@ -29,19 +29,23 @@ from rigid_body_ros.kernels.double_double import two_product, two_sum
 from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.lanes import fma
 
-#: The parts, in descending order of magnitude.
+#: The three parts of a number, in descending order of magnitude.
 TripleDouble = tuple[float, float, float]
 
-#: Bound on the error of a sum of up to ten products, relative to the sum of their absolute values,
-#: provided that nothing underflows. The actual relative error is less than 2^-148.
+#: Bound on the error of a sum of up to ten products, relative to the sum of their absolute values.
+#: The bound holds as long as nothing underflows. The actual relative error is less than 2^-148.
 ERROR = 2.0 ** -145
-#: A number that exceeds 1 by more than the rounding error of a double.
+#: A number slightly larger than 1. The excess is larger than the rounding error of a double.
 _ABOVE_ONE = 1.0 + 2.0 ** -40
 
 
 @internal
 def normalized(a: TripleDouble) -> TripleDouble:
-    """Return the same sum in parts that do not overlap; the first part is the rounded sum."""
+    """
+    Return the same number, represented by three parts that do not overlap.
+
+    The first part is the number rounded to a double.
+    """
     middle, low = two_sum(a[1], a[2])
     high, middle = two_sum(a[0], middle)
     middle, low = two_sum(middle, low)
@@ -52,7 +56,7 @@ def normalized(a: TripleDouble) -> TripleDouble:
 
 @internal
 def add_product(total: TripleDouble, a: float, b: float) -> TripleDouble:
-    """Return total + a b, not normalized."""
+    """Return total + a b, without normalizing the result."""
     product, error = two_product(a, b)
     high, one = two_sum(total[0], product)
     middle, two = two_sum(total[1], one)
@@ -62,7 +66,7 @@ def add_product(total: TripleDouble, a: float, b: float) -> TripleDouble:
 
 @internal
 def add_scaled(total: TripleDouble, a: TripleDouble, factor: float) -> TripleDouble:
-    """Return total + factor a, not normalized."""
+    """Return total + factor a, without normalizing the result."""
     high, middle, low = add_product(total, a[0], factor)
     product, error = two_product(a[1], factor)
     middle, one = two_sum(middle, product)
@@ -71,7 +75,7 @@ def add_scaled(total: TripleDouble, a: TripleDouble, factor: float) -> TripleDou
 
 @internal
 def multiply(a: TripleDouble, b: TripleDouble) -> TripleDouble:
-    """Return a b."""
+    """Return the product a b."""
     high, rest = two_product(a[0], b[0])
     one, one_error = two_product(a[0], b[1])
     two, two_error = two_product(a[1], b[0])
@@ -83,7 +87,7 @@ def multiply(a: TripleDouble, b: TripleDouble) -> TripleDouble:
 
 @internal
 def reciprocal(a: TripleDouble) -> TripleDouble:
-    """Return 1 / a by long division."""
+    """Return 1 / a, computed by long division."""
     first = 1.0 / a[0]
     rest = normalized(add_scaled((1.0, 0.0, 0.0), a, -first))
     second = rest[0] / a[0]
@@ -94,28 +98,28 @@ def reciprocal(a: TripleDouble) -> TripleDouble:
 @internal
 def store(number: TripleDouble, error: float, into: Floats, high_at: int, low_at: int) -> bool:
     """
-    Round a number to a double, and the rest to another double.
+    Round a number to a double, round the remainder to another double, and store both.
 
     Parameters
     ----------
     number : TripleDouble
-        The number, normalized.
+        The number, which must be normalized.
     error : float
-        The error bound of the number; 0 if the number is exact.
+        A bound on the error of the number, or 0 if the number is exact.
     into : float64 (n,)
-        The output for the two doubles. A zero is stored as 0.0, not as -0.0.
+        The array in which to store the two doubles. A zero is stored as 0.0, not as -0.0.
     high_at, low_at : int
-        The indices of the two doubles.
+        The indices at which to store the two doubles.
 
     Returns
     -------
     bool
-        Whether every number within the error bound rounds to these doubles.
+        Whether every number within the error bound rounds to the same two doubles.
 
     """
     high, middle, low = number
     if error > 0.0:
-        error += abs(low) * 2.0 ** -51  # low + error is rounded as well
+        error += abs(low) * 2.0 ** -51  # allow for the rounding error of low + error
     rest, other = middle + (low - error), middle + (low + error)
     into[high_at], into[low_at] = high + 0.0, rest + 0.0
     return rest == other and high + _ABOVE_ONE * rest == high

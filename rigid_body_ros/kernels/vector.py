@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Vectors and quaternions for the compiled kernels: four doubles in a register; see `four`.
+Vectors and quaternions for the compiled kernels, each held as four doubles in a register.
 
-The fourth component of a vector is zero. Quaternions are stored and multiplied as in
-`mechanics.so3`, which has the same operations for arrays.
+For the register operations, see `four`. The fourth component of a vector is zero. Quaternions
+follow the conventions of `mechanics.so3`, which provides the same operations for arrays.
 """
 
 from __future__ import annotations
@@ -29,14 +29,16 @@ from rigid_body_ros.kernels.jit import inlined, internal
 
 Vector = Four
 Quaternion = Four
-#: The state of a body in the kernels: the angular velocity (rad/s, body axes), the attitude, and
-#: the low-order parts of the two, which compensated summation carries along.
+#: The state of a body inside the kernels: the angular velocity (rad/s, body axes), the attitude,
+#: and the low-order parts of the angular velocity and the attitude, which compensated summation
+#: carries along.
 KernelState = tuple[Vector, Quaternion, Vector, Quaternion]
-#: The coefficients of a cubic, for example of a torque, N m, in the fraction of a span of time.
+#: The coefficients of a cubic polynomial, such as a torque, N m, as a function of the fraction of
+#: a time span.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
 Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]
-#: Principal moments (kg m^2), their low-order parts, the principal axes and their low-order parts,
-#: as `tensor.principal` returns them.
+#: The principal moments (kg m^2) and their low-order parts, then the principal axes and their
+#: low-order parts, as `tensor.principal` returns them.
 PrincipalFrame = tuple[Vector, Vector, tuple[Vector, Vector, Vector],
                        tuple[Vector, Vector, Vector]]
 
@@ -47,7 +49,8 @@ class Coefficients(NamedTuple):
     #: The columns that `tensor.euler_coefficients` returns, and their low-order parts.
     columns: Columns
     low: Columns
-    #: The diagonals of the matrices that the first three and the last three columns form.
+    #: The diagonal of the matrix formed by the first three columns, and the diagonal of the matrix
+    #: formed by the last three columns.
     main: Vector
     diagonal: Vector
     #: The form of the inertia tensor: `euler_equations.DIAGONAL`, FULL or THIN.
@@ -59,7 +62,7 @@ add = four.add
 
 @inlined
 def of(x: float, y: float, z: float) -> Vector:
-    """Return the vector with these components."""
+    """Return the vector with components x, y and z."""
     return four.of(x, y, z, 0.0)
 
 
@@ -71,7 +74,7 @@ def is_zero(a: Vector) -> bool:
 
 @inlined
 def scale(factor: float, a: Four) -> Four:
-    """Return a vector, or a quaternion, times a factor."""
+    """Multiply a vector or a quaternion by a factor."""
     return four.multiply(four.broadcast(factor), a)
 
 
@@ -83,19 +86,19 @@ def add_scaled(a: Four, factor: float, b: Four) -> Four:
 
 @inlined
 def dot(a: Four, b: Four) -> float:
-    """Return the scalar product."""
+    """Return the dot product of two vectors or quaternions."""
     return total(four.multiply(a, b))
 
 
 @inlined
 def total(a: Four) -> float:
-    """Return the sum of the components."""
+    """Return the sum of the four components."""
     return (a[0] + a[2]) + (a[1] + a[3])
 
 
 @inlined
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the vector product."""
+    """Return the cross product of two vectors."""
     return four.fma(four.yzx(a), four.zxy(b), four.negative(
         four.multiply(four.zxy(a), four.yzx(b))))
 
@@ -111,10 +114,12 @@ def combine_compensated(axes: tuple[Vector, Vector, Vector],
                         low_axes: tuple[Vector, Vector, Vector],
                         a: Vector) -> tuple[Vector, Vector]:
     """
-    Return the result of `combine` in two parts, high and low order, for axes with low-order parts.
+    Return the result of `combine` and its low-order part.
 
-    The result has twice the precision of a double (Ogita, Rump and Oishi, "Accurate sum and dot
-    product", 2005).
+    The axes are given by their high-order and low-order parts.
+
+    The result is as accurate as if it were computed with twice the precision of a double (Ogita,
+    Rump and Oishi, "Accurate sum and dot product", 2005).
     """
     x, y, z = four.broadcast(a[0]), four.broadcast(a[1]), four.broadcast(a[2])
     i, j, k = four.multiply(x, axes[0]), four.multiply(y, axes[1]), four.multiply(z, axes[2])
@@ -128,7 +133,7 @@ def combine_compensated(axes: tuple[Vector, Vector, Vector],
 
 @inlined
 def two_sum(a: Four, b: Four) -> tuple[Four, Four]:
-    """Return the sum and its rounding error (Knuth)."""
+    """Return the sum and its exact rounding error (Knuth)."""
     new = add(a, b)
     b_rounded = four.subtract(new, a)
     return new, add(four.subtract(a, four.subtract(new, b_rounded)), four.subtract(b, b_rounded))
@@ -136,7 +141,7 @@ def two_sum(a: Four, b: Four) -> tuple[Four, Four]:
 
 @internal
 def shifted(polynomial: Polynomial, offset: float, ratio: float) -> Polynomial:
-    """Return p(offset + ratio s) for a polynomial p(s), by Horner's rule (a Taylor shift)."""
+    """Return the polynomial p(offset + ratio s), given p(s), by Horner's rule (a Taylor shift)."""
     a, b, c, d = polynomial
     a = add_scaled(a, offset, add_scaled(b, offset, add_scaled(c, offset, d)))
     b = add_scaled(b, offset, add_scaled(scale(2.0, c), 3.0 * offset, d))
@@ -147,14 +152,14 @@ def shifted(polynomial: Polynomial, offset: float, ratio: float) -> Polynomial:
 
 @inlined
 def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return Hamilton's product p q."""
+    """Return the Hamilton product p q."""
     return add_scaled(add_scaled(add_scaled(scale(
         q[3], p), q[2], four.times_k(p)), q[1], four.times_j(p)), q[0], four.times_i(p))
 
 
 @inlined
 def to_body(q: Quaternion, vector: Vector) -> Vector:
-    """Return the body components of a space vector."""
+    """Return the components in body axes of a vector given in space axes."""
     # R^T v = v - w t + u x t with t = 2 u x v, where u is the vector part of q.
     u = of(q[0], q[1], q[2])
     t = scale(2.0, cross(u, vector))
@@ -164,10 +169,10 @@ def to_body(q: Quaternion, vector: Vector) -> Vector:
 @inlined
 def accumulate(total: Four, carry: Four, increment: Four) -> tuple[Four, Four]:
     """
-    Return total + increment + carry, and the rounding error of this sum (Kahan).
+    Return the sum total + increment + carry and its rounding error (Kahan).
 
-    The returned error is exact if the increment is less than the total. Otherwise it differs from
-    the exact error by at most the rounding error of the increment.
+    The rounding error is exact if the increment is smaller than the total. Otherwise, the returned
+    rounding error is off by at most the rounding error of the increment.
     """
     increment = four.add(increment, carry)
     new = four.add(total, increment)
@@ -176,7 +181,7 @@ def accumulate(total: Four, carry: Four, increment: Four) -> tuple[Four, Four]:
 
 @inlined
 def advance(state: KernelState, delta_omega: Vector, delta_q: Quaternion) -> KernelState:
-    """Return the state with w + delta_omega and q (1 + delta_q), and correct the norm of q."""
+    """Advance a state to w + delta_omega and q (1 + delta_q), and correct the norm of q."""
     w, q, low_w, low_q = state
     excess = dot(q, add_scaled(low_q, 0.5, q)) - 0.5
     change = add_scaled(multiply(q, delta_q), -excess, q)
