@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The model of an actuator: delay, limit and first-order lag of its commands."""
+"""An actuator model with a delay, a torque limit and a first-order lag."""
 
 from __future__ import annotations
 
@@ -28,36 +28,38 @@ from rigid_body_ros.common.times import duration_ns, LONGEST
 from rigid_body_ros.engine import EXPIRY, MOST_LAGS
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: Shortest time constant other than zero, s.
+#: Shortest accepted time constant other than zero, s.
 _SHORTEST = 1e-9
-#: Longest time until a lag is over, ns (146 years). A ROS stamp plus this time still fits int64.
+#: Longest duration of a lag, ns (146 years). A ROS stamp plus this duration still fits in int64.
 _LONGEST_NS = 2 ** 62
 
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
     """
-    An actuator, which turns commanded torques into the torques that act on the body.
+    An actuator, which turns commanded torques into the torques applied to the body.
 
-    A command u with the stamp t acts from t + `delay` on. Each component of u is clipped to
-    +-`limit`, in the axes in which the command was given. The torque y follows the command with a
-    first-order lag, T y' + y = u, where T is `time_constant`. y is zero at the start of the
-    motion, and equals u once u has not changed for 40 time constants. The torques in body axes and
-    in space axes lag separately: when a command in space axes replaces a command in body axes, the
-    torque in body axes decays while the torque in space axes builds up, and vice versa.
+    A command u with stamp t takes effect at t + `delay`. Each component of u is clipped to
+    +-`limit`, in the axes in which the command was given. The applied torque y then follows u with
+    a first-order lag, T y' + y = u, where T is `time_constant`. The torque y is zero at the start
+    of the motion. Once u has been constant for 40 time constants, y equals u. Torques in body axes
+    and torques in space axes lag separately: when a command in space axes replaces a command in
+    body axes, the torque in body axes decays while the torque in space axes builds up, and vice
+    versa.
 
     Parameters
     ----------
     delay : float, s
     time_constant : float, s
-        At least 1e-9, or 0 for no lag.
+        The time constant T of the lag: at least 1e-9, or 0 for no lag.
     limit : array, shape (3,), N m
-        The largest absolute value of the torque about each axis; 0 for no limit.
+        The largest absolute torque about each axis, or 0 for no limit.
 
     Raises
     ------
     ValueError
-        A number is negative, not finite or too large, or a time constant is too short.
+        A parameter is negative, not finite or too large, or the time constant is between 0 and
+        1e-9.
 
     """
 
@@ -85,12 +87,12 @@ class Actuator:
 
     @cached_property
     def expiry_ns(self) -> int:
-        """Return how long the lag after a command lasts, ns; 0 without a lag."""
+        """Return the time, ns, for which the lag lasts after a command; 0 if there is no lag."""
         return min(round(EXPIRY * self.time_constant * 1e9), _LONGEST_NS)
 
     @property
     def lag(self) -> Actuator:
-        """Return an actuator with the lag of this one, but without its delay and limit."""
+        """Return an actuator with the same lag, but without the delay and the limit."""
         return Actuator(time_constant=self.time_constant)
 
     @cached_property
@@ -99,17 +101,17 @@ class Actuator:
         return np.where(limit > 0.0, limit, np.inf) if limit.any() else None
 
     def limited(self, torques: Floats) -> Floats:
-        """Return commands, N m, shape (n, 3), clipped to the limit."""
+        """Clip commands, N m, shape (n, 3), to the limit."""
         return torques if self._bound is None else np.clip(torques, -self._bound, self._bound)
 
     def acting(self, log: TorqueLog) -> TorqueLog:
         """
-        Return the commands of a log after the delay and the limit, but before the lag.
+        Return a log of commands after the delay and the limit, but without the lag.
 
         Raises
         ------
         ValueError
-            The log is interpolated; an actuator accepts only commands that are held.
+            The log is interpolated. An actuator accepts only commands that are held.
 
         """
         if log.interpolation != 'hold':
@@ -118,13 +120,14 @@ class Actuator:
         return TorqueLog(log.times_ns + self.delay_ns, self.limited(log.torques), log.in_space)
 
 
-#: One actuator for all sources of torque, an actuator or None for each source, or no actuator.
+#: One actuator for all torque sources, a sequence with an actuator or None for each source, or
+#: None if there are no actuators.
 Actuators = Actuator | Sequence[Actuator | None] | None
 
 
 def actuators_of(given: Actuators, count: int) -> tuple[Actuator | None, ...]:
     """
-    Return the actuator of each source.
+    Return the actuator of each torque source, or None for a source without an actuator.
 
     Raises
     ------
@@ -142,7 +145,7 @@ def actuators_of(given: Actuators, count: int) -> tuple[Actuator | None, ...]:
 
 def time_constants(actuators: Sequence[Actuator | None]) -> list[float]:
     """
-    Return the distinct nonzero time constants of actuators, s, in the order of the actuators.
+    Return the distinct nonzero time constants, s, in the order of the actuators.
 
     Raises
     ------

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Many rigid bodies as arrays."""
+"""Many rigid bodies, stored as arrays."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class RigidBodies:
     Parameters
     ----------
     tensors : array, shape (n, 3, 3), kg m^2
-        Inertia tensors, as for `RigidBody`.
+        The inertia tensors, as for `RigidBody`.
     damping : array, shape (n, 3, 3) or (3, 3), N m s/rad, optional
-        One tensor for each body, or one for all.
+        One damping tensor for each body, or a single tensor for all bodies.
 
     Attributes
     ----------
@@ -43,14 +43,15 @@ class RigidBodies:
     damping : array, shape (n, 3, 3), N m s/rad, body axes
         The damping tensor of each body, as given.
     is_damped : array of bool, shape (n,)
-        Whether the damping is not zero.
+        Whether each body has nonzero damping.
     messages : tuple of n str
-        The error message of `RigidBody` for each invalid body; empty for a valid body.
+        For an invalid body, the message of the error that `RigidBody` raises. For a valid body, an
+        empty string.
 
     Raises
     ------
     ValueError
-        A shape does not match.
+        An array has the wrong shape.
 
     """
 
@@ -100,7 +101,7 @@ class RigidBodies:
 
 
 def _symmetric_part(tensors: Floats) -> Floats:
-    with np.errstate(invalid='ignore'):  # rows with infinities are rejected later
+    with np.errstate(invalid='ignore'):  # rows that contain infinities are rejected later
         return np.ascontiguousarray(0.5 * tensors + 0.5 * tensors.transpose(0, 2, 1))
 
 
@@ -113,7 +114,7 @@ def _almost_symmetric(tensors: Floats) -> NDArray[np.bool_]:
 
 
 def _is_possible(constants: Floats, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether `RigidBody` accepts the moments and the size of the damping of given rows."""
+    """Return, for each selected row, whether `RigidBody` would accept its moments and damping."""
     moments = constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3]
     damping = constants[:, body_layout.DAMPING:body_layout.LOST_DAMPING][which]
     smallest, middle, largest = moments[which].T
@@ -122,8 +123,8 @@ def _is_possible(constants: Floats, which: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 def _is_semidefinite(damping: Floats) -> NDArray[np.bool_]:
-    # Accept only half the rounding error that `RigidBody` accepts, so that `RigidBody` would also
-    # accept each accepted row.
+    # Allow only half the rounding error that `RigidBody` allows, so that `RigidBody` accepts every
+    # row that is accepted here.
     largest = np.abs(damping).max(axis=(1, 2))
     return np.asarray(np.linalg.eigvalsh(damping)[:, 0] >= -0.5 * ROUNDING * largest)
 

@@ -15,7 +15,7 @@
 """
 The rigid body, and the relations between torque, momentum and rotation.
 
-Vectors are in body axes unless their name ends in `_space`. The formulas are those of Goldstein,
+Vectors are in body axes unless their names end in `_space`. The formulas follow Goldstein,
 Classical Mechanics, chapters 4 and 5.
 """
 
@@ -31,17 +31,18 @@ from rigid_body_ros.engine import body_layout
 from rigid_body_ros.engine import tensor as tensor_constants
 from rigid_body_ros.mechanics import so3, urdf
 
-#: Largest accepted relative asymmetry of a tensor, and largest relative difference of moments that
-#: count as equal. A tensor that was rotated or summed in doubles has a smaller rounding error.
+#: Largest relative asymmetry that a tensor may have. Moments count as equal if their relative
+#: difference is at most this value. Rotating or adding tensors in doubles causes smaller errors.
 ROUNDING = 1e-12
-#: Largest accepted `triangle_excess`. Published tensors have two or three digits, so the tensor of
-#: a thin plate may be slightly unphysical. The motion with such a tensor is still well defined.
+#: Largest `triangle_excess` that a body may have. Published tensors are rounded to two or three
+#: digits, so the tensor of a thin plate may be slightly unphysical. The motion under such a tensor
+#: is still well defined.
 TRIANGLE_EXCESS = 0.03
-#: Largest accepted entry of J^-1 D, 1/s. With this limit, no motion decays by more than a factor
-#: of e^3 in the shortest step, a nanosecond.
+#: Largest entry that J^-1 D may have, 1/s. This limit keeps motions from decaying by more than a
+#: factor of e^3 in one nanosecond, the shortest step.
 FASTEST_DAMPING = 1e9
-#: Bound on the relative rounding error of a weighted sum over up to a million point masses with
-#: numpy's pairwise summation.
+#: Upper bound on the relative rounding error when NumPy's pairwise summation computes a weighted
+#: sum over up to a million point masses.
 _SUMMED = 40.0 * np.finfo(float).eps
 
 
@@ -52,26 +53,28 @@ class RigidBody:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        Inertia about the centre of mass, body axes, with the rotors locked. The off-diagonal
-        entries have the signs of the matrix, as in URDF: ixy is minus the integral of x y dm.
+        The inertia tensor about the centre of mass, in body axes, with the rotors locked. The
+        off-diagonal entries have the signs that they have in the matrix, as in URDF: ixy is minus
+        the integral of x y dm.
     damping : array, shape (3, 3), N m s/rad, optional
-        Damping tensor D, symmetric and positive semidefinite, body axes. The damping torque on the
-        body is -D w, where w is the angular velocity.
+        The damping tensor D in body axes, which must be symmetric and positive semidefinite. The
+        damping torque on the body is -D w, where w is the angular velocity.
 
     Attributes
     ----------
     inertia : array, shape (3, 3), kg m^2, body axes
     damping : array, shape (3, 3), N m s/rad, body axes
     is_damped : bool
-        Whether the damping is not zero.
+        Whether the damping is nonzero.
     principal_moments : array, shape (3,), kg m^2
-        In ascending order.
+        The principal moments in ascending order.
     principal_axes : array, shape (3, 3)
-        The axes of the principal moments as columns, in body axes, right-handed.
+        The principal axes as columns, in body axes and in the order of the principal moments. They
+        form a right-handed system.
     triangle_excess : float
-        Excess of the largest principal moment over the sum of the other two, relative to that
-        sum. The excess is zero for any real body. `RigidBody` accepts an excess of up to
-        `TRIANGLE_EXCESS`, because the digits of a tensor may be rounded.
+        How much the largest principal moment exceeds the sum of the other two, relative to that
+        sum. The excess is zero for any real body, but `RigidBody` accepts up to `TRIANGLE_EXCESS`,
+        because the entries of a tensor may have been rounded.
     symmetry : str
         'sphere' if all three principal moments are equal within rounding, 'symmetric top' if two
         are equal, otherwise 'asymmetric top'.
@@ -79,10 +82,10 @@ class RigidBody:
     Raises
     ------
     ValueError
-        The tensor is not 3 by 3, finite, symmetric and positive definite; its largest principal
-        moment exceeds the sum of the others by more than `TRIANGLE_EXCESS`; a moment or its
-        inverse does not fit a double; or the damping is not 3 by 3, finite, symmetric and positive
-        semidefinite, or is too strong for steps of a nanosecond.
+        The tensor is not a finite, symmetric and positive definite 3 by 3 matrix; its
+        `triangle_excess` is larger than `TRIANGLE_EXCESS`; a moment or its inverse does not fit in
+        a double; the damping is not a finite, symmetric and positive semidefinite 3 by 3 matrix;
+        or the damping is too strong for steps of a nanosecond.
 
     """
 
@@ -90,7 +93,8 @@ class RigidBody:
         self.inertia = _checked_tensor(tensor)
         self.damping = _checked_damping(damping)
         self.is_damped = bool(self.damping.any())
-        #: Principal moments, shape (2, 3), and axes, shape (2, 3, 3): high and low-order parts.
+        #: The principal moments, shape (2, 3), and the principal axes, shape (2, 3, 3). The first
+        #: row holds the high-order parts, the second row the low-order parts.
         self._principal = tensor_constants.principal(self.inertia)
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
@@ -99,7 +103,7 @@ class RigidBody:
         self.inertia.flags.writeable = self.damping.flags.writeable = False
 
     def _set_constants(self, exact: NDArray[Any]) -> None:
-        """Set the constants from a tensor of doubles, or of Fractions that are sums of doubles."""
+        """Compute the constants from a tensor of doubles, or of Fractions (sums of doubles)."""
         self._exact = exact
         #: Coefficients of Euler's equations, shape (2, 3, 9).
         self._coefficients = _euler_coefficients(exact)
@@ -112,24 +116,24 @@ class RigidBody:
         """
         Build a body from the six entries of its inertia tensor.
 
-        The method raises the same errors as the class.
+        This method raises the same errors as `RigidBody`.
 
         Parameters
         ----------
         ixx, iyy, izz, ixy, ixz, iyz : float, kg m^2
-            The entries of the tensor about the centre of mass, in body axes, with the signs of the
-            matrix (as in URDF).
+            The entries of the inertia tensor about the centre of mass, in body axes. The
+            off-diagonal entries have the signs that they have in the matrix, as in URDF.
 
         """
         return cls([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
 
     @property
     def entries(self) -> Floats:
-        """Return ixx, iyy, izz, ixy, ixz, iyz, kg m^2, shape (6,)."""
+        """Return the entries ixx, iyy, izz, ixy, ixz and iyz in an array of shape (6,), kg m^2."""
         return self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
     def with_entries(self, entries: Floats) -> RigidBody:
-        """Return a body with new entries and the same damping; raise ValueError if not valid."""
+        """Return a body with these entries and the same damping; raise ValueError if invalid."""
         return RigidBody(entries[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]], self.damping)
 
     @classmethod
@@ -142,8 +146,8 @@ class RigidBody:
         masses : array, shape (n,), kg
             The masses, each greater than zero.
         positions : array, shape (n, 3), m
-            The positions in body axes, relative to any origin. The tensor is about the centre of
-            mass of all point masses.
+            The positions in body axes, relative to any origin. The inertia is computed about the
+            centre of mass of all the point masses.
 
         Returns
         -------
@@ -154,8 +158,8 @@ class RigidBody:
         ValueError
             A mass is not positive and finite, the shapes do not match, or the masses are collinear
             within rounding. Masses count as collinear if their distances from a common line are
-            less than about 1e-7 of their extent along the line, or less than about 1e-14 of their
-            distance from the origin.
+            less than about 1e-7 times their extent along the line, or less than about 1e-14 times
+            their distance from the origin.
 
         """
         masses, positions = np.asarray(masses, float), np.asarray(positions, float)
@@ -165,7 +169,7 @@ class RigidBody:
         if not (masses.size and np.all(masses > 0.0) and np.isfinite(masses).all()):
             raise ValueError('masses: expected at least one, each finite and greater than zero, '
                              f'found {quoted(masses.tolist())}')
-        columns = np.ascontiguousarray(positions.T)  # numpy sums in pairs along rows only
+        columns = np.ascontiguousarray(positions.T)  # NumPy's sums are pairwise only along rows
         arms = columns - (masses * columns).sum(axis=1)[:, None] / masses.sum()
         squares = ((masses * arms)[:, None] * arms).sum(axis=2)
         tensor = _checked_tensor(np.trace(squares) * np.eye(3) - squares)
@@ -175,16 +179,17 @@ class RigidBody:
     @classmethod
     def from_urdf(cls, text: str, link: str = '') -> RigidBody:
         """
-        Build a body from the <inertial> of a URDF link; the body axes are the axes of the link.
+        Build a body from the <inertial> of a URDF link.
 
-        The rotation rpy of <origin> is applied to the tensor. The position xyz has no effect,
-        because the tensor is about the centre of mass. The inertia of other links is not added,
-        even if they are fixed to this link.
+        The body axes are the axes of the link. The tensor is rotated by the rpy of <origin>. The
+        xyz of <origin> has no effect, because the tensor is about the centre of mass. Other links
+        do not contribute to the inertia, even if they are fixed to this link.
 
         Parameters
         ----------
         text : str
-            Contents of the URDF file (such as ROS's robot_description), after xacro.
+            The contents of a URDF file, such as ROS's robot_description, after processing by
+            xacro.
         link : str
             Name of the link. It may be empty if only one link has an <inertial>.
 
@@ -195,8 +200,7 @@ class RigidBody:
         Raises
         ------
         ValueError
-            The URDF is not valid (see `urdf.inertia`), or its tensor is not valid for a rigid body
-            (see the class).
+            The URDF is invalid (see `urdf.inertia`), or `RigidBody` rejects its tensor.
 
         """
         return cls(urdf.inertia(text, link))
@@ -206,7 +210,11 @@ class RigidBody:
                 f'{written(self.principal_moments)} kg m^2)')
 
     def moment_about(self, axis: ArrayLike) -> float:
-        """Return the moment of inertia n . J n, kg m^2, about a body axis n, shape (3,)."""
+        """
+        Return the moment of inertia n . J n, kg m^2, about an axis given in body axes.
+
+        Here, n is the unit vector along `axis`.
+        """
         direction = so3.normalize(axis)
         return float(np.sum(direction * self.angular_momentum(direction)))
 
@@ -227,7 +235,7 @@ class RigidBody:
         return _product(np.asarray(angular_velocity, float), self.inertia)
 
     def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
-        """Return kinetic energies, J, shape (...), of angular velocities, rad/s, (..., 3)."""
+        """Return kinetic energies, J, shape (...), for angular velocities, rad/s, (..., 3)."""
         w = np.asarray(angular_velocity, float)
         return 0.5 * np.sum(w * self.angular_momentum(w), axis=-1)
 
@@ -254,7 +262,7 @@ class RigidBody:
 
     def torque(self, angular_velocity: ArrayLike, angular_acceleration: ArrayLike) -> Floats:
         """
-        Return the torque tau = (dL/dt)_space that causes an angular acceleration.
+        Return the torque tau = (dL/dt)_space that produces a given angular acceleration.
 
         Parameters
         ----------
@@ -273,12 +281,12 @@ class RigidBody:
 
 def uniform_box(body: RigidBody) -> Floats:
     """
-    Return the edges, shape (3,), of a uniform box with the same ratios of moments as the body.
+    Return the edges of a uniform box whose moments have the same ratios as the body's.
 
-    The edges lie along the principal axes. The first edge of a box of mass m is
-    sqrt(6 (I2 + I3 - I1) / m); the other two follow by cyclic permutation. The moments do not
-    determine the mass, so the edges are scaled such that the longest is 1. The axes of the
-    equivalent ellipsoid have the same ratios.
+    The result has shape (3,), with one edge along each principal axis. The first edge of a box of
+    mass m is sqrt(6 (I2 + I3 - I1) / m); the other two follow by cyclic permutation. The ratios do
+    not determine the mass, so all edges are scaled by a common factor that makes the longest edge
+    1. The axes of the equivalent ellipsoid have the same ratios.
     """
     moments = body.principal_moments
     squares = np.maximum(moments.sum() - 2.0 * moments, 0.0)
@@ -286,7 +294,8 @@ def uniform_box(body: RigidBody) -> Floats:
 
 
 def _product(factors: Floats, rows: Floats) -> Floats:
-    # Return factors @ rows, summed in a fixed order. In BLAS the order depends on the processor.
+    # Return factors @ rows, but sum in a fixed order. BLAS sums in an order that depends on the
+    # processor.
     total = factors[..., :1] * rows[0]
     for k in range(1, len(rows)):
         total = total + factors[..., k:k + 1] * rows[k]
@@ -354,10 +363,10 @@ def _damping_coefficients(tensor: NDArray[Any], damping: Floats) -> Floats:
 
 
 def _check_thickness(tensor: Floats, mass: float, distance: float) -> None:
-    """Raise ValueError if the smallest moment of point masses may be a mere rounding error."""
+    """Raise ValueError if rounding errors may exceed the smallest moment of the point masses."""
     moments = np.linalg.eigvalsh(tensor)
-    # The first term bounds the error of the sums. The second term bounds the errors of positions
-    # and of the centre of mass.
+    # The first term bounds the rounding error of the sums. The second term bounds the effect of
+    # rounding errors in the positions and in the centre of mass.
     rounding = _SUMMED * moments[2] + mass * (_SUMMED * distance) ** 2
     if moments[0] <= rounding:
         raise ValueError('inertia: expected a positive definite tensor, found masses that are on '

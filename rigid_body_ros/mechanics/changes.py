@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Bodies that change at given times, as when a payload is dropped or an arm is deployed."""
+"""Bodies that change at given times, for example when a payload is dropped or an arm deploys."""
 
 from __future__ import annotations
 
@@ -26,27 +26,29 @@ from rigid_body_ros.common.times import instants, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 
-#: The quantities that may stay the same when a body changes; see `BodyLog`.
+#: The quantities that can stay the same when a body changes: its angular velocity ('rate') or its
+#: angular momentum ('momentum'). See `BodyLog`.
 KEEPS = RATE, MOMENTUM = 'rate', 'momentum'
 
 
 class BodyLog:
     """
-    The bodies that replace the first body of a motion, each from its stamp on.
+    The bodies that replace the first body of a motion, each at its own stamp.
 
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        The stamps, in any order. If several bodies have the same stamp, only the last one is used.
+        The stamps of the bodies, in any order. If several bodies have the same stamp, only the
+        last one is used.
     bodies : sequence of n RigidBody
-        The body that replaces the previous one at each stamp.
+        The new body at each stamp.
     keep : str
         What stays the same when the body changes. With 'rate', the angular velocity stays the
-        same, as when a payload is dropped and takes its momentum along. With 'momentum', the
-        momentum J w of the body stays the same and the angular velocity jumps, as when an arm is
-        deployed in an instant. In both cases, the momentum of the rotors stays the same. For a
-        named wheel with the axial inertia I, the axis a and the speed Omega, the axial momentum
-        I (Omega + a . w) stays the same, too.
+        same. This describes a dropped payload, which takes its momentum with it. With 'momentum',
+        the momentum J w of the body stays the same and the angular velocity jumps. This describes
+        an arm that deploys in an instant. Either way, the rotors keep their momentum. Named wheels
+        keep their axial momentum, which is I (Omega + a . w) for a wheel with axial inertia I,
+        axis a and speed Omega.
 
     Attributes
     ----------
@@ -58,7 +60,7 @@ class BodyLog:
     Raises
     ------
     ValueError
-        The numbers of stamps and bodies differ, a stamp is not an integer that fits int64, or
+        The numbers of stamps and bodies differ, a stamp is not an integer that fits in int64, or
         `keep` is neither 'rate' nor 'momentum'.
 
     """
@@ -82,11 +84,11 @@ class BodyLog:
         return f"BodyLog({len(self)} changes, keep '{self.keep}')"
 
     def in_force(self, time_ns: int) -> int:
-        """Return the index of the last change at or before a time; -1 if there is none."""
+        """Return the index of the last change at or before a given time; -1 if there is none."""
         return int(self.times_ns.searchsorted(time_ns, 'right')) - 1
 
     def next_ns(self, time_ns: int) -> int:
-        """Return the stamp of the first change after a time; NEVER_NS if there is none."""
+        """Return the stamp of the first change after a given time; NEVER_NS if there is none."""
         later_ns = self.times_ns[self.in_force(time_ns) + 1:]
         return int(later_ns[0]) if len(later_ns) else NEVER_NS
 
@@ -121,7 +123,7 @@ def changed(state: State, before: RigidBody, after: RigidBody, keep: str) -> Sta
 
 def _rates_that_keep_momentum(rates: Floats, lost_rates: Floats, before: RigidBody,
                               after: RigidBody) -> tuple[Floats, Floats]:
-    # Solve J' w' = J w by Cramer's rule in exact fractions, so that no operation rounds.
+    # Solve J' w' = J w by Cramer's rule. Exact fractions avoid rounding errors.
     w = [Fraction(high) + Fraction(low) for high, low in zip(rates[:3], lost_rates[:3])]
     momentum = [_dot(row, w) for row in _exact(before)]
     x, y, z = _exact(after)

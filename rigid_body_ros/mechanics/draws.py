@@ -15,8 +15,8 @@
 """
 Random numbers that depend only on a key and a counter, not on earlier draws.
 
-The numbers have the same bits on every machine, because this module calls no function of the C
-library or of SciPy.
+The numbers are the same on every machine, bit for bit, because this module calls no functions from
+the C library or from SciPy.
 """
 
 from __future__ import annotations
@@ -26,23 +26,24 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine.elementary import sines_cosines
 
-#: The step of the counter of SplitMix64, and the multipliers of its finalizer (Steele, Lea, Flood
+#: The counter increment of SplitMix64, and the multipliers of its finalizer (Steele, Lea, Flood
 #: 2014, "Fast splittable pseudorandom number generators").
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-#: Number of terms of the series of the logarithm; more terms would not change the result.
+#: Number of terms in the series for the logarithm. Further terms would be too small to change the
+#: result.
 _TERMS = 12
 _LN_2 = 0.6931471805599453
 
 
 def hashed(keys: NDArray[np.uint64], counters: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """
-    Return the numbers at given positions of SplitMix64 streams.
+    Return the random numbers at given positions of SplitMix64 streams.
 
     Parameters
     ----------
     keys, counters : array of uint64, shape (...)
-        The seeds of the streams, and the positions in the streams. The two arrays are broadcast
+        The seed of each stream, and the position in the stream. The two arrays are broadcast
         against each other.
 
     Returns
@@ -58,7 +59,7 @@ def hashed(keys: NDArray[np.uint64], counters: NDArray[np.uint64]) -> NDArray[np
 
 def normals(bits: NDArray[np.uint64]) -> Floats:
     """
-    Return standard normal numbers (Box, Muller 1958).
+    Convert random bits to standard normal numbers (Box and Muller, 1958).
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def normals(bits: NDArray[np.uint64]) -> Floats:
 
 
 def logarithms(numbers: Floats) -> Floats:
-    """Return natural logarithms of positive numbers, with a relative error of up to 2**-51."""
+    """Return the natural logarithms of positive numbers, with a relative error of up to 2**-51."""
     fractions, exponents = np.frexp(numbers)
     is_small = fractions < 0.5 ** 0.5
     fractions, exponents = np.where(is_small, 2.0 * fractions, fractions), exponents - is_small

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands of named wheels."""
+"""Logs of commands for named wheels."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from rigid_body_ros.common.times import instants, NEVER_NS
 
 class EffortLog:
     """
-    The commands of named wheels: the torques of their motors.
+    A log of motor torques commanded to named wheels.
 
-    Each command is held until the next command for the same wheel. The effort of a wheel is zero
-    before the first command for this wheel. With a timeout, the commands of all wheels end
-    together, one timeout after the last command for any wheel.
+    A wheel holds each command until it receives the next one. Before its first command, its effort
+    is zero. With a timeout, all wheels time out together: the commands of all wheels end when none
+    of the wheels has received a command for the length of the timeout.
 
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        The stamps, in any order. If several commands for a wheel have the same stamp, only the
-        last one in the array is used.
+        The stamps of the commands, in any order. If several commands for a wheel have the same
+        stamp, only the last one in the array is used.
     efforts : array, shape (n, k), N m
-        One column for each of k wheels, in the order of the wheels. Where an entry is NaN, the
-        previous command of the wheel stays in force.
+        The commanded torques, with one column for each of k wheels, in the order of the wheels. An
+        entry of NaN leaves the wheel's previous command in force.
 
     Attributes
     ----------
@@ -48,8 +48,8 @@ class EffortLog:
     Raises
     ------
     ValueError
-        The shapes do not match, a time is not an integer that fits int64, the times span 292 years
-        or more, or an effort is infinite.
+        The shapes do not match, a time is not an integer that fits in int64, the times span 292
+        years or more, or an effort is infinite.
 
     """
 
@@ -69,7 +69,7 @@ class EffortLog:
         found, rows = np.unique(stamps_ns[commands.any(axis=1)], return_inverse=True)
         values, commands = values[commands.any(axis=1)], commands[commands.any(axis=1)]
         merged = np.full((len(found), values.shape[1]), np.nan)
-        for wheel in range(values.shape[1]):  # of equal indices, numpy uses the last one
+        for wheel in range(values.shape[1]):  # if an index repeats, NumPy uses the last value
             merged[rows[commands[:, wheel]], wheel] = values[commands[:, wheel], wheel]
         self.times_ns: NDArray[np.int64] = found
         self.efforts: Floats = merged
@@ -82,7 +82,7 @@ class EffortLog:
         return f'EffortLog({len(self)} commands of {self.efforts.shape[1]} wheels)'
 
     def between(self, begin_ns: int, end_ns: int) -> EffortLog:
-        """Return a log of the commands that are in force between two times, ns."""
+        """Return a log of the commands in force at any time between two given times, ns."""
         first = max(int(self.times_ns.searchsorted(begin_ns, 'right')) - 1, 0)
         stop = int(self.times_ns.searchsorted(end_ns, 'right'))
         begun = filled(self.efforts[:first + 1], np.full(self.efforts.shape[1], np.nan))[-1:]
@@ -91,7 +91,11 @@ class EffortLog:
 
 
 def filled(rows: Floats, before: Floats) -> Floats:
-    """Return rows, shape (n, m), with the last number above, or `before`, in place of each NaN."""
+    """
+    Replace each NaN in rows, shape (n, m), by the last number above it in its column.
+
+    If there is no number above a NaN, it is replaced by the column's entry in `before`.
+    """
     if not np.isnan(rows).any():
         return rows
     rows = np.concatenate([before[None], rows])

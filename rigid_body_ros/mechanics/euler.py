@@ -15,16 +15,17 @@
 """
 Euler angles, in any of the twelve sequences.
 
-A sequence is named as in SciPy, by three axes. Upper case means intrinsic rotations, each about an
-axis of the rotated body. Lower case means extrinsic rotations, about axes fixed in space. 'ZXZ' is
-3-1-3: phi about space Z, theta about the line of nodes, psi about body z. All angles are in rad
-and active: the rotation maps body vectors to space vectors. The poles are the attitudes at which
-the first and the third axis are parallel (gimbal lock).
+A sequence is named by its three axes, as in SciPy. Upper case means intrinsic rotations, each
+about an axis of the rotated body. Lower case means extrinsic rotations, about axes fixed in space.
+For example, 'ZXZ' is the 3-1-3 sequence: phi about space Z, theta about the line of nodes, and psi
+about body z. All angles are in rad. They describe active rotations, which map body vectors to
+space vectors. The poles are the attitudes at which the first and third axes are parallel (gimbal
+lock).
 
-Conversions are computed with at least 65 bits and rounded once. A conversion to angles and back
-changes an attitude by less than 1e-15 rad, even at the poles. Nearly all of this change comes from
-rounding the angles: neighbouring doubles are 4.4e-16 to 8.9e-16 apart. All results have the same
-bits on every machine.
+Conversions are computed to at least 65 bits and rounded once. Converting an attitude to angles and
+back changes it by less than 1e-15 rad, even at the poles. Nearly all of this change comes from
+rounding the angles, because neighbouring doubles are 4.4e-16 to 8.9e-16 apart. All results are the
+same on every machine, bit for bit.
 """
 
 from __future__ import annotations
@@ -38,28 +39,29 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels
 from rigid_body_ros.engine.elementary import sines_cosines
 
-#: Angles are degenerate if |sin(theta)|, or |cos(theta)| for three different axes, is below this
-#: value. The attitude then determines only the sum or difference of the first and third angle.
+#: Euler angles with middle angle theta count as degenerate if |sin(theta)| is below this value.
+#: For sequences of three different axes, |cos(theta)| is used instead. The attitude of degenerate
+#: angles determines only the sum or the difference of the first and third angles.
 DEGENERATE = 1e-7
 #: If |sin(theta)| is below this value, a rate divided by sin(theta) may overflow.
 _VANISHING = 1e-290
-#: If |sin(theta)| is below this value, theta is at a pole within rounding. Then either the sum or
-#: the difference of the first and third angle is not determined at all.
+#: If |sin(theta)| is below this value, theta is at a pole within rounding. Either the sum or the
+#: difference of the first and third angles is then completely undetermined.
 _UNDETERMINED = 1e-15
 
 
 class _Axes(NamedTuple):
-    """A sequence as intrinsic rotations about body axes i, j, k."""
+    """An Euler sequence, expressed as intrinsic rotations about the body axes i, j, k."""
 
     i: int
     j: int
     k: int
-    #: Whether the first and third axis are the same.
+    #: Whether the first and third axes are the same.
     proper: bool
     #: 1 if i, j and the remaining body axis form a right-handed system, else -1.
     parity: int
-    #: Whether the sequence is extrinsic. The angles are then in reverse order: extrinsic x y z is
-    #: intrinsic z y x.
+    #: Whether the sequence was given as extrinsic. Its angles are then in reverse order, because
+    #: extrinsic x y z is intrinsic z y x.
     extrinsic: bool
 
 
@@ -76,22 +78,22 @@ def _axes(sequence: str) -> _Axes:
 
 
 def check_sequence(sequence: str) -> None:
-    """Raise ValueError if a sequence is not one of the twelve."""
+    """Raise ValueError if a string is not one of the twelve Euler sequences."""
     _axes(sequence)
 
 
 def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the attitude that Euler angles describe.
+    Convert Euler angles to quaternions.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        The angles, of any size, in the order of the sequence. Adding 2 pi to one angle changes the
-        sign of the quaternion.
+        The angles in the order of the sequence. They may exceed a full turn. Adding 2 pi to one
+        angle changes the sign of the quaternion.
     sequence : str
-        Three axes; neighbouring axes must differ. Upper case means intrinsic rotations, lower case
-        means extrinsic rotations.
+        Three axes, in upper case for intrinsic rotations and in lower case for extrinsic
+        rotations. Neighbouring axes must differ.
 
     Returns
     -------
@@ -114,23 +116,24 @@ def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the Euler angles of an attitude.
+    Convert quaternions to Euler angles.
 
-    Half the sum and half the difference of the first and third angle come from one arctangent
-    each, without thresholds (Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS
-    ONE 2022). For 'ZXZ', (phi + psi) / 2 = atan2(z, w), (phi - psi) / 2 = atan2(y, x), and
-    `theta = 2 atan2(|x, y|, |w, z|)`. At a pole, only the sum or only the difference is
-    determined. This value is exact, and is split evenly between the two angles.
+    One arctangent gives half the sum of the first and third angles, and another gives half their
+    difference. No thresholds are needed. The method is that of Bernardes and Viollet, "Quaternion
+    to Euler angles conversion", PLoS ONE 2022. For 'ZXZ', this means (phi + psi) / 2 = atan2(z,
+    w), (phi - psi) / 2 = atan2(y, x), and `theta = 2 atan2(|x, y|, |w, z|)`. At a pole, the
+    attitude determines only the sum or only the difference. This sum or difference is still exact,
+    and is split evenly between the first and third angles.
 
-    Near a pole the first and third rotation have nearly the same axis, so their rounding errors
-    would add up. Therefore the third angle compensates for the rounding error of the first angle,
-    as far as this error is a rotation about the third axis.
+    Near a pole, the first and third rotations have nearly the same axis, so their rounding errors
+    would add up. To avoid this, the third angle compensates for the part of the first angle's
+    rounding error that is a rotation about the third axis.
 
     Parameters
     ----------
     attitude : array, shape (..., 4)
-        x y z w, body to space, of any norm. If a quaternion is zero or not finite, the angles are
-        NaN.
+        Quaternions x y z w, body to space, of any norm. If a quaternion is zero or not finite, its
+        angles are NaN.
     sequence : str
         As for `to_quaternion`.
 
@@ -138,7 +141,7 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     -------
     array, shape (..., 3), rad
         The angles in the order of the sequence. The ranges are [0, 2 pi), [0, pi], [0, 2 pi) if
-        the first and third axis are the same, and (-pi, pi], [-pi/2, pi/2], (-pi, pi] if all axes
+        the first and third axes are the same, and (-pi, pi], [-pi/2, pi/2], (-pi, pi] if all axes
         differ.
 
     Raises
@@ -157,7 +160,10 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     """
-    Return whether the attitude determines only the sum or difference of first and third angle.
+    Return whether Euler angles are degenerate (close to gimbal lock).
+
+    The attitude of degenerate angles determines only the sum or the difference of the first and
+    third angles.
 
     Parameters
     ----------
@@ -170,8 +176,8 @@ def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     Returns
     -------
     array of bool, shape (...)
-        Whether the sine (cosine, if all axes differ) of the middle angle is below `DEGENERATE` in
-        absolute value.
+        Whether the absolute value of the middle angle's sine is below `DEGENERATE`. If all axes
+        differ, its cosine is used instead.
 
     Raises
     ------
@@ -186,16 +192,15 @@ def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
 
 def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the unit axes of the three rotations, in body components.
+    Return the axes of the three rotations as unit vectors in body axes.
 
     For 'ZXZ', the axes are space Z, the line of nodes and body z. The middle axis is perpendicular
-    to the first and to the last axis. The first and the last axis are parallel if the angles are
-    degenerate.
+    to the other two. If the angles are degenerate, the first and last axes are parallel.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        The angles, of any size, in the order of the sequence.
+        The angles in the order of the sequence. They may exceed a full turn.
     sequence : str
         As for `to_quaternion`.
 
@@ -219,7 +224,9 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the angular velocity, which is the sum of the Euler rates times their rotation axes.
+    Convert Euler rates to an angular velocity.
+
+    The angular velocity is the sum of the three rotation axes, each times its Euler rate.
 
     For 'ZXZ' (Goldstein, equation 4.87):
     w1 = phi' sin theta sin psi + theta' cos psi,
@@ -228,7 +235,7 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        The angles, of any size, in the order of the sequence.
+        The angles in the order of the sequence. They may exceed a full turn.
     rates : array, shape (..., 3), rad/s
         The Euler rates in the order of the sequence.
     sequence : str
@@ -249,18 +256,18 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
 
 def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the Euler rates of an angular velocity.
+    Convert an angular velocity to Euler rates.
 
     For 'ZXZ', phi' = (w1 sin psi + w2 cos psi) / sin theta, theta' = w1 cos psi - w2 sin psi, and
     psi' = w3 - phi' cos theta. Near the poles (see `degenerate`) phi' and psi' grow without bound,
     but their sum (near theta = 0) or difference (near theta = pi) does not. At a pole, this sum or
-    difference is split evenly between the two rates. A component of the angular velocity that no
-    finite rates can produce is ignored at a pole.
+    difference is split evenly between the two rates, and any component of the angular velocity
+    that finite rates cannot produce is ignored.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        The angles, of any size, in the order of the sequence.
+        The angles in the order of the sequence. They may exceed a full turn.
     angular_velocity : array, shape (..., 3), rad/s, body axes
         The angular velocity, which is broadcast against `angles`.
     sequence : str
@@ -269,7 +276,7 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     Returns
     -------
     array, shape (..., 3), rad/s
-        The rates in the order of the sequence, always finite.
+        The rates in the order of the sequence. They are always finite.
 
     Raises
     ------
@@ -291,22 +298,22 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
 
 def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the angles of a trajectory without jumps.
+    Remove the jumps from the Euler angles of a trajectory.
 
     Many triples of angles describe the same attitude: (a, b, c) + 2 pi k and (a + pi, -b, c + pi)
-    + 2 pi k, where k is any triple of integers, and -b becomes pi - b for three different axes.
-    For each sample, `unwrap` chooses the triple closest to the previous sample. So the middle
-    angle may leave its range: where theta passes through zero, theta becomes negative and phi does
-    not jump. Exactly at a pole, the attitude determines only the sum or only the difference of the
-    first and third angle. For such a sample, `unwrap` takes the undetermined sum or difference
-    from the previous sample or, if the trajectory begins at a pole, from the first sample that is
-    not at a pole.
+    + 2 pi k, where k is any triple of integers. If all three axes differ, -b becomes pi - b. For
+    each sample, `unwrap` chooses the triple closest to that of the previous sample. The middle
+    angle may therefore leave its usual range: where theta passes through zero, it becomes negative
+    and phi does not jump. Exactly at a pole, the attitude determines only the sum or only the
+    difference of the first and third angles. There, `unwrap` takes the undetermined sum or
+    difference from the previous sample or, if the trajectory begins at a pole, from the first
+    sample that is not at a pole.
 
     Parameters
     ----------
     angles : array, shape (m, 3), rad
-        The angles in the order of the sequence. Samples must be so close in time that the closest
-        triple is the right one.
+        The angles in the order of the sequence. The samples must be close enough in time that the
+        closest triple is the correct one.
     sequence : str
         As for `to_quaternion`.
 
@@ -335,9 +342,9 @@ def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:
 
 
 def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    # Return the body axis of the last rotation (outer), the line of nodes, the unit vector
-    # perpendicular to both (across), and the sine and the cosine of the angle between the first
-    # and the last axis. The first axis is cosine * outer + sine * across.
+    # Return five values: the body axis of the last rotation (outer), the line of nodes, the unit
+    # vector perpendicular to these two (across), and the sine and cosine of the angle between the
+    # first and last axes. The first axis is cosine * outer + sine * across.
     _, middle, last = np.moveaxis(_intrinsic(angles, axes), -1, 0)
     unit = np.eye(3)
     sine, cosine = _sine_cosine(middle, axes)
@@ -349,6 +356,6 @@ def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floa
 
 
 def _sine_cosine(middle: Floats, axes: _Axes) -> tuple[Floats, Floats]:
-    # Return the sine and the cosine of the angle between the first and the last axis.
+    # Return the sine and cosine of the angle between the first and last axes.
     sine, cosine = sines_cosines(middle)
     return (sine, cosine) if axes.proper else (cosine, axes.parity * sine)

@@ -15,7 +15,7 @@
 """
 Torques that depend on the attitude: uniform fields and the gravity gradient.
 
-The formulas are those of Goldstein, Classical Mechanics, chapter 5 (the heavy top), and of Hughes,
+The formulas follow Goldstein, Classical Mechanics, chapter 5 (the heavy top), and Hughes,
 Spacecraft Attitude Dynamics, chapters 8 and 9 (the gravity gradient).
 """
 
@@ -35,36 +35,38 @@ from rigid_body_ros.engine.elementary import sines_cosines
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 
-#: Largest accepted cosine of the angle between a position on an orbit and the orbit normal.
+#: The position on an orbit must be perpendicular to the orbit normal. The cosine of the angle
+#: between these two vectors may be at most this value.
 _SQUARE = 1e-9
-#: A vector whose length differs from 1 by at most this value is not normalised.
+#: A vector whose length differs from 1 by at most this value is used as it is, without normalising
+#: it.
 _ROUNDED = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
 class UniformField:
     """
-    A uniform field, whose torque turns a moment of the body towards the direction of the field.
+    A uniform field, whose torque turns a moment of the body towards the field's direction.
 
-    The torque of the field f on the moment m is m x R^T f, where R takes body axes to space axes.
-    For the weight about a pivot, m is the mass times the position of the centre of mass relative
-    to the pivot, and f is gravity. The inertia of the body must then be about the pivot. The
-    torque of a magnetic field (T) on a magnetic dipole (A m^2) and the torque of buoyancy have the
-    same form.
+    A field f exerts the torque m x R^T f on a moment m, where R maps body axes to space axes. To
+    model the weight of a body on a pivot, let m be the mass times the position of the centre of
+    mass relative to the pivot, and let f be gravity. The inertia of the body must then be about
+    the pivot. Buoyancy and the torque of a magnetic field (T) on a magnetic dipole (A m^2) have
+    the same form.
 
     Parameters
     ----------
     moment : array, shape (3,), kg m, A m^2, ...
         The moment in body axes.
     field : array, shape (3,), m/s^2, T, ...
-        The field in space axes. The product of the units of moment and field is N m.
+        The field in space axes. The units of the moment and the field must multiply to N m.
     name : str
-        Name of the field in a scene; empty for a field without a name.
+        Name of the field in a scene. Empty if the field has no name.
 
     Raises
     ------
     ValueError
-        The moment or the field is not 3 finite numbers.
+        The moment or the field does not consist of 3 finite numbers.
 
     """
 
@@ -77,13 +79,13 @@ class UniformField:
             object.__setattr__(self, name, _checked(getattr(self, name), f'{name} of a field'))
 
     def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """Return the torque, N m, body axes, shape (m, 3), at m times and attitudes."""
+        """Return the torque in body axes, N m, shape (m, 3), at m times and attitudes."""
         return np.cross(np.asarray(self.moment), so3.rotate(so3.conjugate(attitude), self._rows(
             attitude)))
 
     def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
                          attitude: Floats) -> Floats:
-        """Return the potential energy -m . R^T f, J, shape (m,), at m attitudes."""
+        """Return the potential energy -m . R^T f, in joules, shape (m,), at m attitudes."""
         turned = so3.rotate(so3.conjugate(attitude), self._rows(attitude))
         return -np.sum(turned * np.asarray(self.moment), axis=1)
 
@@ -91,13 +93,13 @@ class UniformField:
         """
         Return an upper bound on how much the field can increase the angular velocity, rad/s.
 
-        The bound follows from the energy: with the smallest moment I and the kinetic energy T, the
-        angular velocity is at most sqrt(2 T / I).
+        The bound follows from the energy: a body with kinetic energy T and smallest moment of
+        inertia I has an angular velocity of at most sqrt(2 T / I).
 
         Parameters
         ----------
         least, largest : array, kg m^2
-            Smallest and largest principal moments of the bodies.
+            The smallest and largest principal moments of the bodies.
 
         """
         strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)
@@ -110,7 +112,7 @@ class UniformField:
 @dataclass(frozen=True, eq=False)
 class GravityGradient:
     """
-    The gravity gradient on a circular orbit.
+    The gravity-gradient torque on a body in a circular orbit.
 
     The torque is 3 n^2 r x J r, where n is the mean motion, J is the inertia, and r is the unit
     vector from the planet to the body.
@@ -118,10 +120,10 @@ class GravityGradient:
     Parameters
     ----------
     mean_motion : float, rad/s
-        The angular rate n of the orbit, positive.
+        The angular rate n of the orbit, greater than zero.
     position, normal : array, shape (3,), space axes
-        The direction from the planet to the body at `time_ns`, and the normal of the orbit, about
-        which the body revolves. The lengths of the two vectors do not matter.
+        `position` is the direction from the planet to the body at `time_ns`. `normal` is the orbit
+        normal, about which the body revolves. Both vectors may have any nonzero length.
     time_ns : int, optional, ns
         The time at which the body is at `position`. The default is the start of the motion.
 
@@ -129,7 +131,7 @@ class GravityGradient:
     ------
     ValueError
         The mean motion is not positive and finite, a direction is zero or not finite, the two
-        directions are not perpendicular, or the time does not fit int64.
+        directions are not perpendicular, or the time does not fit in int64.
 
     """
 
@@ -137,7 +139,7 @@ class GravityGradient:
     position: ArrayLike = (1.0, 0.0, 0.0)
     normal: ArrayLike = (0.0, 0.0, 1.0)
     time_ns: int | None = None
-    #: The direction of the motion along the orbit at `time_ns`, a unit vector in space axes.
+    #: The direction of motion along the orbit at `time_ns`, as a unit vector in space axes.
     along: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -157,11 +159,11 @@ class GravityGradient:
             object.__setattr__(self, name, value)
 
     def directions(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the unit vectors from the planet to the body, space axes, shape (m, 3)."""
+        """Return the unit vectors from the planet to the body in space axes, shape (m, 3)."""
         assert self.time_ns is not None, 'the orbit has no time'
-        # Split the rate such that the product of its first part with whole seconds is exact.
-        # Without the split, the rounding error of the angle would exceed that of the attitude
-        # after many turns.
+        # Split the mean motion into two parts, such that the product of the first part and whole
+        # seconds is exact. Otherwise, after many turns, the rounding error of the orbit angle
+        # would exceed that of the attitude.
         mantissa, exponent = math.frexp(self.mean_motion)
         rate = math.ldexp(round(math.ldexp(mantissa, 24)), exponent - 24)
         seconds, rest_ns = np.divmod(times_ns - self.time_ns, 10 ** 9)
@@ -172,18 +174,22 @@ class GravityGradient:
                 + (sine * more_cosine + cosine * more_sine)[:, None] * self.along)
 
     def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """Return the torque, N m, body axes, shape (m, 3), at m times and attitudes."""
+        """Return the torque in body axes, N m, shape (m, 3), at m times and attitudes."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
         return 3.0 * self.mean_motion ** 2 * np.cross(r, body.angular_momentum(r))
 
     def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
                          attitude: Floats) -> Floats:
-        """Return the potential energy of the rotation, 3/2 n^2 r . J r, J, shape (m,)."""
+        """Return the potential energy of the rotation, 3/2 n^2 r . J r, in joules, shape (m,)."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
         return 1.5 * self.mean_motion ** 2 * np.sum(r * body.angular_momentum(r), axis=1)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
-        """Return a bound like `UniformField.speed`, from the energy in the orbiting frame."""
+        """
+        Return an upper bound, rad/s, on how much the field can increase the angular velocity.
+
+        Unlike in `UniformField.speed`, the bound follows from the energy in the orbiting frame.
+        """
         return self.mean_motion * (1.0 + 3.0 * np.sqrt(largest / least))
 
 
@@ -192,7 +198,9 @@ Field = UniformField | GravityGradient
 
 def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
     """
-    Return the fields of a motion; an orbit without a time gets the time of the beginning.
+    Return the fields of a motion that begins at a given time.
+
+    A gravity gradient without a `time_ns` gets the time at which the motion begins.
 
     Raises
     ------
@@ -209,14 +217,18 @@ def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
 
 
 def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
-    """Return fields for the kernels, FIELDS, shape (1,), or None; an orbit must have a time."""
+    """
+    Pack fields into the array that the kernels read, with dtype FIELDS and shape (1,).
+
+    If there are no fields, the result is None. A gravity gradient must have a `time_ns`.
+    """
     if not fields:
         return None
     result = np.zeros(1, FIELDS)
     uniform = [one for one in fields if isinstance(one, UniformField)]
     moments = np.array([one.moment for one in uniform]).reshape(-1, 3)
     directions = np.array([one.field for one in uniform]).reshape(-1, 3)
-    if len(uniform) > MOST_FIELDS:  # use one field along each space axis, summed in order
+    if len(uniform) > MOST_FIELDS:  # use one field per space axis, summed in order
         total = np.zeros((3, 3))
         for moment, direction in zip(moments, directions):
             total = total + direction[:, None] * moment
@@ -242,7 +254,9 @@ def _checked(values: ArrayLike, what: str) -> Floats:
 
 def direction(values: ArrayLike, what: str) -> Floats:
     """
-    Return the unit vector along a vector, or the vector itself if its length is 1 within rounding.
+    Return the unit vector along a vector.
+
+    A vector whose length is 1 within rounding is returned unchanged.
 
     Raises
     ------
@@ -256,7 +270,7 @@ def direction(values: ArrayLike, what: str) -> Floats:
     largest = abs(vector).max()
     if not largest:
         raise ValueError(f'{what}: expected a direction, found zeros')
-    vector = vector / largest  # squares neither overflow nor underflow
+    vector = vector / largest  # so that squares neither overflow nor underflow
     vector = vector / _length(vector)
     vector.flags.writeable = False
     return vector

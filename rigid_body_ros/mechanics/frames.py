@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Frames of the links of a body, and the torques of wrenches in these frames."""
+"""The frames of a body's links, and the torques of wrenches that are given in these frames."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed, quoted
 
-#: The part of a vector across an axis counts as a rounding error if the ratio of this part to the
-#: vector is at most this value. A publisher that normalises the axis, multiplies the axis by the
-#: thrust or rotates it by a quaternion makes an error of less than 16 eps. The value is four times
-#: this error, to leave room for a chain of rotations.
+#: A vector counts as parallel to an axis if the vector's component perpendicular to the axis is at
+#: most this fraction of the vector's magnitude. If a publisher normalises the axis, multiplies it
+#: by the thrust or rotates it by a quaternion, this causes an error of less than 16 eps. The limit
+#: is four times larger, to leave room for a chain of rotations.
 _ROUNDING = 64.0 * np.finfo(float).eps
-#: Smallest normal double; below it, rounding errors are not proportional to the value.
+#: The smallest normal double. For smaller numbers, rounding errors are not proportional to the
+#: number.
 _TINY = np.finfo(float).tiny
 
 
@@ -58,20 +59,20 @@ class Frame:
 
     @cached_property
     def has_arm(self) -> bool:
-        """Return whether a force at the origin has a lever arm about the centre of mass."""
+        """Return whether the origin of the frame is away from the centre of mass."""
         return bool(self.position.any())
 
     @cached_property
     def _arm(self) -> Floats:
-        """Return the matrix, shape (3, 3), m, that maps a force in the frame to its torque."""
+        """Return the 3 by 3 matrix, in m, that maps a force in the frame to its torque."""
         return np.cross(self.position, self.rotation, axisb=0, axisc=0)
 
     def torque(self, force: ArrayLike, torque: ArrayLike) -> Floats:
         """
-        Return the torque of wrenches about the centre of mass: R torque + position x (R force).
+        Return the torque of wrenches about the centre of mass.
 
-        R is `rotation`. If the frame is aligned and there is no force, the torque is returned
-        unchanged, bit for bit.
+        The result is R torque + position x (R force), where R is `rotation`. If the frame is
+        aligned and there is no force, the torque is returned unchanged, bit for bit.
 
         Parameters
         ----------
@@ -81,8 +82,8 @@ class Frame:
         Returns
         -------
         array, shape (..., 3), N m, body axes
-            A result is not finite if the given torque, or a force with a lever arm, is not finite,
-            or if the result overflows.
+            A result is not finite if its wrench has a torque that is not finite, or a force that
+            is not finite and has a lever arm, or if the computation overflows.
 
         """
         force, torque = np.asarray(force, float), np.asarray(torque, float)
@@ -92,22 +93,22 @@ class Frame:
             if not self.has_arm or not force.any():
                 return torque
             moment = _product(self._arm, force)
-            # Do not add a moment of zero: a torque of -0.0 would become 0.0.
+            # Do not add a moment that is zero, because it would turn a torque of -0.0 into 0.0.
             return np.where(moment, torque + moment, torque)
 
 
 @dataclass(frozen=True, eq=False)
 class TurningFrame(Frame):
     """
-    A frame that turns about an axis through its origin; axis and origin are fixed to the body.
+    A frame that turns about an axis through its origin.
 
-    The angle of the frame is unknown. So the torque of a wrench is known only if the wrench is
-    along the axis.
+    The axis and the origin are fixed to the body, but the angle of the frame is unknown. The
+    torque of a wrench can therefore be computed only if the wrench is along the axis.
 
     Attributes
     ----------
     rotation : array, shape (3, 3)
-        The axes of the frame at an angle of zero, as columns, in body axes.
+        The axes of the frame when its angle is zero, as columns, in body axes.
     joint : str
         Name of the joint that turns the frame.
     axis : array, shape (3,)
@@ -120,12 +121,12 @@ class TurningFrame(Frame):
 
     @cached_property
     def is_aligned(self) -> bool:
-        """Return False, because the axes are the body axes at one angle at most."""
+        """Return False, because this frame is aligned with the body at one angle at most."""
         return False
 
     @cached_property
     def _projection(self) -> Floats:
-        """Return the matrix, shape (3, 3), that maps a vector to its part along the axis."""
+        """Return the 3 by 3 matrix that projects a vector onto the axis."""
         return np.outer(self.axis, self.axis)
 
     def torque(self, force: ArrayLike, torque: ArrayLike) -> Floats:
@@ -135,8 +136,8 @@ class TurningFrame(Frame):
         Raises
         ------
         OffAxisError
-            A force or a torque has a part across the axis that exceeds rounding. Forces and
-            torques that are not finite are not checked.
+            A force or a torque is not along the axis within rounding. Forces and torques that are
+            not finite are not checked.
 
         """
         force, torque = np.asarray(force, float), np.asarray(torque, float)
@@ -154,7 +155,11 @@ class TurningFrame(Frame):
 
 
 class OffAxisError(ValueError):
-    """Wrenches in a TurningFrame are off its axis; `row` is the index of the first such wrench."""
+    """
+    Raised if a force or a torque in a TurningFrame is not along the axis of the frame.
+
+    `row` is the index of the first such wrench.
+    """
 
     def __init__(self, row: int, text: str) -> None:
         super().__init__(text)
@@ -162,7 +167,11 @@ class OffAxisError(ValueError):
 
 
 def _differ(vectors: Floats, others: Floats) -> NDArray[np.bool_]:
-    """Return whether vectors, shape (..., 3), differ from others by more than rounding."""
+    """
+    Return whether each vector differs from its counterpart by more than rounding errors.
+
+    Both arrays have shape (..., 3).
+    """
     size, error = np.abs(vectors).max(axis=-1), np.abs(vectors - others).max(axis=-1)
     differ: NDArray[np.bool_] = error > _ROUNDING * (size + _TINY)
     return differ
@@ -179,21 +188,21 @@ def _product(matrix: Floats, vectors: Floats) -> Floats:
 
 
 class UnknownFrameError(KeyError, ValueError):
-    """Forces in a frame are not accepted; the message gives the reason."""
+    """Raised if forces in a frame are not accepted; the message says why."""
 
     __str__ = ValueError.__str__  # KeyError.__str__ adds quotes
 
 
 class Frames(dict[str, Frame]):
     """
-    Frames in which forces are accepted, keyed by the name of the link.
+    The frames in which forces are accepted, keyed by link name.
 
-    A look-up of any other name raises UnknownFrameError.
+    Looking up any other name raises UnknownFrameError.
 
     Attributes
     ----------
     link : str
-        Name of the link that is the body; '' if there are no frames.
+        Name of the link that represents the body, or '' if there are no frames.
     others : mapping
         For each other link of the URDF, the reason why forces in its frame are not accepted.
 
@@ -210,7 +219,7 @@ class Frames(dict[str, Frame]):
         raise UnknownFrameError(f'frame {quoted(name)}: {reason}')
 
     def prefixed(self, prefix: str) -> Frames:
-        """Return these frames with a prefix before each name, as in `robot_state_publisher`."""
+        """Return the frames with a prefix before each name, as in `robot_state_publisher`."""
         if not prefix:
             return self
         return Frames(prefix + self.link, {prefix + name: self[name] for name in self},
@@ -218,11 +227,11 @@ class Frames(dict[str, Frame]):
 
     def of_body(self, body_frame: str) -> Frame | None:
         """
-        Return the frame that the name of the body frame denotes; None if there are no frames.
+        Return the frame for forces given in the body frame, or None if there are no frames.
 
-        If a link has this name, and the axes of this link are the body axes, the method returns
-        the frame of this link. Otherwise it returns the frame of the link that is the body,
-        because the name of a body frame need not be the name of a link.
+        The name of the body frame need not be the name of a link. If there is a link with this
+        name and its axes are the body axes, the method returns the frame of that link. Otherwise,
+        it returns the frame of the link that represents the body.
         """
         named = self.get(body_frame)
         return named if named is not None and named.is_aligned else self.get(self.link)

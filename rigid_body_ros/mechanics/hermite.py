@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Interpolation of attitudes between samples of attitude and angular velocity."""
+"""Interpolate a motion between samples of attitude and angular velocity."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ from rigid_body_ros.mechanics import so3
 def between(first: tuple[Floats, Floats], last: tuple[Floats, Floats], spans: Floats,
             parts: Floats) -> tuple[Floats, Floats]:
     """
-    Return attitudes and angular velocities between pairs of samples.
+    Interpolate attitudes and angular velocities between pairs of samples.
 
-    The rotation vector from the first sample of a pair is a cubic polynomial in time. At both
-    ends, the polynomial matches the given attitudes and angular velocities.
+    The rotation since the first sample of a pair is described by a rotation vector that is a cubic
+    polynomial in time. The polynomial matches the given attitudes and angular velocities at both
+    samples.
 
     Parameters
     ----------
     first, last : tuple of arrays, shapes (n, 4) and (n, 3)
-        Attitudes x y z w, body to space, and angular velocities, rad/s, body axes.
+        The first and last sample of each pair: attitudes x y z w, body to space, and angular
+        velocities in body axes, rad/s.
     spans : array, shape (n,), s
         Time from the first to the last sample of each pair, greater than zero.
     parts : array, shape (n,)
@@ -56,7 +58,7 @@ def between(first: tuple[Floats, Floats], last: tuple[Floats, Floats], spans: Fl
 
 
 def _vector_rate(vector: Floats, rate: Floats) -> Floats:
-    """Return the derivatives of rotation vectors from angular velocities in body axes."""
+    """Convert angular velocities in body axes to the derivatives of rotation vectors."""
     angle = np.linalg.norm(vector, axis=1, keepdims=True)
     half = np.maximum(0.5 * angle, 1e-9)
     factor = np.where(angle < 1e-3, 1.0 / 12.0,
@@ -66,7 +68,7 @@ def _vector_rate(vector: Floats, rate: Floats) -> Floats:
 
 
 def _body_rate(vector: Floats, change: Floats) -> Floats:
-    """Return angular velocities in body axes from the derivatives of rotation vectors."""
+    """Convert the derivatives of rotation vectors to angular velocities in body axes."""
     angle = np.linalg.norm(vector, axis=1, keepdims=True)
     safe = np.maximum(angle, 1e-9)
     first = np.where(angle < 1e-3, 0.5, (1.0 - np.cos(angle)) / safe ** 2)

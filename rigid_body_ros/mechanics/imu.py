@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-The errors of an IMU, as functions of a seed and a stamp.
+IMU errors that depend only on a seed and a stamp.
 
-The IMU takes 1000 samples per second, counted from stamp 0, and the noise of a sample is a
-function of the number of the sample. The noise at a stamp is that of the last sample at or before
-the stamp. Therefore the noise depends neither on the rate of the stamps nor on earlier requests.
+The IMU takes 1000 samples per second, numbered from stamp 0, and the noise of each sample is a
+function of its number. The noise at a stamp is the noise of the last sample at or before that
+stamp, so it depends neither on the message rate nor on earlier requests.
 """
 
 from __future__ import annotations
@@ -34,18 +34,19 @@ from rigid_body_ros.mechanics import draws, so3
 #: Time between samples, ns.
 _SAMPLE_NS = 10 ** 6
 _SAMPLES_PER_SECOND = 1e9 / _SAMPLE_NS
-#: Number of gyro samples whose mean is one output. The noise is white up to 100 Hz.
+#: Number of gyro samples that are averaged for one output. The noise is white up to 100 Hz.
 _AVERAGED = 10
-#: Factor by which a standard normal number contributes to an output, for a noise density of 1.
+#: Factor by which each standard normal number is multiplied in an output if the noise density is
+#: 1.
 _WHITE = _SAMPLES_PER_SECOND ** 0.5 / _AVERAGED
 #: The random walk returns to zero every 2 ** _LEVELS samples (9.3 hours).
 _LEVELS = 25
-#: The counter of a random number is a level, shifted by `_SHIFT` bits, plus the number of a sample
-#: or of an interval. Level 0 is the white noise, levels 1 to `_LEVELS` are the random walk, and
-#: level `_TURN` is the noise of the attitude.
+#: To get the counter of a random number, shift its level left by `_SHIFT` bits, and add the number
+#: of a sample or an interval. Level 0 is for the white noise, levels 1 to `_LEVELS` are for the
+#: random walk, and level `_TURN` is for the attitude noise.
 _SHIFT, _TURN = 48, _LEVELS + 1
-#: Number of samples in a block, whose noise is computed at once. The random numbers of a block
-#: fit in a cache.
+#: Number of samples whose noise is computed at once. The random numbers for this many samples fit
+#: in the processor's cache.
 _BLOCK = 4096
 
 
@@ -57,19 +58,20 @@ class ImuErrors:
     Attributes
     ----------
     gyro_noise_density : float, rad/s/sqrt(Hz)
-        Density of the white noise, as in data sheets. Each output is the mean over 10 ms. So at an
-        output rate of 100 Hz, the noise of each output is independent of the noise of the other
-        outputs. At higher rates, neighbouring outputs have a part of their noise in common. At
-        lower rates, the noise is that of a 100 Hz sensor of which only some outputs are used.
+        Density of the white noise, as given in data sheets. Each output is the mean over 10 ms, so
+        at an output rate of 100 Hz, the noise of each output is independent of the noise of all
+        other outputs. At higher rates, neighbouring outputs share part of their noise. At lower
+        rates, the noise is that of a 100 Hz sensor that drops some of its outputs.
     gyro_random_walk : float, rad/s^2/sqrt(Hz)
-        Density of the random walk of the bias. The walk is zero at stamp 0 and every 2**25 ms (9.3
-        hours) after it. In between, the walk is a Brownian bridge: a Wiener process that is zero
-        at both ends.
+        Density of the bias random walk. The walk is zero at stamp 0, and returns to zero every
+        2**25 ms (9.3 hours). In between, it is a Brownian bridge: a Wiener process that is zero at
+        both ends.
     gyro_bias : tuple of 3 floats, rad/s, body axes
     attitude_noise : float, rad
-        Standard deviation of each component of a rotation vector in body axes.
+        Standard deviation of each component of the attitude error, which is a rotation vector in
+        body axes.
     delay : float, s
-        A message reports the state of the body at the stamp of the message minus this delay.
+        Delay of the sensor. A message with stamp t reports the state at t - `delay`.
     seed : int
         The seed, from 0 to 2**63 - 1.
 
@@ -94,7 +96,7 @@ class ImuErrors:
 
     @property
     def rate_variance(self) -> float:
-        """Return the variance of the white noise on each axis, rad^2/s^2, without the bias."""
+        """Return the variance of the white gyro noise per axis, rad^2/s^2, without the bias."""
         return self.gyro_noise_density ** 2 * _SAMPLES_PER_SECOND / _AVERAGED
 
     def measured(self, stamps_ns: NDArray[np.int64], attitude: Floats,
@@ -105,7 +107,7 @@ class ImuErrors:
         Parameters
         ----------
         stamps_ns : array of int, shape (n,), ns
-            Stamps of the messages, not negative, in any order.
+            The message stamps, in any order. They must not be negative.
         attitude, angular_velocity : array, shape (n, 4) and (n, 3), rad/s, body axes
             The motion at the times `stamps_ns` minus `delay`.
 
@@ -128,16 +130,16 @@ class ImuErrors:
         return attitude, angular_velocity + rates
 
     def _noise(self, samples: NDArray[np.int64]) -> Floats:
-        """Return noise of attitude and angular velocity, shape (2, n, 3), for n sample numbers."""
-        # Draw all numbers at once: the time for a single stamp is proportional to the number of
-        # NumPy calls.
+        """Return the noise of n samples, shape (2, n, 3): attitude noise, then gyro noise."""
+        # Draw all random numbers in one call, because for a single stamp, the computing time is
+        # proportional to the number of NumPy calls.
         ago = np.arange(_AVERAGED * bool(self.gyro_noise_density))[:, None]
         levels = np.arange(1, 1 + _LEVELS * bool(self.gyro_random_walk))[:, None]
         turns = np.full((int(bool(self.attitude_noise)), 1), _TURN)
         numbers = _normals(self.seed, np.concatenate([
             samples - ago, levels << _SHIFT | samples >> levels, turns << _SHIFT | samples]))
         white, walk, turn = np.split(numbers, [len(ago), len(ago) + len(levels)])
-        # Add row by row, because the order of NumPy's sum depends on the shape.
+        # Add row by row, because the order in which NumPy sums depends on the shape.
         zero = np.zeros((len(samples), 3))
         return np.array([
             self.attitude_noise * sum(turn, zero),
@@ -147,11 +149,13 @@ class ImuErrors:
 
 def _hats(levels: NDArray[np.int64], samples: NDArray[np.int64]) -> Floats:
     """
-    Return hat functions, sqrt(s), whose sum weighted by normal numbers is a Wiener process.
+    Return the values of the hat functions from which a Wiener process is composed.
 
-    Each interval of level k is 2^k samples long and has one hat, which is zero at both ends of the
-    interval (Lévy 1948; Karatzas, Shreve 1991, "Brownian motion and stochastic calculus", section
-    2.3).
+    The Wiener process is the sum of the hat functions, each multiplied by a normal number.
+
+    The values are in sqrt(s). Each interval of level k is 2^k samples long and has one hat
+    function, which is zero at both ends of the interval (Lévy 1948; Karatzas, Shreve 1991,
+    "Brownian motion and stochastic calculus", section 2.3).
     """
     length = 1 << levels
     inside = samples & (length - 1)
@@ -159,9 +163,10 @@ def _hats(levels: NDArray[np.int64], samples: NDArray[np.int64]) -> Floats:
 
 
 def _normals(seed: int, counters: NDArray[np.int64]) -> Floats:
-    """Return standard normal numbers, shape (..., 3), for counters, shape (...)."""
+    """Return three standard normal numbers, shape (..., 3), for each counter, shape (...)."""
     flat = counters.ravel()
-    # Neighbouring samples share the random number of a long interval: draw each number only once.
+    # Neighbouring samples in one interval share their random numbers, so draw the shared numbers
+    # only once.
     is_new = np.empty(flat.shape, bool)
     is_new[:1], is_new[1:] = True, flat[1:] != flat[:-1]
     bits = draws.hashed(_keys(seed), flat[is_new, None].astype(np.uint64))
@@ -171,6 +176,6 @@ def _normals(seed: int, counters: NDArray[np.int64]) -> Floats:
 
 @lru_cache
 def _keys(seed: int) -> NDArray[np.uint64]:
-    """Return keys for the three axes, and a fourth key, because normal numbers come in pairs."""
+    """Return four keys: one for each axis, and one more because normal numbers come in pairs."""
     return draws.hashed(draws.hashed(np.array([seed], np.uint64), np.zeros(1, np.uint64)),
                         np.arange(4, dtype=np.uint64))

@@ -15,15 +15,16 @@
 """
 Rotations as unit quaternions.
 
-A quaternion is stored as x, y, z, w. It has unit norm and maps body vectors to space vectors:
-`v_space = q v_body q*` with Hamilton's product. q and -q are the same rotation. All functions
+Quaternions are stored as x, y, z, w. They have unit norm and map body vectors to space vectors:
+`v_space = q v_body q*` with Hamilton's product. q and -q describe the same rotation. All functions
 except `from_matrix` broadcast over leading axes.
 
-The package does not use SciPy's `Rotation`, although SciPy's exp and log are as accurate as those
-of this module (errors up to 8e-16). The last bits of SciPy's results depend on the C library, and
-SciPy normalises its input, which changes components by up to 3e-16. For 1,000 rotations, this
-module takes 0.10 ms for exp, 0.09 ms for rotate, 0.12 ms for log and 0.07 ms for multiply. In the
-same order, SciPy takes 0.05, 0.06, 0.6 and 1.0 ms (`benchmarks/choices.py so3`).
+The package does not use SciPy's `Rotation`, for two reasons: the last bits of SciPy's results
+depend on the C library, and SciPy normalises its input, which changes components by up to 3e-16.
+Accuracy is not a reason, because SciPy's exp and log are as accurate as those of this module
+(errors up to 8e-16). `benchmarks/choices.py so3` measures the times for 1,000 rotations: exp takes
+0.10 ms in this module and 0.05 ms in SciPy, rotate 0.09 and 0.06 ms, log 0.12 and 0.6 ms, and
+multiply 0.07 and 1.0 ms.
 """
 
 from __future__ import annotations
@@ -60,21 +61,21 @@ def multiply(p: ArrayLike, q: ArrayLike) -> Floats:
 
 
 def conjugate(q: ArrayLike) -> Floats:
-    """Return the inverse rotations of unit quaternions x y z w, shape (..., 4)."""
+    """Return the inverses of unit quaternions x y z w, shape (..., 4)."""
     return np.asarray(q, float) * (-1.0, -1.0, -1.0, 1.0)
 
 
 def normalize(q: ArrayLike) -> Floats:
     """Return `q / |q|` for nonzero vectors q, shape (..., n)."""
     q = np.asarray(q, float)
-    # Scale q first, because the square of 1e-200 underflows.
+    # Scale q first, because the squares of small components, such as 1e-200, underflow.
     scaled = q / np.max(np.abs(q), axis=-1, keepdims=True)
     return scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
 
 
 def rotate(q: ArrayLike, vector: ArrayLike) -> Floats:
     """
-    Return the space components of body vectors.
+    Rotate vectors from body axes to space axes.
 
     Parameters
     ----------
@@ -108,14 +109,14 @@ def from_matrix(rotation: ArrayLike) -> Floats:
     """
     Return the quaternion of a rotation matrix.
 
-    Each row of 4 q q^T is a multiple of the quaternion q. The row with the largest diagonal entry
-    is normalised, because no digits cancel in it (Shepperd, "Quaternion from rotation matrix",
-    1978).
+    Each row of 4 q q^T is a multiple of the quaternion q. The function normalises the row with the
+    largest diagonal entry, because no digits cancel in that row (Shepperd, "Quaternion from
+    rotation matrix", 1978).
 
     Parameters
     ----------
     rotation : array, shape (3, 3)
-        The matrix, which is orthogonal and has the determinant 1.
+        An orthogonal matrix with determinant 1.
 
     Returns
     -------
@@ -133,13 +134,13 @@ def from_matrix(rotation: ArrayLike) -> Floats:
 
 def exp(rotation_vector: ArrayLike) -> Floats:
     """
-    Return the quaternion of a rotation vector (axis times angle).
+    Return the quaternions of rotation vectors (axis times angle).
 
     Parameters
     ----------
     rotation_vector : array, shape (..., 3)
-        The vector, rad. The angle may exceed 2 pi. The quaternion is a continuous function of the
-        angle: an angle of 2 pi gives (0, 0, 0, -1).
+        The rotation vectors, rad. Their angles may exceed 2 pi. The quaternion is a continuous
+        function of the angle: an angle of 2 pi gives (0, 0, 0, -1).
 
     Returns
     -------
@@ -157,13 +158,13 @@ def exp(rotation_vector: ArrayLike) -> Floats:
 
 def log(q: ArrayLike) -> Floats:
     """
-    Return the shortest rotation vector of unit quaternions.
+    Return the shortest rotation vectors of unit quaternions.
 
     Parameters
     ----------
     q : array, shape (..., 4)
-        x y z w, unit norm. q and -q give the same vector, except for a half turn, for which q and
-        -q give opposite vectors.
+        x y z w, unit norm. q and -q give the same vector, except for half turns, where they give
+        opposite vectors.
 
     Returns
     -------

@@ -38,28 +38,28 @@ _NO_ROTORS.flags.writeable = _NO_WHEELS.flags.writeable = False
 @dataclass(frozen=True, eq=False, init=False)
 class State:
     """
-    Attitude, angular velocity and momentum of the rotors at an instant.
+    The attitude, angular velocity and rotor momentum of a body at an instant.
 
     Parameters
     ----------
     time_ns : int, ns
     attitude : array, shape (4,), or scipy.spatial.transform.Rotation
-        Quaternion x y z w that maps body vectors to space vectors. It is normalised, unless its
-        norm is 1 within 4 eps.
+        The quaternion x y z w that maps body vectors to space vectors. It is normalised unless its
+        norm is already 1 within 4 eps.
     angular_velocity : array, shape (3,), rad/s, body axes
     rotor_momentum : array, shape (3,), N m s, body axes
-        Angular momentum of rotors (reaction wheels, propellers) relative to the body. If
-        `wheel_speeds` is given, `rotor_momentum` includes the momentum of these wheels; a
-        `rotor_momentum` of zero then means that there are no other rotors.
+        The angular momentum of all rotors (reaction wheels, propellers) relative to the body. If
+        `wheel_speeds` is given, include the momentum of these wheels, or leave `rotor_momentum` at
+        zero if there are no other rotors.
     wheel_speeds : array, shape (k,), rad/s
-        Speeds of k named wheels, relative to the body. If the array is empty, the wheels start at
-        their `initial_speed`, and `rotor_momentum` is the momentum of the other rotors only.
+        The speeds of k named wheels relative to the body. If the array is empty, the wheels start
+        at their `initial_speed`, and `rotor_momentum` must not include them.
 
     Raises
     ------
     ValueError
-        A shape does not match, a component is not finite, the quaternion is zero, or the time
-        does not fit int64.
+        An array has the wrong shape, a component is not finite, the quaternion is zero, or the
+        time does not fit in int64.
     TypeError
         The time is not an integer.
 
@@ -70,14 +70,14 @@ class State:
     angular_velocity: Floats
     rotor_momentum: Floats
     wheel_speeds: Floats
-    #: The components of the state, as `state_layout` defines them.
+    #: The components of the state, in the layout that `state_layout` defines.
     _packed: Floats = field(init=False, repr=False)
-    #: The momentum of the rotors and its low-order part, shape (2, 3). In a state with `_axial`,
-    #: this is the momentum of the rotors of the carrier; see `Wheels`.
+    #: The rotor momentum and its low-order part, shape (2, 3). If `_axial` is not None, this
+    #: attribute contains the rotor momentum of the carrier; see `Wheels`.
     _rotors: Floats = field(init=False, repr=False)
     #: The step grid from which the state was computed (an `Origin`), or None.
     _origin: object = field(init=False, repr=False)
-    #: Torques of the motors on the named wheels from `time_ns` on, N m, shape (k,).
+    #: The motor torques on the named wheels from `time_ns` onward, N m, shape (k,).
     wheel_efforts: Floats = field(init=False, repr=False)
     #: The state of the wheels (an `Axial`), or None.
     _axial: object = field(init=False, repr=False, default=None)
@@ -85,7 +85,7 @@ class State:
     @classmethod
     def _as_computed(cls, time_ns: int, packed: Floats, origin: object = None,
                      rotors: Floats = _NO_ROTORS) -> State:
-        """Return a state with exactly these bits; the quaternion is not normalised."""
+        """Return a state with exactly the given numbers; do not normalise the quaternion."""
         state = object.__new__(cls)
         packed.flags.writeable = False
         state.__dict__.update(
@@ -99,7 +99,7 @@ class State:
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
                  rotor_momentum: ArrayLike = (0.0, 0.0, 0.0),
                  wheel_speeds: ArrayLike = ()) -> None:
-        if hasattr(attitude, 'as_quat'):  # a Rotation; importing SciPy to check it takes long
+        if hasattr(attitude, 'as_quat'):  # a Rotation; checking the type would import SciPy
             attitude = attitude.as_quat()
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
         if not q.any():
@@ -118,7 +118,8 @@ class State:
 
     @cached_property
     def _has_rotors(self) -> bool:
-        # The first test is cheap; without it, `any` would take a tenth of the time of a short run.
+        # The first test saves the call of `any` in most states. This call would take a tenth of
+        # the time of a short run.
         return self._rotors is not _NO_ROTORS and bool(self._rotors.any())
 
     def __repr__(self) -> str:
@@ -129,7 +130,7 @@ class State:
 
 
 # These defaults are class attributes, because storing them in every state would take a tenth of
-# the time to construct a state.
+# the time needed to construct a state.
 for _name in ('wheel_speeds', 'wheel_efforts'):
     type.__setattr__(State, _name, _NO_WHEELS)
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Many states of rigid bodies as arrays."""
+"""Many states of rigid bodies, stored as arrays."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Poses(NamedTuple):
     angular_velocity: Floats
 
     def rows(self, chosen: Sequence[int] | slice) -> Poses:
-        """Return the chosen rows."""
+        """Return the attitudes and angular velocities of the chosen rows."""
         return Poses(self.attitude[chosen], self.angular_velocity[chosen])
 
 
 class States:
     """
-    Many states, some of which may be invalid.
+    The states of many bodies, some of which may be invalid.
 
     `states[i]` returns the `State` of row i, or raises ValueError if that state is invalid.
 
@@ -67,14 +67,15 @@ class States:
     angular_velocity : array, shape (n, 3), rad/s, body axes
     rotor_momentum : array, shape (n, 3), N m s, body axes
     has_rotors : array of bool, shape (n,)
-        Whether the momentum of the rotors is not zero.
+        Whether each state has a nonzero rotor momentum.
     messages : tuple of n str
-        The error message of `State` for each invalid state; empty for a valid state.
+        For an invalid state, the message of the error that `State` raises. For a valid state, an
+        empty string.
 
     Raises
     ------
     ValueError
-        A shape does not match, or a time does not fit int64.
+        An array has the wrong shape, or a time does not fit in int64.
     TypeError
         A time is not an integer.
 

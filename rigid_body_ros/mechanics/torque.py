@@ -26,8 +26,8 @@ from rigid_body_ros.engine import interpolation, kernels
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
-#: The cubics in a span of time depend on up to this many samples before the span, and on up to
-#: this many samples after the span.
+#: In cubic interpolation, the torque within a span of time depends on up to this many samples
+#: before the span, and on up to this many samples after the span.
 _MARGIN = 4
 
 
@@ -45,8 +45,9 @@ class TorqueLog:
     torques : array, shape (n, 3), N m
         The torques about the centre of mass.
     frame : str, sequence of n str, or array of bool, shape (n,)
-        The axes of the components: 'body' or 'space', as one text for all samples or one text for
-        each sample. An array of bool tells for each sample whether the sample is in space axes.
+        The axes in which the torques are given: 'body' or 'space', as one name for all samples or
+        one name for each sample. An array of bool is accepted, too, and is True for each sample in
+        space axes.
     interpolation : str
         'hold' (zero order), 'linear' or 'cubic' (piecewise Hermite polynomials, accurate to
         fourth order). The slopes of the cubics come from the five nearest samples, which need not
@@ -64,7 +65,7 @@ class TorqueLog:
     Raises
     ------
     ValueError
-        The shapes do not match, a time is not an integer that fits int64, the times span 292
+        The shapes do not match, a time is not an integer that fits in int64, the times span 292
         years or more, a torque is not finite, a frame or an interpolation is unknown, or linear or
         cubic interpolation is requested for samples in different frames.
 
@@ -95,29 +96,29 @@ class TorqueLog:
     @classmethod
     def from_momentum(cls, times_ns: ArrayLike, momenta: ArrayLike) -> TorqueLog:
         """
-        Return the torque on rotors from their measured momentum.
+        Compute the motor torque on rotors from their measured momentum.
 
-        Under this torque, the momentum follows a straight line from each sample to the next, and
-        stays at the last sample. Rounding errors do not accumulate. Before the first sample the
-        torque is zero. Therefore the rotors have the measured momentum during a motion only if the
-        `rotor_momentum` of the start state is the momentum measured at the start.
+        Under this torque, the momentum of the rotors changes linearly from each sample to the
+        next, and stays constant after the last sample. Rounding errors do not accumulate. The
+        torque is zero before the first sample, so the rotors follow the measured momentum only if
+        the `rotor_momentum` of the start state is the momentum measured at the start.
 
         Parameters
         ----------
         times_ns : array of int, shape (n,), ns
             As for `TorqueLog`.
         momenta : array, shape (n, 3), N m s, body axes
-            Angular momentum of the rotors relative to the body.
+            The angular momentum of the rotors relative to the body.
 
         Returns
         -------
         TorqueLog
-            Torques of the motors on the rotors, held between samples, body axes.
+            The motor torques on the rotors in body axes, held between samples.
 
         Raises
         ------
         ValueError
-            The samples are not valid for `TorqueLog`, or the momentum changes so fast that the
+            `TorqueLog` does not accept the samples, or the momentum changes so fast that the
             torque overflows.
 
         """
@@ -144,10 +145,10 @@ class TorqueLog:
         torque : array, shape (3,), N m
             The torque about the centre of mass.
         begin_ns, end_ns : int
-            The torque acts from `begin_ns` on, at least until `end_ns`.
+            The torque begins at `begin_ns` and lasts at least until `end_ns`.
         timeout_ns : int
-            If positive, the log repeats the sample so often that a timeout of this length does not
-            end the torque before `end_ns`.
+            If positive, the log repeats the sample often enough that a timeout of this length does
+            not end the torque before `end_ns`.
 
         """
         times = np.array([begin_ns])
@@ -170,7 +171,7 @@ class TorqueLog:
 
     def with_torques(self, torques: ArrayLike) -> TorqueLog:
         """
-        Return a log with other torques at the same times.
+        Return a log with different torques at the same times.
 
         Parameters
         ----------
@@ -186,7 +187,7 @@ class TorqueLog:
         return TorqueLog(self.times_ns, torques, self.in_space, self.interpolation)
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> TorqueLog:
-        """Return a log of the samples that a slice or an array of indices chooses."""
+        """Return a log of the samples selected by a slice or by an array of indices."""
         return TorqueLog(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen],
                          self.interpolation)
 
@@ -198,7 +199,7 @@ class TorqueLog:
 
     def segments(self, timeout_ns: int = 0) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """
-        Return the times at which a sample takes effect or times out.
+        Return the times at which samples take effect or time out, with the index of each sample.
 
         Parameters
         ----------
@@ -210,7 +211,8 @@ class TorqueLog:
         -------
         starts_ns : array of int64, shape (m,), ns
         samples : array of int, shape (m,)
-            Index of the sample that acts from each time in `starts_ns` on; -1 after a timeout.
+            The index of the sample that takes effect at each time in `starts_ns`, or -1 for a
+            timeout.
 
         """
         samples = np.arange(len(self))
@@ -221,25 +223,25 @@ class TorqueLog:
                 np.insert(samples, silent + 1, -1))
 
     def silent(self, timeout_ns: int) -> NDArray[np.intp]:
-        """Return the indices of the samples that time out before the next sample."""
+        """Return the indices of the samples that time out before the next sample takes over."""
         return np.flatnonzero(np.append(np.diff(self.times_ns) > timeout_ns, True))
 
     def polynomials(self, first: int, stop: int) -> Floats:
         """
-        Return the polynomials between samples.
+        Return the polynomials that interpolate between samples.
 
         Parameters
         ----------
         first, stop : int
-            Index of the first sample, and index after the last sample.
+            The polynomials begin at the samples `first` to `stop - 1`.
 
         Returns
         -------
         array, shape (stop - first, 2 degree + 1, 3), N m
-            Each row contains the degree + 1 coefficients of a polynomial in the fraction of the
-            time to the next sample, followed by the low-order parts of these coefficients. The
-            first coefficient has no low-order part, because it is the sample itself and therefore
-            exact.
+            One row per polynomial. The variable is 0 at the first sample of an interval, and 1 at
+            the next sample. A row contains the degree + 1 coefficients, followed by their
+            low-order parts. The first coefficient has no low-order part, because it is the sample
+            itself and therefore exact.
 
         """
         here = self.torques[first:stop]
@@ -259,7 +261,9 @@ class TorqueLog:
 
     def at(self, times_ns: ArrayLike, timeout_ns: int = 0) -> tuple[Floats, NDArray[np.bool_]]:
         """
-        Return the torque at given times; at a jump, the value after the jump.
+        Return the torque at given times.
+
+        Where the torque jumps, the result is the value after the jump.
 
         Parameters
         ----------
@@ -277,7 +281,7 @@ class TorqueLog:
         Raises
         ------
         ValueError
-            A time is not an integer that fits int64.
+            A time is not an integer that fits in int64.
 
         """
         times = instants(times_ns)
@@ -333,15 +337,15 @@ def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
     return np.array(np.broadcast_to(names == 'space', count))
 
 
-#: The torques on a body: one log, several logs whose torques add up, or no log.
+#: The torques on a body: one log, several logs whose torques add up, or None.
 Logs = TorqueLog | Sequence[TorqueLog] | None
 
 
 def torque_logs(log: Logs) -> list[TorqueLog]:
-    """Return a list of the logs."""
+    """Return the given log or logs as a list, which is empty if there are none."""
     return [log] if isinstance(log, TorqueLog) else [*(log or ())]
 
 
 def stamps_of(logs: Iterable[TorqueLog]) -> NDArray[np.int64]:
-    """Return the distinct stamps of logs, ns, in ascending order."""
+    """Return the distinct stamps of all samples in the logs, ns, in ascending order."""
     return np.unique(np.concatenate([np.empty(0, np.int64), *(log.times_ns for log in logs)]))

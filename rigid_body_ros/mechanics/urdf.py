@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-The inertia of a link in a URDF file, and the frames in which forces on the body are accepted.
+Read the inertia of a link, and the frames in which forces are accepted, from a URDF file.
 
 The format is specified in http://wiki.ros.org/urdf/XML/link and
 http://wiki.ros.org/urdf/XML/joint. Where the specification leaves a choice, this module follows
-urdfdom, the parser of ROS (`parseInertial` in urdf_parser/src/link.cpp, `parseJoint` in
+urdfdom, ROS's parser (`parseInertial` in urdf_parser/src/link.cpp, `parseJoint` in
 urdf_parser/src/joint.cpp).
 """
 
@@ -37,16 +37,17 @@ from rigid_body_ros.common.errors import listed, quoted, shortened
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.frames import Frame, Frames, TurningFrame
 
-#: Attributes of <inertia>, row by row.
+#: The attributes of <inertia> that give the entries of the tensor, row by row.
 _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
 _FIXED, _CONTINUOUS = 'fixed', 'continuous'
-#: Types of joints that move.
+#: The joint types that allow motion between parent and child.
 _MOVING = ('revolute', _CONTINUOUS, 'prismatic', 'floating', 'planar')
-#: Largest accepted coordinate, m. Sums of larger coordinates could overflow.
+#: Largest absolute value of a coordinate, m. Sums of larger coordinates could overflow.
 _FARTHEST = 1e300
-#: A number as urdfdom reads it. `float` would also accept 1_000 and digits of other scripts.
+#: A number that urdfdom accepts. `float` would also accept 1_000 and digits from other scripts.
 _NUMBER = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?')
-#: Bound on the rounding error of a rotated tensor, relative to its largest moment.
+#: Upper bound on the rounding error of a rotated tensor, relative to the largest moment of that
+#: tensor.
 _ROTATION_ERROR = 16.0 * np.finfo(float).eps
 
 
@@ -56,24 +57,24 @@ def inertia(text: str, link: str = '') -> Floats:
 
     The result is R I R^T, where I is the matrix with the entries of <inertia>, and R is the
     rotation by the roll, pitch and yaw of <origin> about the fixed axes x, y, z. Without a
-    rotation, the entries are exactly those of the file. A rotation changes them by rounding errors
-    of about 1e-16 of the largest moment. The position xyz of the centre of mass is checked, but
-    does not change the tensor. The mass is ignored.
+    rotation, the entries are exactly those in the file. A rotation adds rounding errors of about
+    1e-16 times the largest moment. The position xyz of the centre of mass is validated, but does
+    not change the tensor. The mass is ignored.
 
     Parameters
     ----------
     text : str
-        Contents of the file, after xacro. All six entries of <inertia> are required, because
-        neither the specification nor urdfdom has defaults for them. The xyz and rpy of <origin>
-        default to zero.
+        The contents of the file, after processing by xacro. All six entries of <inertia> are
+        required, because neither the specification nor urdfdom defines defaults for them. The xyz
+        and rpy of <origin> default to zero.
     link : str
         Name of the link. It may be empty if only one link has an <inertial>.
 
     Returns
     -------
     array, shape (3, 3), kg m^2, axes of the link
-        The tensor is exactly symmetric without a rotation, and symmetric within rounding after a
-        rotation.
+        The inertia tensor. Without a rotation, it is exactly symmetric. After a rotation, it is
+        symmetric within rounding.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def inertia(text: str, link: str = '') -> Floats:
 
 def robot(tensor: Floats, link: str, comments: Iterable[str] = ()) -> str:
     """
-    Return the URDF of a robot with one link, from which `inertia` reads the same numbers.
+    Return the URDF of a robot with one link, from which `inertia` reads back the same numbers.
 
     Parameters
     ----------
@@ -122,28 +123,30 @@ def robot(tensor: Floats, link: str, comments: Iterable[str] = ()) -> str:
 
 def fixed_frames(text: str, link: str = '') -> Frames:
     """
-    Return the frames of the links that fixed joints connect to the body, in either direction.
+    Return the frames of all links that are fixed to the body.
 
-    If a continuous joint connects one of these links to a child link, such as a propeller, the
-    child link has a frame as well, for forces and torques along the axis of the joint. Links
-    attached to this child link have no frame.
+    A link is fixed to the body if fixed joints connect the link and the body, whichever of the two
+    is the parent. If a continuous joint connects one of these links to a child link, such as a
+    propeller, the child link has a frame as well, but only for forces and torques along the joint
+    axis. Links attached to this child link have no frame.
 
     Parameters
     ----------
     text : str
-        Contents of the file, after xacro.
+        The contents of the file, after processing by xacro.
     link : str
-        Name of the link that is the body. It may be empty if only one link has an <inertial>. The
-        body axes are those of the link; the centre of mass is at the xyz of its <inertial>.
+        Name of the link that represents the body. It may be empty if only one link has an
+        <inertial>. The body axes are the axes of this link, and the centre of mass is at the xyz
+        of its <inertial>.
 
     Returns
     -------
     Frames
-        The frames, keyed by the name of the link, including the link that is the body. The frame
-        of the child of a continuous joint is a `frames.TurningFrame`. Any other name raises
-        UnknownFrameError, which is a KeyError and a ValueError. The error message gives the
-        reason, for example: a joint moves the link, a joint has no valid <origin> or <axis>, the
-        joints form a closed loop, or no joints connect the link to the body.
+        The frames, keyed by link name, including the link that represents the body. The child of a
+        continuous joint has a `frames.TurningFrame`. Looking up any other name raises
+        UnknownFrameError, which is both a KeyError and a ValueError. Its message gives the reason:
+        for example, a joint moves the link, a joint has no valid <origin> or <axis>, the joints
+        form a closed loop, or no joints connect the link to the body.
 
     Raises
     ------
@@ -164,7 +167,7 @@ def fixed_frames(text: str, link: str = '') -> Frames:
 
 
 def _check_thickness(tensor: Floats, where: str) -> None:
-    """Raise ValueError if the smallest moment may be a mere rounding error after a rotation."""
+    """Raise ValueError if the rounding error of a rotation may exceed the smallest moment."""
     moments = np.linalg.eigvalsh(tensor)
     if abs(moments[0]) <= _ROTATION_ERROR * moments[2]:
         raise ValueError(f'{where}: inertia: expected a positive definite tensor, found principal '
@@ -189,7 +192,8 @@ def _parse_robot(text: str) -> Element:
 
 
 def _inertial_of_link(robot: Element, link: str) -> tuple[str, Element]:
-    # `{*}` matches any namespace: an example of urdfdom has a namespace, which urdfdom ignores.
+    # `{*}` matches any namespace. One of urdfdom's examples has a namespace, and urdfdom ignores
+    # the namespace.
     links = [(element.get('name', ''), element.find('{*}inertial'))
              for element in robot.findall('{*}link')]
     with_inertial = [name for name, inertial in links if inertial is not None]
@@ -219,10 +223,10 @@ class _Joint(NamedTuple):
     turn : list of 3 rows of 3 floats
         Rotation matrix from the axes of the child to those of the parent.
     barrier : str
-        Why the joint does not fix the child to the parent; '' if the joint fixes the child.
+        Why the joint does not fix the child to the parent, or '' if it does.
     axis : list of 3 floats
-        Unit vector along the axis about which the joint turns the child, in the axes of the child.
-        Empty for any joint that is not continuous.
+        For a continuous joint, the unit vector along the joint axis, in the axes of the child.
+        Empty for any other joint.
 
     """
 
@@ -244,12 +248,12 @@ class _Path(NamedTuple):
     rotation : list of 3 rows of 3 floats
         Rotation matrix from the axes of the link to those of the body.
     position, rest : list of 3 floats, m, body axes
-        Position of the link relative to the centre of mass, computed as a sum, and the rounding
-        error of this sum.
+        `position` is the position of the link relative to the centre of mass, computed as a sum
+        over the joints. `rest` is the rounding error of this sum.
     barrier : str
-        Why forces at the link are not accepted; '' if such forces are accepted.
+        Why forces at the link are not accepted, or '' if they are.
     turning : _Joint, optional
-        The continuous joint whose child is the link; None if the link is fixed to the body.
+        The continuous joint whose child is this link. None if the link is fixed to the body.
 
     """
 
@@ -268,7 +272,7 @@ class _Path(NamedTuple):
         return Frame(rotation, position)
 
     def across(self, joint: _Joint, to_child: bool) -> _Path:
-        """Return this path, extended across a joint to the other link of the joint."""
+        """Return this path, extended across a joint to the link on the joint's other side."""
         turning = joint if joint.axis and to_child and not self.turning else None
         barrier = self.barrier or ('' if turning else (self.turning or joint).barrier)
         if barrier:
@@ -286,7 +290,7 @@ class _Path(NamedTuple):
 
 
 def _paths(body: str, joints: list[_Joint], start: list[float]) -> dict[str, _Path]:
-    """Return the paths to all links that joints connect to the body, which is at `start`."""
+    """Return the path to each link that joints connect to the body; the body is at `start`."""
     joints_of = defaultdict(list)
     for joint in joints:
         joints_of[joint.parent].append((joint, joint.child))
@@ -320,7 +324,7 @@ def _joints(robot: Element, links: set[str], body: str) -> list[_Joint]:
 
 def _attachment(joint: Element,
                 body: str) -> tuple[list[float], list[float], str, list[float]]:
-    """Return the shift, roll, pitch and yaw, `barrier` and `axis` of a joint; see `_Joint`."""
+    """Return the `shift`, rpy angles, `barrier` and `axis` of a joint; see `_Joint`."""
     name, kind = quoted(joint.get('name', '')), joint.get('type', '')
     zero, types, where = [0.0] * 3, (_FIXED, *_MOVING), f'URDF joint {name}'
     moves = f'joint {name} ({kind}) moves it relative to {quoted(body)}'
@@ -344,8 +348,7 @@ def _axis(joint: Element, where: str) -> list[float]:
     largest = max(map(abs, numbers))
     if not largest:
         raise ValueError(f'{where}: xyz: expected a vector other than zero, found {numbers}')
-    # Scale by a power of two, which rounds nothing. Without scaling, the norm could overflow or
-    # underflow.
+    # Scale by a power of two, which is exact, so that the norm can neither overflow nor underflow.
     scaled = [math.ldexp(x, -math.frexp(largest)[1]) for x in numbers]
     return [x / math.hypot(*scaled) for x in scaled]
 
@@ -372,7 +375,7 @@ def _child(parent: Element, name: str) -> Element:
 
 
 def _origin(element: Element, where: str) -> tuple[list[float], list[float]]:
-    """Return the xyz, m, and the roll, pitch and yaw, rad, of the <origin> of an element."""
+    """Return the xyz, m, and the rpy angles, rad, of an element's <origin>."""
     origin = _child(element, 'origin')
     if origin.get('quat_xyzw') is not None:
         raise ValueError(f'{where}: expected the rotation as rpy, found quat_xyzw')

@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Named wheels, each of which a motor turns about an axis that is fixed to the body.
+Named wheels, each driven by a motor about an axis that is fixed to the body.
 
-A wheel has the axis a, the axial inertia I, and the speed Omega relative to the body. The axial
-momentum of the wheel is H = I (Omega + a . w), where w is the angular velocity of the body. The
-torque tau of the motor changes this momentum: dH/dt = tau. So a body with wheels moves like
-another body, here called the carrier. The carrier has the inertia J' = J - sum of I a a^T. The
-carrier has rotors, whose momentum is the sum of H a. The torque on these rotors is the sum of
-tau a (Hughes, Spacecraft Attitude Dynamics, chapter 3).
+Consider a wheel with axis a, axial inertia I and speed Omega relative to the body. Its axial
+momentum is H = I (Omega + a . w), where w is the angular velocity of the body, and it changes
+under the motor torque tau: dH/dt = tau. A body with wheels therefore moves like a different body,
+here called the carrier, that has rotors instead of wheels. Its inertia is J' = J - sum of I a a^T.
+The momentum of its rotors is the sum of H a, and the torque on these rotors is the sum of tau a
+(Hughes, Spacecraft Attitude Dynamics, chapter 3).
 """
 
 from __future__ import annotations
@@ -41,36 +41,37 @@ from rigid_body_ros.mechanics.body import FASTEST_DAMPING, RigidBody
 from rigid_body_ros.mechanics.fields import direction
 from rigid_body_ros.mechanics.state import State
 
-#: The momentum of the rotors without a name counts as zero if it is at most this fraction of the
-#: momentum of the wheels.
+#: The momentum of the unnamed rotors is the given rotor momentum minus the momentum of the wheels.
+#: If this difference is at most this fraction of the sum of the two magnitudes, the difference
+#: counts as zero.
 _ROUNDED = 8.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
 class Wheel:
     """
-    A named wheel, which turns about an axis of the body.
+    A named wheel, which turns about an axis that is fixed to the body.
 
     Parameters
     ----------
     name : str
-        Name of the wheel, not empty.
+        Name of the wheel, which must not be empty.
     axis : array, shape (3,), body axes
-        The axis about which the wheel turns; the length of the vector does not matter.
+        The axis about which the wheel turns, as a vector of any nonzero length.
     inertia : float, kg m^2
-        Moment of inertia about the axis, positive. The inertia of the body must include this
-        moment.
+        The moment of inertia about the axis, greater than zero. The inertia of the body must
+        include this moment.
     initial_speed : float, rad/s
-        Speed at the start, relative to the body.
+        The speed relative to the body at the start of the motion.
     friction : float, N m s/rad
-        Coefficient of viscous friction. The torque -`friction` times the speed acts on the wheel,
-        and the opposite torque acts on the body.
+        The coefficient of viscous friction. The friction torque on the wheel is -`friction` times
+        the wheel's speed relative to the body, and the body feels the opposite torque.
     max_torque : float, N m
-        Limit of the motor torque, to which commands are clipped; 0 for no limit.
+        The limit to which torque commands are clipped, or 0 for no limit.
     max_speed : float, rad/s
-        Limit of the speed relative to the body; 0 for no limit. The limit is checked when a
-        command takes effect: if the wheel is at this speed or above, a command that would speed up
-        the wheel acts as zero.
+        The limit on the speed relative to the body, or 0 for no limit. The limit is checked only
+        when a command takes effect: if the wheel is at or above this speed, a command that would
+        speed it up is treated as zero.
 
     Raises
     ------
@@ -104,28 +105,33 @@ class Wheel:
 
 
 class Axial(NamedTuple):
-    """Efforts and momenta of the wheels from one command until the next one or the timeout."""
+    """
+    The efforts and momenta of the wheels in a span from one command to the next.
 
-    #: The time at which this span begins, ns, and the stamp of the last command, ns, which is
-    #: -NEVER_NS before the first command.
+    A timeout of the commands ends a span, too.
+    """
+
+    #: `since_ns` is the time at which this span begins, and `stamp_ns` is the stamp of the last
+    #: command. Before the first command, this stamp is -NEVER_NS.
     since_ns: int
     stamp_ns: int
-    #: The axial momenta H at the beginning, N m s, and their low-order parts, shape (2, n). None
-    #: with friction, because H then depends on the motion and is stored in each state.
+    #: The axial momenta H at the beginning of the span, N m s, and their low-order parts, shape
+    #: (2, n). None if there is friction, because H then depends on the motion and is stored in
+    #: each state.
     momenta: Floats | None
-    #: The clipped commands in force, and the efforts that act unless the commands have timed out,
-    #: N m, shape (n,).
+    #: The commands in force, clipped to the torque limits, followed by the efforts that the motors
+    #: apply until the commands time out. Both are in N m and have shape (n,).
     commanded: Floats
     acting: Floats
-    #: Which of the commands that take effect at `since_ns` act as zero, because their wheels are
-    #: too fast.
+    #: Whether each command that takes effect at `since_ns` is treated as zero, because its wheel
+    #: is too fast.
     refused: NDArray[np.bool_]
     #: Whether the commands have timed out.
     is_silent: bool = False
 
     @property
     def efforts(self) -> Floats:
-        """Return the motor torques that act, N m, shape (n,)."""
+        """Return the torques applied by the motors, N m, shape (n,)."""
         return np.zeros(len(self.acting)) if self.is_silent else self.acting
 
 
@@ -179,7 +185,7 @@ class Wheels:
 
     @cached_property
     def constants(self) -> Floats:
-        """Return the constants that kernels need for friction; see `layout.Friction`."""
+        """Return the constants that the kernels need for friction; see `layout.Friction`."""
         inverse = [1 / Fraction(inertia) for inertia in self._inertia.tolist()]
         rows = np.concatenate([self._axes.T, _pair(inverse), self._friction[None]])
         packed = self.padded(rows).reshape(len(rows), -1, 4).swapaxes(0, 1).ravel()
@@ -187,12 +193,12 @@ class Wheels:
         return packed
 
     def padded(self, rows: Floats) -> Floats:
-        """Return rows of one number per wheel, padded with zeros to a multiple of four numbers."""
+        """Append zeros to rows of one number per wheel, up to a multiple of four numbers."""
         return np.ascontiguousarray(np.pad(rows, [(0, 0), (0, -len(self) % 4)]))
 
     def carrier(self, body: RigidBody) -> RigidBody:
         """
-        Return the body without the axial inertia of the wheels.
+        Return the carrier, which is the body without the axial inertia of the wheels.
 
         Raises
         ------
@@ -201,7 +207,8 @@ class Wheels:
             friction of the wheels is too strong for the carrier.
 
         """
-        # Entries are sums of two doubles, so that a difference of moments loses no digits.
+        # Represent each entry as a sum of two doubles, so that no digits are lost when moments are
+        # subtracted.
         exact = np.array([[_two_doubles(Fraction(entry) - axial) for entry, axial in zip(*rows)]
                           for rows in zip(body.inertia.tolist(), self._axial_inertia())])
         try:
@@ -228,27 +235,27 @@ class Wheels:
                  for j in range(3)] for i in range(3)]
 
     def clipped(self, efforts: Floats) -> Floats:
-        """Return commands, N m, shape (..., n), clipped to the limits of the motors."""
+        """Clip commands, N m, shape (..., n), to the torque limits of the motors."""
         return np.clip(efforts, -self._max_torque, self._max_torque)
 
     def slowed(self, efforts: Floats, speeds: Floats) -> Floats:
-        """Return the torques of the motors minus those of friction, N m, shape (..., n)."""
+        """Return the net torque on each wheel, motor torque plus friction, N m, shape (..., n)."""
         return efforts - self._friction * speeds
 
     def count_clipped(self, efforts: Floats) -> int:
-        """Return the number of commands beyond the limits of the motors, without counting NaN."""
+        """Return how many commands exceed the torque limit of their motor; NaN does not count."""
         return int((np.abs(efforts) > self._max_torque).sum())
 
     def torque(self, efforts: Floats) -> Floats:
-        """Return the total torque of the motors on the wheels, N m, body axes, shape (..., 3)."""
+        """Return the total motor torque on the wheels in body axes, N m, shape (..., 3)."""
         return _sum_along(efforts, self._axes)
 
     def speeds(self, momenta: Floats, rates: Floats) -> Floats:
-        """Return speeds, rad/s, shape (..., n), from axial momenta and rates of the body."""
+        """Compute wheel speeds, rad/s, shape (..., n), from axial momenta and body rates."""
         return momenta[..., :len(self)] / self._inertia - self._axial_rates(rates)
 
     def of_body(self, rates: Floats) -> Floats:
-        """Return the sum of I a (a . w): the momentum that the wheels get from the body."""
+        """Return the momentum of wheels with zero speed: the sum of I a (a . w), N m s."""
         return _sum_along(self._inertia * self._axial_rates(rates), self._axes)
 
     def relative(self, rotors: Floats, momenta: Floats, rates: Floats) -> Floats:
@@ -258,11 +265,11 @@ class Wheels:
         Parameters
         ----------
         rotors : array, shape (..., 3), N m s, body axes
-            Momentum of the rotors of the carrier; see `begun`.
+            The rotor momentum of the carrier; see `begun`.
         momenta : array, shape (..., n), N m s
             The axial momenta.
         rates : array, shape (..., 3), rad/s, body axes
-            Angular velocity of the body.
+            The angular velocity of the body.
 
         """
         if self.has_friction:
@@ -274,22 +281,23 @@ class Wheels:
         return reduce(np.add, (rates[..., k:k + 1] * self._axes[:, k] for k in range(3)))
 
     def refused(self, commands: Floats, speeds: Floats) -> NDArray[np.bool_]:
-        """Return which commands, shape (..., n), would speed up wheels that are too fast."""
+        """Return whether each command, shape (..., n), would speed up a wheel that is too fast."""
         return np.asarray((np.abs(speeds) >= self._max_speed)
                           & (np.sign(commands) * np.sign(speeds) > 0.0))
 
     def begun(self, start: State) -> tuple[State, Axial]:
         """
-        Return the initial state of the carrier and of its wheels.
+        Split the start of a motion into the state of the carrier and the state of the wheels.
 
         Without friction, the rotor momentum of the returned state is the sum of H a plus the
-        momentum of the rotors without a name. With friction, the rotor momentum is that of the
-        rotors without a name, and the packed state contains the momenta H.
+        momentum of the unnamed rotors. With friction, it is the momentum of the unnamed rotors
+        alone, and the packed state contains the momenta H.
 
         Raises
         ------
         ValueError
-            The start has `wheel_speeds`, but not one speed for each wheel.
+            The number of `wheel_speeds` in the start state is not zero and differs from the number
+            of wheels.
 
         """
         found = start._axial
@@ -318,7 +326,7 @@ class Wheels:
         return State._as_computed(start.time_ns, packed, None, _pair(others)), axial
 
     def others(self, start: State) -> Floats:
-        """Return the momentum of the rotors without a name, N m s, body axes, shape (3,)."""
+        """Return the momentum of the unnamed rotors, N m s, body axes, shape (3,)."""
         if not (len(start.wheel_speeds) and start.rotor_momentum.any()):
             return start.rotor_momentum
         momenta = start.wheel_speeds * self._inertia
@@ -327,7 +335,21 @@ class Wheels:
         return np.where(np.abs(others) <= _ROUNDED * size, 0.0, others)
 
     def shown(self, state: State, axial: Axial, momenta: Floats) -> State:
-        """Add wheels with these axial momenta, shape (2, n), to a state of the carrier."""
+        """
+        Add the wheel speeds, wheel efforts and rotor momentum to a state of the carrier.
+
+        The state is modified in place and returned.
+
+        Parameters
+        ----------
+        state : State
+            A state of the carrier.
+        axial : Axial
+            The efforts in force at the time of the state.
+        momenta : array, shape (2, n), N m s
+            The axial momenta at this time, and their low-order parts.
+
+        """
         rates = state.angular_velocity
         speeds = self.speeds(momenta[0], rates)
         momentum = self.relative(state._rotors[0], momenta[0], rates)
@@ -339,7 +361,9 @@ class Wheels:
 
     def row(self, efforts: Mapping[str, float]) -> Floats:
         """
-        Return commands given by name as a row, N m, shape (n,), with NaN for the other wheels.
+        Convert commands keyed by wheel name to an array, N m, shape (n,).
+
+        The entries of wheels without a command are NaN.
 
         Raises
         ------
@@ -370,7 +394,7 @@ def _two_doubles(exact: Fraction) -> Fraction:
 
 
 def _pair(exact: Sequence[Fraction]) -> Floats:
-    """Return numbers rounded to doubles, and their low-order parts, shape (2, n)."""
+    """Split exact numbers into doubles and their low-order parts, shape (2, n)."""
     high = [float(value) for value in exact]
     pair = np.array([high, [float(value - Fraction(rounded))
                             for value, rounded in zip(exact, high)]])

@@ -16,11 +16,12 @@
 The time loop, which computes the motion from a start state and a torque log.
 
 A *segment* runs from one torque change to the next. Consecutive samples of zero torque form one
-segment, a *coast*. Within a segment, steps end on a grid. The grid begins with the segment, and
+segment, a *coast*. Within a segment, steps end on a grid, which begins with the segment and
 depends only on the state at the beginning of the segment, the torque and the options. To get the
-motion at any other time, the loop takes one more step from the last grid point before that time.
-No later state depends on this step. Therefore the requested times and their order do not change
-any bit, and `propagate` and `Propagator` agree bit for bit.
+motion at a time between two grid points, the loop takes an extra step from the last grid point
+before that time. No later state depends on this extra step. Therefore the results are the same,
+bit for bit, whichever times are requested and in whatever order. `propagate` and `Propagator`
+agree bit for bit for the same reason.
 """
 
 from rigid_body_ros.common.times import LONGEST

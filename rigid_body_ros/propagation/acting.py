@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The delay, limit and lag of samples that arrive one by one."""
+"""Actuator delays, limits and lags for samples that arrive one by one."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from rigid_body_ros.propagation.segment import COMMANDS, Sample, summed, WHEELS
 
 class ActingSamples:
     """
-    The delay, limit and lag of the samples of all sources.
+    The actuator delays, limits and lags that apply to the samples of all sources.
 
     Parameters
     ----------
     actuator : Actuator, or sequence of Actuator or None, optional
-        One actuator for all sources, or one for each source.
+        One actuator for all sources, or an actuator or None for each source.
     timeout_ns : int
         See `TorqueLog.segments`.
     start_ns : int
-        The start of the motion, at which lagging torques are zero.
+        The start of the motion. All lagging torques are zero at this time.
 
     """
 
@@ -47,13 +47,14 @@ class ActingSamples:
         each = [actuator] if isinstance(actuator, Actuator) else [*(actuator or ())]
         self._actuator, self.timeout_ns, self._start_ns = actuator, timeout_ns, start_ns
         self._time_constants = time_constants(each)
-        #: Whether any source has an actuator, and whether any source lags.
+        #: `exist` tells whether any source has an actuator, and `lag` tells whether the actuator
+        #: of any source has a lag.
         self.exist, self.lag = any(each), bool(self._time_constants)
         #: The longest of all delays.
         self.longest_delay_ns = max((one.delay_ns for one in each if one), default=0)
 
     def of(self, source: int) -> Actuator | None:
-        """Return the actuator of a source, or raise ValueError if there is no such source."""
+        """Return the actuator of a source, or None; raise ValueError for an unknown source."""
         given = self._actuator
         if source >= COMMANDS or given is None:
             return None
@@ -65,12 +66,16 @@ class ActingSamples:
         return given[source]
 
     def delay_ns(self, source: int) -> int:
-        """Return the delay from the stamp of a sample until it acts, ns."""
+        """Return the delay between the stamp of a sample and its effect, ns."""
         found = self.of(source) if self.exist else None
         return found.delay_ns if found else 0
 
     def acting(self, samples: Mapping[int, Sample]) -> Mapping[int, Sample]:
-        """Return delayed and limited samples; the stamp of each is the time from which it acts."""
+        """
+        Apply the actuator delays and limits to samples.
+
+        The stamp of each returned sample is the time at which it takes effect.
+        """
         if not self.exist:
             return samples
         return {source: sample if (one := self.of(source)) is None else
@@ -78,7 +83,7 @@ class ActingSamples:
                 for source, sample in samples.items()}
 
     def due_ns(self, samples: Mapping[int, Sample]) -> set[int]:
-        """Return the times at which samples time out, and at which the resulting lags are over."""
+        """Return the times, ns, at which samples time out or lags end."""
         acting, timeout_ns = self.acting(samples), self.timeout_ns
         due = {sample.stamp_ns + timeout_ns for sample in acting.values()} if timeout_ns else set()
         if self.lag:
@@ -87,7 +92,7 @@ class ActingSamples:
         return due
 
     def _lags_end_ns(self, source: int, acts_ns: int) -> Iterator[int]:
-        """Yield the times at which the lags after a command and after its timeout are over."""
+        """Yield the times at which the lag after a command and the lag after its timeout end."""
         found, out_ns = self.of(source), acts_ns + self.timeout_ns
         if found and found.expiry_ns:
             over_ns = max(acts_ns, self._start_ns) + found.expiry_ns
@@ -99,7 +104,7 @@ class ActingSamples:
     def lagging(self, samples: Mapping[int, Sample], time_ns: int,
                 before: Mapping[int, Lagging]) -> Mapping[int, Lagging]:
         """
-        Return the lagging sources just after samples take effect or time out.
+        Return the lagging sources right after samples have taken effect or timed out.
 
         Parameters
         ----------
@@ -108,7 +113,7 @@ class ActingSamples:
         time_ns : int, ns
             The time at which samples take effect or time out.
         before : mapping of int to Lagging
-            The sources that lagged just before `time_ns`.
+            The sources that were lagging just before `time_ns`.
 
         """
         found: dict[int, Lagging] = {}
@@ -131,7 +136,11 @@ class ActingSamples:
 
     def torque(self, samples: Mapping[int, Sample], lagging: Mapping[int, Lagging],
                state: State) -> Floats:
-        """Return the sum of samples and lags, N m, body axes, without the torque on the rotors."""
+        """
+        Return the total torque on the body, in body axes, N m, shape (3,).
+
+        The total includes the lags of actuators, but not the torques on the rotors.
+        """
         on_body = {source: sample for source, sample in self.acting(samples).items()
                    if source != WHEELS}
         total = summed(on_body, state.time_ns, self.timeout_ns)
@@ -144,7 +153,11 @@ class ActingSamples:
         return np.asarray(axes[0] + so3.rotate(so3.conjugate(state.attitude), axes[1]))
 
     def lags(self, lagging: Mapping[int, Lagging], time_ns: int) -> Lags | None:
-        """Return the torques minus the commands at a time; None if no source lags."""
+        """
+        Return the torques of lagging sources minus their commands, in the form for the kernels.
+
+        The result is None if no source has a lag.
+        """
         if not self.lag:
             return None
         excess: Floats = np.zeros((1, len(self._time_constants), 2, 3))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a `Propagator` from a time on."""
+"""The inputs of a `Propagator` from a given time onward."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from rigid_body_ros.propagation.segment import NewBody, Sample, Segment
 
 
 class Commands(NamedTuple):
-    """The commands in force: an effort, N m, and a stamp, ns, for each named wheel."""
+    """The commands in force: a stamp in ns and an effort in N m for each named wheel."""
 
     stamps_ns: tuple[int, ...]
     efforts: tuple[float, ...]
 
     @property
     def stamp_ns(self) -> int:
-        """Return the latest of the stamps; -NEVER_NS before the first command."""
+        """Return the latest stamp of all commands, ns, or -NEVER_NS before the first command."""
         return max(self.stamps_ns, default=-NEVER_NS)
 
     @property
@@ -47,7 +47,11 @@ class Commands(NamedTuple):
         return EffortLog(np.array(self.stamps_ns)[given], rows[given])
 
     def taking(self, time_ns: int, row: Floats) -> Commands:
-        """Return the commands updated by a row; a wheel keeps a command newer than the row."""
+        """
+        Return the commands that are in force once a new row has been received.
+
+        A wheel keeps its command if that command is newer than the row.
+        """
         pairs = [(time_ns, effort) if effort == effort and stamp_ns <= time_ns
                  else (stamp_ns, old) for stamp_ns, old, effort in zip(
                      self.stamps_ns, self.efforts, row.tolist())]
@@ -55,17 +59,21 @@ class Commands(NamedTuple):
         return Commands(stamps_ns, efforts)
 
     def given_at(self, time_ns: int) -> Floats:
-        """Return the efforts commanded at a stamp, with NaN for a wheel without such a command."""
+        """Return the efforts of commands with the given stamp, and NaN for all other wheels."""
         return np.where(np.array(self.stamps_ns) == time_ns, self.efforts, np.nan)
 
 
 def no_commands(count: int) -> Commands:
-    """Return the `Commands` of `count` wheels before their first commands."""
+    """Return the `Commands` of `count` wheels that have not received a command yet."""
     return Commands((-NEVER_NS,) * count, (0.0,) * count)
 
 
 class Active(NamedTuple):
-    """The motion from a change on, and the state of the named wheels (None if there are none)."""
+    """
+    The motion from a change onward, and the state of the named wheels at its beginning.
+
+    Without named wheels, `axial` is None.
+    """
 
     segment: Segment
     axial: Axial | None
@@ -73,24 +81,25 @@ class Active(NamedTuple):
 
 @dataclass
 class Change:
-    """The inputs from a time on: the sample of each source, the body and the wheel commands."""
+    """The samples of all sources, the body and the wheel commands from a given time onward."""
 
     time_ns: int
     samples: dict[int, Sample]
     body: NewBody
     commands: Commands
     active: Active | None = None
-    #: The motions from the times in `due_ns` on, in order, as far as they are computed.
+    #: The motions that begin at the times in `due_ns`, in order. Motions that have not been
+    #: computed yet are missing at the end.
     after_timeouts: list[Active] = field(default_factory=list)
 
     @property
     def stamps_ns(self) -> set[int]:
-        """Return the stamps of all inputs in force."""
+        """Return the stamps of the samples, the body and the commands that are in force."""
         return {self.body.stamp_ns, *self.commands.stamps_ns, *(
             sample.stamp_ns for sample in self.samples.values())}
 
     def due_ns(self, acting: ActingSamples) -> list[int]:
-        """Return the times after this change at which a torque times out or a lag is over."""
+        """Return the times after this change at which a torque times out or a lag ends."""
         if not (acting.timeout_ns or acting.lag):
             return []
         due = acting.due_ns(self.samples)
@@ -99,12 +108,12 @@ class Change:
         return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
 
     def begins_at(self, time_ns: int, acting: ActingSamples) -> bool:
-        """Return whether a torque in force begins to act, or times out, at a time."""
+        """Return whether any torque in force takes effect or times out at a given time."""
         samples = acting.acting(self.samples).values()
         return any(time_ns in (since_ns, since_ns + acting.timeout_ns) for since_ns in (
             self.commands.stamp_ns, *(sample.stamp_ns for sample in samples)))
 
     def discard(self) -> None:
-        """Discard the computed motion."""
+        """Discard the computed motion, so that it is computed again when it is needed."""
         self.active = None
         self.after_timeouts.clear()

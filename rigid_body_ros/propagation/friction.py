@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Wheels with friction, in the form that the kernels need."""
+"""Convert wheels with friction to the form that the kernels need."""
 
 from __future__ import annotations
 
@@ -27,13 +27,17 @@ from rigid_body_ros.propagation.lags import lag_terms
 
 
 def friction_of(wheels: Wheels, efforts: Floats) -> Friction:
-    """Return wheels with friction as a record, for n rows of k efforts, N m, and one output."""
+    """
+    Pack wheels with friction into a record that has room for one output.
+
+    `efforts`, N m, has one row for each row of the record and one column for each wheel.
+    """
     padded = wheels.padded(efforts)
     return Friction(padded, wheels.constants, np.empty((1, padded.shape[1])))
 
 
 def with_momenta(rows: Rows, count: int) -> tuple[Rows, Floats]:
-    """Return `rows` with a new array for the wheel momenta at `count` outputs, and this array."""
+    """Add to rows an array for the wheel momenta at `count` outputs; return rows and array."""
     terms = rows.terms
     assert terms
     assert terms.friction
@@ -43,12 +47,12 @@ def with_momenta(rows: Rows, count: int) -> tuple[Rows, Floats]:
 
 
 def friction_key(friction: Friction, row: int = 0) -> Floats:
-    """Return a key with all numbers that determine the friction in a row."""
+    """Return an array of all numbers that determine the friction in a row, for use as a key."""
     return np.concatenate([friction.efforts[row], friction.wheels])
 
 
 def friction_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
                    lags: Lags | None, friction: Friction) -> FrictionTerms:
-    """Return the terms of rows with friction, including fields and lags if there are any."""
+    """Return the terms for rows with friction, including fields and lags if there are any."""
     lags = lags or Lags(np.zeros((len(friction.efforts), 0, 2, 3)), np.empty(0))
     return FrictionTerms(*lag_terms(momentum, motors, space, fields, lags)[:5], friction)

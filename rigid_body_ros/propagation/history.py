@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The changes of the inputs of a body, and the motion between these changes."""
+"""The changes to a body's inputs, and the motion between these changes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_of
 
 class History:
     """
-    The inputs of a body from each change on, and the motion, which is computed when needed.
+    A body's inputs after each change, and its motion, which is computed only when needed.
 
     Parameters
     ----------
@@ -57,17 +57,19 @@ class History:
     start : State
     options : Options
     acting : ActingSamples
-        The delay, limit and lag of samples.
+        The actuator delays, limits and lags that apply to the samples.
     wheels : Wheels or None
         The named wheels.
     fields : array of FIELDS, shape (1,), or None
     history_ns : int
-        A stamp that is older than the newest stamp by this time or more is dropped.
+        A torque or a body is dropped if its stamp is older than the newest stamp by this time or
+        more.
 
     Attributes
     ----------
     changes : list of Change
-        The changes, in order. The first change is the start, until the start is discarded.
+        The changes, in order. The first one is the start of the motion, until the start is
+        discarded.
     newest_ns : int or None
         The newest stamp; None before the first stamp.
 
@@ -78,7 +80,7 @@ class History:
         self._options, self._acting = options, acting
         self._wheels, self._fields = wheels, fields
         self._history_ns = history_ns
-        #: The state of the wheels at the start.
+        #: The state of the named wheels at the start, or None if there are no named wheels.
         self._axial: Axial | None = None
         self._start = start
         self._has_friction = wheels is not None and wheels.has_friction
@@ -93,13 +95,13 @@ class History:
 
     def inserted(self, time_ns: int, delay_ns: int = 0) -> int | None:
         """
-        Return the index of the change at a stamp plus a delay, or None if the stamp is too old.
+        Return the index of the change at `time_ns + delay_ns`; insert a change if there is none.
 
-        If there is no change at that time yet, the method inserts one.
+        The result is None if the stamp is too old.
         """
         if self.newest_ns is not None and self.newest_ns - time_ns >= self._history_ns:
             return None
-        if self.newest_ns is not None:  # what to discard depends on the previous newest stamp
+        if self.newest_ns is not None:  # `newest_ns` does not include the new stamp yet
             self._discard_before(self.newest_ns - self._history_ns)
         self.newest_ns = time_ns if self.newest_ns is None else max(self.newest_ns, time_ns)
         time_ns += delay_ns
@@ -113,11 +115,12 @@ class History:
         return index
 
     def put(self, index: int, new: Sample | NewBody, source: int = 0) -> None:
-        """Store a sample of a source, or a body, from a change on."""
+        """Store a sample or a body, which takes effect at the change `index`."""
         # A sample is in force until the next sample of the same source, and a body is in force
-        # until the next body. The start is discarded only after a stamp at least `history` later.
-        # After this stamp, stamps before the start are dropped. So the start is the first change
-        # as long as stamps before the start are accepted.
+        # until the next body. The start is discarded only after a stamp that is later than the
+        # start by at least `history` has arrived. From then on, stamps before the start are
+        # dropped. Therefore the start is still the first change whenever a stamp before the start
+        # is accepted.
         for change in self.changes[index:]:
             found = change.body if isinstance(new, NewBody) else change.samples.get(source)
             if found is not None and found.stamp_ns > new.stamp_ns:
@@ -129,28 +132,37 @@ class History:
         self._renew(index)
 
     def take(self, index: int, time_ns: int, row: Floats) -> None:
-        """Store wheel commands from a change on; a wheel whose entry is NaN keeps its command."""
+        """
+        Store wheel commands that take effect at a change.
+
+        A wheel whose entry is NaN keeps its command.
+        """
         for change in self.changes[index:]:
             change.commands = change.commands.taking(time_ns, row)
         self._renew(index)
 
     def active(self, index: int, time_ns: int, until: float) -> Active:
-        """Return the segment and the wheels at a time after a change, or raise TimeoutError."""
+        """
+        Return the segment and the wheels at a time at or after the change `index`.
+
+        The method raises TimeoutError if the computing time runs out.
+        """
         self.compute(index, until)
         return self._active_at(self.changes[index], time_ns, until)
 
     def _renew(self, index: int) -> None:
-        """Discard the motion from a change on, so that it is computed again."""
+        """Discard the motion from a change onward, so that it is computed again."""
         self._discard_segments(index)
         if self.changes[0].active is None:
             self._begin()
 
     def _begin(self) -> None:
-        """Compute the first segment."""
+        """Compute the segment that begins at the start of the motion."""
         start, first = self._start, self.changes[0]
         axial = self._axial_at_start(first.commands)
         total = self._sum(first, start.time_ns, axial, {})
-        # A torque stamped at the start begins a segment, even if it equals the previous torque.
+        # A torque whose stamp is the start begins a new segment, even if this torque equals the
+        # previous one.
         begins = first.begins_at(start.time_ns, self._acting)
         acts = not total.is_zero() or self._fields is not None or (
             first.body.body.is_damped or start._has_rotors or self._has_friction)
@@ -164,16 +176,20 @@ class History:
                         self._options.timeout_ns)
 
     def index_of(self, time_ns: int) -> int:
-        """Return the index of the last change up to a time, or -1."""
+        """Return the index of the last change at or before a time, or -1 if there is none."""
         return bisect.bisect_right(self._times_ns, time_ns) - 1
 
     def between(self, after_ns: int, until_ns: int) -> list[Change]:
-        """Return the changes in (after_ns, until_ns]."""
+        """Return the changes at times later than `after_ns` and not later than `until_ns`."""
         return self.changes[self.index_of(after_ns) + 1:self.index_of(until_ns) + 1]
 
     def _sum(self, change: Change, time_ns: int, axial: Axial | None,
              before: Mapping[int, Lagging]) -> Sum:
-        """Return the sum of all torques; `before`: the sources that lagged up to `time_ns`."""
+        """
+        Return the sum of all torques that act from a given time onward.
+
+        `before` contains the sources that were lagging up to `time_ns`.
+        """
         acting = self._acting
         motors = None
         if self._wheels and axial and not self._has_friction:
@@ -185,15 +201,21 @@ class History:
         return total._replace(lagging=lagging, lags=acting.lags(lagging, time_ns))
 
     def _discard_before(self, horizon_ns: int) -> None:
-        """Discard changes that no late torque affects; raise ValueError like `Propagator.at`."""
+        """
+        Discard the changes that late torques can no longer affect.
+
+        These are all changes before the one that is in force at `horizon_ns`.
+
+        The method raises ValueError under the same conditions as `Propagator.at`.
+        """
         oldest = self.index_of(horizon_ns)
         if oldest > 0:
             self.compute(oldest)
             del self.changes[:oldest], self._times_ns[:oldest]
 
     def _discard_segments(self, index: int) -> None:
-        # Segments are computed in order. If a segment is missing, all later segments are missing,
-        # too.
+        # Segments are computed in order. So if one segment is missing, all later segments are
+        # missing, too.
         self.changes[index].discard()
         for change in self.changes[index + 1:]:
             if change.active is None:
@@ -201,7 +223,11 @@ class History:
             change.discard()
 
     def compute(self, index: int, until: float = math.inf) -> None:
-        """Compute the segments of all changes up to an index, or raise TimeoutError."""
+        """
+        Compute the segments of all changes up to and including the change `index`.
+
+        The method raises TimeoutError if the computing time runs out.
+        """
         first = index
         while self.changes[first].active is None:
             first -= 1
@@ -239,7 +265,7 @@ class History:
         return self._active_from(start, total, body, axial)
 
     def _next_axial(self, axial: Axial, commands: Commands, state: State) -> Axial:
-        """Return the state of the wheels from a state of the carrier on."""
+        """Return the state of the wheels once new commands take effect at a carrier state."""
         assert self._wheels
         time_ns = state.time_ns
         if commands.stamp_ns == time_ns:
@@ -250,7 +276,7 @@ class History:
         return axial
 
     def new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
-        """Return the record of a body that applies from a stamp on."""
+        """Return a `NewBody` for a body that takes over at a stamp."""
         carrier = self._wheels.carrier(body) if self._wheels else body
         return NewBody(stamp_ns, body, keep, carrier)
 

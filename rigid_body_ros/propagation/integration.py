@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The integration of a problem: at once, or piece by piece."""
+"""Integrate a problem, all at once or piece by piece."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.problem import Problem
 
-#: Number of wheel commands that `_resolve` tries first, and largest number of wheel commands in
-#: one timeline if some of the commands may act as zero.
+#: `_resolve` begins by trying `_WINDOW` wheel commands. If a wheel has a `max_speed`, so that
+#: commands may be treated as zero, a timeline contains at most `_SPAN` wheel commands.
 _WINDOW, _SPAN = 16, 512
 
 
 class Integration:
     """
-    A motion computed piece by piece, with the same bits that `propagate` computes at once.
+    A motion that is computed piece by piece and agrees bit for bit with `propagate`.
 
     Parameters
     ----------
@@ -56,27 +56,28 @@ class Integration:
     Attributes
     ----------
     problem : Problem
-        The problem with the present piece of each log.
+        The problem, which contains the current piece of each log.
     refused_commands : int
-        Number of wheel commands, from the start to the end of the motion so far, that act as zero
-        because their wheels are too fast.
+        Number of wheel commands that have been treated as zero so far, because their wheels were
+        too fast.
 
     """
 
-    # These defaults are class attributes, because most motions keep the defaults, and setting
-    # attributes takes time.
-    #: Number of wheel commands for which `_resolve` has determined whether the command acts.
+    # These defaults are class attributes, because most motions keep them, and it takes time to set
+    # the attributes of an instance.
+    #: Number of wheel commands for which `_resolve` has determined whether they act.
     _resolved = refused_commands = 0
-    #: The time at which the first row begins, and the momentum of the rotors at that time; None if
-    #: the row begins at the start.
+    #: If the first row of the timeline begins before the start, the time at which the row begins,
+    #: and the rotor momentum at that time. Otherwise None.
     _earlier: tuple[int, Floats] | None = None
 
     def __init__(self, problem: Problem) -> None:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
-        #: The present body, with and without the axial inertia of named wheels.
+        #: The current body (`_body`), and the same body without the axial inertia of the named
+        #: wheels (`_carrier`).
         self._body = self._carrier = problem.body_at(start.time_ns)
-        #: The latest time at which the next timeline begins, so that timelines stay short.
+        #: The latest time at which the next timeline may begin. This limit keeps timelines short.
         self._mark_ns = NEVER_NS
         #: The state of the named wheels.
         self._wheels: WheelTimeline | None = None
@@ -94,7 +95,7 @@ class Integration:
         self._progress, self._is_begun = self._begin(), False
 
     def _wheels_from(self, axial: Axial, state: State) -> WheelTimeline:
-        """Return the wheels from a state on; commands in force act from this state on."""
+        """Return the wheels from a state onward, where the commands in force take effect."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
         begun = in_force(problem.named_wheels, axial, problem.efforts, state,
@@ -104,12 +105,12 @@ class Integration:
         return self._wheels_on(begun)
 
     def _wheels_on(self, axial: Axial) -> WheelTimeline:
-        """Return the wheels after the motion so far."""
+        """Return the wheels for the rest of the motion."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
         wheels, efforts = problem.named_wheels, problem.efforts
         self._resolved, self._mark_ns = 0, NEVER_NS
-        if efforts and wheels.is_limited:  # each wrong guess costs a rebuild of the timeline
+        if efforts and wheels.is_limited:  # a wrong guess rebuilds a timeline, so keep it short
             later_ns = efforts.times_ns[efforts.times_ns.searchsorted(end_ns, 'right'):]
             if len(later_ns) > _SPAN:
                 self._mark_ns = int(later_ns[_SPAN])
@@ -117,13 +118,14 @@ class Integration:
         return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns)
 
     def _timeline_from(self, start_ns: int, momentum: Floats | None) -> Timeline:
-        """Return the inputs after the motion so far, which ends at `start_ns`."""
+        """Return the inputs for the rest of the motion, which continues at `start_ns`."""
         problem = self.problem
         logs, wheels = problem.acting_logs, problem.wheels
         if self._wheels:
             self._basis, wheels = (start_ns, momentum), self._wheels.log
         if problem.changes or self._mark_ns < NEVER_NS:
-            # Leave out the torques outside this part of the motion: their sum is not needed here.
+            # Leave out the torques outside this part of the motion, because the sum of these
+            # torques is not needed here.
             end_ns = problem.changes.next_ns(start_ns) if problem.changes else NEVER_NS
             span = start_ns, min(end_ns, self._mark_ns)
             logs = tuple(log.between(*span) for log in logs)
@@ -136,7 +138,7 @@ class Integration:
                         start_ns, momentum, others)
 
     def _rebuilt(self) -> Timeline:
-        """Return the timeline rebuilt with the commands of wheels that are now assumed to act."""
+        """Rebuild the timeline with the wheel commands that are now assumed to act."""
         timeline = self._timeline_from(*self._basis)
         if self._earlier:
             timeline.begin_earlier(*self._earlier)
@@ -156,7 +158,12 @@ class Integration:
                             stop)
 
     def _rule(self, row: int) -> Hashable:
-        """Return the rule of the first segment, or None if the segment begins at the start."""
+        """
+        Return the `Options.rule` of the segment in which the motion begins, or None.
+
+        The result is None if this segment begins exactly at the start, or if a torque changes
+        within the segment.
+        """
         problem, start_ns = self.problem, self._start.time_ns
         found = self._timeline.held(row)
         if found is None:
@@ -164,7 +171,8 @@ class Integration:
         torque, in_space, others = found
         lagging = self._others.lagging
         acts = torque.any() or any(other.any() for other in others)
-        # A torque stamped at the start begins a segment, even if it equals the previous torque.
+        # A torque whose stamp is the start begins a new segment, even if this torque equals the
+        # previous one.
         begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
                      for log in self._sources) and (acts or self._timeline.has_terms)
         if lagging and not others.pop().any():
@@ -175,15 +183,15 @@ class Integration:
 
     def extend(self, problem: Problem) -> None:
         """
-        Continue under the next piece of each log.
+        Continue the motion with the next piece of each log.
 
         Parameters
         ----------
         problem : Problem
-            The same problem with the next piece of each log. The piece begins with the sample in
-            force at the end of the motion so far, or earlier. For cubic interpolation, the log
-            also contains the three samples before that sample, and the three samples after the end
-            of the piece.
+            The same problem with the next piece of each log. Each piece must begin with the sample
+            in force at the end of the motion so far, or with an earlier sample. For cubic
+            interpolation, the log must also contain the three samples before the sample in force,
+            and the three samples after the end of the piece.
 
         """
         momentum = self._momentum()
@@ -195,16 +203,17 @@ class Integration:
 
     def advance(self, at: ArrayLike, until_ns: int | None = None) -> Trajectory:
         """
-        Return the motion at given times, none of which is before a time of the previous call.
+        Continue the motion to the latest of the given times, and return it at all given times.
 
         Parameters
         ----------
         at : array of int, shape (m,), ns
-            The times, in any order.
+            The times, in any order. No time may lie before the end of the motion so far.
         until_ns : int, optional
-            The end of this piece, which is the time of a sample. The motion is computed up to this
-            end, and no time in `at` may be later. The caller calls `extend` next. None if there
-            are no more torques, or if the next call continues within this piece.
+            The end of this piece, which must be the time of a sample. The motion is computed up to
+            this time, and no time in `at` may be later. The next call must be to `extend`. Omit
+            this argument if no more torques follow, or if the next call continues within this
+            piece.
 
         Returns
         -------
@@ -213,8 +222,8 @@ class Integration:
         Raises
         ------
         ValueError
-            A time lies before the end of the motion so far or is not an integer that fits int64,
-            or the torques accelerate the body beyond 1e9 rad/s.
+            A time lies before the end of the motion so far or is not an integer that fits in
+            int64, or the torques accelerate the body beyond 1e9 rad/s.
 
         """
         requested = checked_times(at, self._end_ns)
@@ -235,7 +244,7 @@ class Integration:
 
     @property
     def _next_ns(self) -> int:
-        """Return when the present timeline ends: at the next change of the body, or earlier."""
+        """Return the end of the current timeline, no later than the next change of the body."""
         changes = self.problem.changes
         return min(self._mark_ns, changes.next_ns(self._end_ns)) if changes else self._mark_ns
 
@@ -249,7 +258,7 @@ class Integration:
         state = changed(state, self._carrier, carrier, self.problem.changes.keep)
         packed = state._packed
         self._body, self._carrier = body, carrier
-        if self._wheels:  # check commands at this time again, with the speeds after the change
+        if self._wheels:  # the change affects the speeds, so check the commands at this time again
             self.refused_commands -= self._wheels.count_refused(time_ns - 1, time_ns)
             self._wheels = self._wheels_from(self._wheels.axial(time_ns - 1), state)
         self._timeline, self._earlier = self._timeline_from(time_ns, momentum), None
@@ -258,14 +267,14 @@ class Integration:
                                       len(self._timeline.times_ns))
 
     def _momentum(self) -> Floats | None:
-        """Return the momentum of rotors at the end of the motion so far; None without rotors."""
+        """Return the rotor momentum at the end of the motion so far, or None without rotors."""
         if not self._timeline.has_rotors:
             return None
         return self._timeline.momentum(np.array([self._end_ns]))[0]
 
     def _advance(self, times_ns: NDArray[np.int64], ascends: bool, end_ns: int,
                  until_ns: int | None) -> Trajectory:
-        """Return the motion of the present body at times that `checked_times` returned."""
+        """Return the motion at times that `checked_times` returned, while the body is the same."""
         begin_ns = self._end_ns
         count, stop = times_ns.size, len(self._timeline.times_ns)
         if until_ns is not None and until_ns > begin_ns:
@@ -286,7 +295,7 @@ class Integration:
         return Trajectory(times_ns, motion, (usage,), momenta)
 
     def _resolve(self, wheels: WheelTimeline, end_ns: int) -> None:
-        """Determine which commands up to a time act, given the motion before each command."""
+        """Determine which of the wheel commands up to a time act and which are refused."""
         if not wheels.wheels.is_limited:
             return
         start, stop = self._mark(), int(wheels.times_ns.searchsorted(end_ns, 'right'))
@@ -298,18 +307,18 @@ class Integration:
             if wrong is None:
                 self._resolved, window = rows.stop, 2 * window
                 continue
-            # Assume that at later commands the wheels are as fast as at this command.
+            # Assume that the wheels are as fast at all later commands as they are at this one.
             wheels.assume(wrong, wheels.refused(slice(wrong, None), speeds[wrong - rows.start]))
             self._timeline, self._resolved, window = self._rebuilt(), wrong + 1, _WINDOW
             self._progress, self._is_begun = before
         self._progress, self._is_begun = start
 
     def _mark(self) -> tuple[NDArray[Any], bool]:
-        """Return a copy of the progress, from which to continue later."""
+        """Return a copy of the progress, so that the loop can return to this point later."""
         return self._progress.copy(), self._is_begun
 
     def _speeds_at(self, wheels: WheelTimeline, times_ns: NDArray[np.int64]) -> Floats:
-        """Advance to the last time; return the wheel speeds at all times, rad/s, (m, wheels)."""
+        """Continue to the last given time; return all wheel speeds, rad/s, shape (m, wheels)."""
         motion = motion_layout.allocate(times_ns.size)
         _, momenta = self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
         if momenta is None:
@@ -317,12 +326,16 @@ class Integration:
         return wheels.wheels.speeds(momenta, motion_layout.angular_velocity(motion))
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the momentum of the rotors at given times in this piece, N m s, shape (m, 3)."""
+        """Return the rotor momentum at given times in this piece, N m s, shape (m, 3)."""
         return self._timeline.momentum(times_ns)[:, 0]
 
     def _fill(self, times_ns: NDArray[np.int64], order: NDArray[np.intp], motion: Floats,
               stop: int) -> tuple[NDArray[np.bool_], Floats | None]:
-        """Fill the motion up to a row; return `SolverUsage.closed` and `Trajectory._momenta`."""
+        """
+        Compute the motion at the given times, but not beyond the beginning of the row `stop`.
+
+        The method returns `SolverUsage.closed` and `Trajectory._momenta`.
+        """
         closed = np.zeros(len(self._timeline.times_ns) + 1, np.bool_)
         progress, problem = self._progress, self.problem
         if not times_ns.size:
@@ -345,8 +358,8 @@ class Integration:
                 progress['row'] += first
         self._is_begun = True
         if stop < len(closed) - 1 and (done := int(progress['done'][0])) < times_ns.size:
-            # The remaining outputs are at the end of the piece and get the state of the last grid
-            # point.
+            # The remaining outputs are at the end of the piece, so they get the state of the last
+            # grid point.
             again = (order if len(order) else np.arange(times_ns.size))[done:]
             grid = progress['grid'][0]
             motion_layout.attitude(motion)[again] = state_layout.attitude(grid)

@@ -29,18 +29,19 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 
 _NO_FIELDS = np.zeros(1, FIELDS)
 _NO_FIELDS.flags.writeable = False
-#: The torque of a source before its first command, and its low-order part: all zeros.
+#: The torque of a source that has not received a command yet, in the form of `Lagging.torque`: the
+#: high-order part, then the low-order part. Both parts are zero.
 _AT_REST = np.zeros((2, 6))
 
 
 class Lagging(NamedTuple):
     """
-    A source that lags, from a change of its command on.
+    A source that lags, from one change of its command to the next.
 
-    `command`, N m, shape (2, 3), has a row in body axes and a row in space axes; one of the two
-    rows is zero. The rows of `torque`, N m, shape (2, 6), are in the same axes. The first three
-    columns of `torque` are the torque at the change; the last three columns are the low-order part
-    of this torque.
+    `command`, N m, has shape (2, 3). The first row is in body axes, and the second row is in space
+    axes. At least one of the two rows is zero. `torque`, N m, has shape (2, 6), and its rows are
+    in the same axes as those of `command`. The first three columns are the torque at the change,
+    and the last three columns are the low-order part of this torque.
     """
 
     since_ns: int
@@ -49,11 +50,16 @@ class Lagging(NamedTuple):
 
     @property
     def key(self) -> Floats:
-        """Return all numbers of the source, with the exact time as seconds and nanoseconds."""
+        """
+        Return all numbers that describe the source.
+
+        The time `since_ns` is split into seconds and nanoseconds, so that no digits of the time
+        are lost.
+        """
         return np.array([*divmod(self.since_ns, 10 ** 9), *self.command.flat, *self.torque.flat])
 
     def at(self, time_ns: int, command: Floats, actuator: Actuator) -> Lagging:
-        """Return the source after its next change of command."""
+        """Return the record of this source after its command has changed at `time_ns`."""
         source = CommandChanges(np.array([self.since_ns, time_ns]),
                                 np.stack([self.command, command]),
                                 np.stack([self.torque, self.torque]))
@@ -73,21 +79,25 @@ def command_of(torque: Floats, in_space: bool) -> Floats:
 
 
 def first_of(time_ns: int, command: Floats) -> Lagging:
-    """Return a source whose torque is zero when its first command, or the motion, begins."""
+    """
+    Return the record of a source whose torque is zero at a given time.
+
+    The time is the start of the source's first command or the start of the motion.
+    """
     return Lagging(time_ns, command, _AT_REST)
 
 
 class Changes(NamedTuple):
-    """The commands of a source; each command is held until the next change."""
+    """The commands of one source. Each command is held until the next change."""
 
     actuator: Actuator
     times_ns: NDArray[np.int64]
-    #: The commands as in `Lagging`, shape (n, 2, 3).
+    #: The commands in the form of `Lagging.command`, shape (n, 2, 3).
     commands: Floats
 
     @classmethod
     def of(cls, log: TorqueLog, actuator: Actuator, timeout_ns: int, rest_ns: int) -> Changes:
-        """Return the changes, from `rest_ns` on, of commands that `Actuator.acting` returned."""
+        """Return the changes, from `rest_ns` onward, in a log that `Actuator.acting` returned."""
         times_ns, samples = log.segments(timeout_ns)
         first = max(int(times_ns.searchsorted(rest_ns, 'right')) - 1, 0)
         times_ns, samples = np.maximum(times_ns[first:], rest_ns), samples[first:]
@@ -115,7 +125,7 @@ class LaggingSources:
     Attributes
     ----------
     marks_ns : array of int64, ns
-        The times at which the lag of a command is over, ascending.
+        The times at which the lag of a command ends, ascending.
 
     """
 
@@ -130,7 +140,11 @@ class LaggingSources:
         return bool(self._sources)
 
     def excess(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return torques minus commands at ascending times, N m; see `layout.Lags.excess`."""
+        """
+        Return the excess (torques minus commands), N m, at ascending times.
+
+        See `layout.Lags.excess` for the shape.
+        """
         result = np.zeros((len(times_ns), len(self._time_constants), 2, 3))
         for source in self._sources:
             which = int(np.flatnonzero(self._time_constants == source.actuator.time_constant)[0])
@@ -138,7 +152,7 @@ class LaggingSources:
         return result
 
     def key(self, time_ns: int) -> Floats:
-        """Return a key: all numbers that determine the torques from a time to the next change."""
+        """Return an array of all numbers that determine the torques until the next change."""
         found = [np.empty(0)]
         for source in self._sources:
             row = int(source.times_ns.searchsorted(time_ns, 'right')) - 1
@@ -149,7 +163,11 @@ class LaggingSources:
         return np.concatenate(found)
 
     def excess_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """Return the summed excess at given times and attitudes, N m, body axes, shape (m, 3)."""
+        """
+        Return the total excess (torques minus commands) in body axes, N m, shape (m, 3).
+
+        The excess is computed at m times and attitudes.
+        """
         order = np.argsort(times_ns, kind='stable')
         sums = np.empty((len(times_ns), 2, 3))
         sums[order] = self.excess(times_ns[order]).sum(axis=1)
@@ -157,17 +175,17 @@ class LaggingSources:
 
     def impulses(self, times_ns: NDArray[np.int64]) -> Floats:
         """
-        Return the integrals of the excess from each time to the next time.
+        Return the integrals of the excess (torques minus commands) from each time to the next.
 
         Parameters
         ----------
         times_ns : array of int64, shape (m,), ns
-            No command changes between two neighbouring times.
+            The times. No command may change between two neighbouring times.
 
         Returns
         -------
         array, shape (m - 1, 2, 3), N m s
-            A row in body axes and a row in space axes.
+            Each integral has a row in body axes and a row in space axes.
 
         """
         seconds, constants = np.diff(times_ns)[:, None] / 1e9, self._time_constants
@@ -175,18 +193,23 @@ class LaggingSources:
         return np.einsum('nl,nlij->nij', integrals, self.excess(times_ns[:-1]))
 
     def lags(self, times_ns: NDArray[np.int64]) -> Lags:
-        """Return the lags for rows that begin at these times."""
+        """Return the lags, as the kernels need them, for rows that begin at given times."""
         return Lags(self.excess(times_ns), self._time_constants)
 
 
 def lag_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
               lags: Lags) -> LagTerms:
-    """Return the terms of rows with lags, and with fields if there are any."""
+    """Return the terms for rows with lags, and with fields if there are any."""
     return LagTerms(momentum, motors, space, _NO_FIELDS if fields is None else fields, lags)
 
 
 def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:
-    """Add the excess at given times to `into`; return the torque at each change, see `Lagging`."""
+    """
+    Add the excess of one source at given times to the array `into`.
+
+    The excess is the torque minus the command. The function returns the torque at each change, in
+    the form of `Lagging.torque`.
+    """
     torques = np.zeros((len(changes.times_ns), 2, 6))
     kernels.add_lag(times_ns, CommandChanges(changes.times_ns, changes.commands, torques),
                     changes.actuator.time_constant, changes.actuator.expiry_ns, which, into)
@@ -194,6 +217,6 @@ def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats
 
 
 def _marks(changes: Changes) -> NDArray[np.int64]:
-    """Return when the lags after changes are over, except lags that a change interrupts."""
+    """Return the times at which lags end, ns, leaving out lags that the next change cuts short."""
     over_ns = changes.times_ns + changes.actuator.expiry_ns
     return over_ns[np.append(over_ns[:-1] < changes.times_ns[1:], True)[:len(over_ns)]]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Integration of many motions at once."""
+"""Integrate many motions at once."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ from rigid_body_ros.propagation.problem import Problem
 from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.timeline import OtherTorques, Timeline
 
-#: If a call of the kernel takes less than this time, s, the next call computes twice as many runs.
-#: Between the calls, Python handles signals.
+#: If a kernel call takes less than this time, s, the next call computes twice as many runs. Python
+#: handles signals between the calls.
 _PATIENCE = 0.05
-#: One log for all runs, or one log or several logs for each run.
+#: One log for all runs; or, for each run, one log or a sequence of logs.
 LogsOfRuns = TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
     """
-    Many motions at the same times.
+    The states of many motions at the same times.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Trajectories:
     angular_velocity : array, shape (n, m, 3), rad/s, body axes
         NaN for a failed run.
     messages : tuple of n str
-        Why each run failed; empty for a run that did not fail.
+        For each run that failed, the reason. For each other run, an empty string.
 
     """
 
@@ -102,11 +102,12 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
                    max_step: float | None = Options.max_step,
                    torque_timeout: float = Options.torque_timeout) -> Trajectories:
     """
-    Integrate many motions, each with the same bits as `propagate`.
+    Integrate many motions, each of which agrees bit for bit with `propagate`.
 
-    Run i is the motion of `bodies[i]` from `starts[i]`. A run that fails does not end the others:
-    its states are NaN, and its message says why. The loop over the runs releases Python's global
-    lock, so several threads can compute runs at the same time.
+    Run i is the motion of `bodies[i]` from `starts[i]`. If a run fails, the other runs continue:
+    the states of the failed run are NaN, and its message says why it failed. The loop over the
+    runs releases Python's global interpreter lock, so several threads can compute runs at the same
+    time.
 
     Parameters
     ----------
@@ -119,14 +120,15 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
         up. The sum is computed only once for all runs with the same logs. None for torque-free
         motion.
     at : array of int, shape (m,), ns
-        See `propagate`; all runs have the same times.
+        The times, as for `propagate`. They are the same for all runs.
     wheels : TorqueLog, or sequence of n TorqueLog, optional
-        The torque on the rotors, as for `propagate`: one log for all runs, or one for each.
+        The torque on the rotors, as for `propagate`: one log for all runs, or one log for each
+        run.
     fields : sequence of UniformField or GravityGradient, or n such sequences, optional
         See `Problem`: one sequence for all runs, or one sequence for each run. Runs with fields
         are computed one by one instead of several at once.
     torque_gains : array, shape (n,), optional
-        Factors of the torques: a log of run i acts as
+        Factors by which to multiply the torques: each log of run i is replaced by
         `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
         See `Problem`.
@@ -139,10 +141,10 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
     ------
     ValueError
         There is no body; the numbers of bodies, starts, logs or gains differ; a time lies before a
-        start or is not an integer that fits int64; an option is out of its range; a gain times a
-        torque is not finite; the torque on rotors is in space axes; some runs have fields and
-        other runs have none; the wheels have names; or the solver does not handle the torques,
-        rotors, damping or fields that are given.
+        start or is not an integer that fits in int64; an option is out of its range; a gain times
+        a torque is not finite; the torque on rotors is in space axes; some runs have fields and
+        other runs have none; `wheels` lists named wheels; or the solver does not handle the
+        torques, rotors, damping or fields that are given.
 
     """
     options = validated(solver, tolerance, max_step, torque_timeout)
@@ -166,7 +168,11 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
 
 
 def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
-    """Return the fields for the kernels, one row for each run or for all; None without fields."""
+    """
+    Pack fields for the kernels, in one row per run or one row for all runs.
+
+    If there are no fields, the result is None.
+    """
     if not fields:
         return None
     begins_ns = starts.time_ns.tolist()
@@ -190,7 +196,7 @@ def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
 
 
 def _alike(logs: Sequence[Any], motors: Sequence[Any]) -> list[NDArray[np.intp]]:
-    """Return the runs in groups that have the same logs and wheels."""
+    """Return groups of run indices. The runs in a group have the same logs and wheels."""
     return _grouped([(*map(id, torque_logs(log)), id(motor)) for log, motor in zip(logs, motors)])
 
 
@@ -204,7 +210,7 @@ def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
 
 
 def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
-    """Return the indices of equal keys in groups; groups are in the order of their first keys."""
+    """Return the indices of each key, ordered by the first appearance of the keys."""
     found: dict[Hashable, list[int]] = {}
     for row, key in enumerate(keys):
         found.setdefault(key, []).append(row)
@@ -213,10 +219,11 @@ def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
 
 def _can_scale(problem: Problem, gains: Floats) -> bool:
     """
-    Return whether the kernels can multiply the torques of logs by the gains.
+    Return whether the kernels can multiply the torques of a problem by the gains.
 
-    The kernels multiply the coefficients of the polynomials. These coefficients are the torques
-    only if the log is held. A product that is not finite is left to `TorqueLog`, which reports it.
+    The kernels multiply polynomial coefficients. These are the torques themselves only if the log
+    is held. If a product is not finite, the result is False, so that `TorqueLog` does the
+    multiplication and reports the error.
     """
     logs = problem.logs
     if len(problem.sources) != 1 or not logs:
@@ -226,7 +233,7 @@ def _can_scale(problem: Problem, gains: Floats) -> bool:
 
 
 def _change_together(one: Rows, other: Rows) -> bool:
-    """Return whether two held torques change at the same times and are in the same axes."""
+    """Return whether two sets of held torques change at the same times and have the same axes."""
     return (one.torques.shape == other.torques.shape and one.torques.shape[1] == 1
             and np.array_equal(one.times_ns, other.times_ns)
             and np.array_equal(one.in_space, other.in_space))
@@ -259,21 +266,21 @@ class _Runs:
             layout.FAILED
         self._motions: Floats = np.empty((count, motion_layout.SIZE * self._times_ns.size))
         self._is_linear = bodies.is_damped | starts.has_rotors
-        #: Momentum of the rotors of each run at its start, and its low-order part, N m s.
+        #: The rotor momentum of each run at its start, and its low-order part, N m s.
         self._momentum: Floats = np.zeros((count, 2, 3))
         self._momentum[:, 0] = starts.rotor_momentum
-        #: Runs that wait to be run together, each with different torques. The indices of these
-        #: runs lie between two neighbouring multiples of LANES, and their torques change at the
-        #: same times.
+        #: Runs that are waiting to be computed together, each with its own torques. The torques of
+        #: all these runs change at the same times, and the indices of the runs lie between two
+        #: neighbouring multiples of LANES.
         self._queued: list[tuple[int, Rows]] = []
 
     def advance(self, problem: Problem, which: NDArray[np.intp],
                 gains: Floats | None = None) -> None:
         """
-        Compute the runs `which`, all under the torques of a problem.
+        Compute the runs `which`, all with the torques of one problem.
 
-        The gains, one for each of the n runs, multiply the torque. Gains require a problem with a
-        single log.
+        If `gains` is given, the torques of run i are multiplied by `gains[i]`. The array has one
+        entry for each of the n runs. The problem must then have a single log.
         """
         which = which[self._progress['stop'][which] != layout.FAILED]
         if not (which.size and self._times_ns.size):
@@ -281,8 +288,9 @@ class _Runs:
         if len(problem.logs) < 2 and not problem.wheels and self._fields is None:
             self._advance_alike(problem, which, gains)
             return
-        # The rows of a sum begin at the start of a run, so only runs with the same start time
-        # share rows. With motors, the rows also depend on the momentum of the rotors.
+        # When torques are summed, the first row begins at the start of the run, so only runs with
+        # the same start time can share rows. With motors, the rows also depend on the rotor
+        # momentum.
         begins_ns = self._progress['grid_ns'][which].tolist()
         momenta = self._momentum[which] * problem.has_rotors
         for rows in _grouped([(begin_ns, momentum.tobytes())
@@ -291,7 +299,7 @@ class _Runs:
 
     def _advance_alike(self, problem: Problem, which: NDArray[np.intp],
                        gains: Floats | None = None) -> None:
-        """Compute runs that share rows."""
+        """Compute runs that have the same torques, so that they can share one set of rows."""
         begins_ns = self._progress['grid_ns'][which]
         momentum = self._momentum[which[0]] if problem.has_rotors else None
         timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
@@ -306,7 +314,7 @@ class _Runs:
             self._progress['row'][which] += begin
 
     def _run(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
-        """Run the loop over some runs; only runs with rotors or damping get linear terms."""
+        """Run the loop over some runs, with linear terms only for rotors or damping."""
         rows, terms = rows._replace(torques=rows.torques[None], terms=None), rows.terms
         if self._fields is not None:
             terms = cast(FieldTerms, terms)
@@ -329,7 +337,7 @@ class _Runs:
         self._run_alike(which[is_linear], rows._replace(terms=own), gains)
 
     def _queue(self, run: int, rows: Rows) -> None:
-        """Queue a run, to be run with other runs whose torques change at the same times."""
+        """Queue a run, to be computed with other runs whose torques change at the same times."""
         if self._queued:
             last, before = self._queued[-1]
             if run // LANES != last // LANES or not _change_together(rows, before):
@@ -350,10 +358,10 @@ class _Runs:
         self._run_alike(which, rows, None)
 
     def _run_alike(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
-        """Run the loop over some runs, in chunks."""
+        """Run the loop over some runs, a limited number at a time."""
         runs = many_loop.Runs(self._progress, self._motions, self._bodies._constants,
                               np.ones(len(self._progress)) if gains is None else gains)
-        of_all = cast(many_loop.ManyRows, rows)  # the torques and the momentum have one more axis
+        of_all = cast(many_loop.ManyRows, rows)  # torques and momentum have an additional axis
         work = many_loop.workspace(LANES, of_all)
         done, chunk = 0, LANES
         while done < len(which):
@@ -377,5 +385,6 @@ class _Runs:
                             rates.reshape(count, size, 3), tuple(self._messages))
 
 
-#: A problem that carries the torques of runs; its body and its start are not used.
+#: A placeholder problem whose torques are replaced by those of the runs. The body and the start of
+#: this problem are not used.
 _AT_REST = Problem(RigidBody(np.eye(3)), State())

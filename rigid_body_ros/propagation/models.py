@@ -37,20 +37,21 @@ class Model(NamedTuple):
 
 
 class SolverUsage(NamedTuple):
-    """The data that determine which solver computed each span of a motion."""
+    """The data that show which solver computed each span of a motion."""
 
     body: RigidBody
     options: Options
     timeline: Timeline
     start_ns: int
     end_ns: int
-    #: The entry at index row + 1 tells whether the coast in that row was computed in closed form.
+    #: Whether the coast in each row was computed in closed form. The entry with index k + 1
+    #: belongs to the row with index k.
     closed: NDArray[np.bool_]
-    #: The named wheels; None if there are none.
+    #: The named wheels, or None if there are none.
     wheels: WheelTimeline | None = None
 
     def models(self) -> tuple[Model, ...]:
-        """Return the models of the spans from the start to the last requested time, in order."""
+        """Return a model for each span from the start to the last requested time, in order."""
         starts, closed = self._segments()
         changes = np.flatnonzero(np.append(True, closed[1:] != closed[:-1]))
         bounds = [*starts[changes].tolist(), self.end_ns]
@@ -58,7 +59,7 @@ class SolverUsage(NamedTuple):
                      for change, begin, end in zip(changes, bounds, bounds[1:]))
 
     def _segments(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return when the torque changes, and whether the closed form was used from then on."""
+        """Return the time of each torque change, and whether a closed-form span follows."""
         times_ns = self.timeline.times_ns
         first, stop = np.searchsorted(times_ns, [self.start_ns, self.end_ns], side='right')
         coasts = np.append(not self.timeline.has_terms, ~self.timeline.acts())[first:stop + 1]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The options of the time loop, validated."""
+"""The options of the time loop, and their validation."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class Options:
     tolerance : float
         Bound on the truncation error of the attitude per radian turned, 1e-15 to 1.
     max_step : float, optional, s
-        Upper limit of a step. Solvers with fixed steps require `max_step`: their steps have this
-        length.
+        Upper limit on the length of a step. Solvers with fixed steps require `max_step`, which is
+        then the length of their steps.
     torque_timeout : float, s
         If positive, a sample acts for at most this long. After this time, the torque is zero until
         the next sample.
@@ -78,23 +78,23 @@ class Options:
 
     @cached_property
     def record(self) -> Solver:
-        """Return the record of the solver."""
+        """Return the `Solver` record of the solver that `solver` names."""
         return solver_named(self.solver)
 
     @cached_property
     def max_step_ns(self) -> int:
-        """Return the longest step, ns, at least 1; a body at rest takes steps of this length."""
+        """Return the longest step, ns, at least 1. A body at rest takes steps of this length."""
         longest = LONGEST if self.max_step is None else min(self.max_step, LONGEST)
         return max(1, duration_ns(longest, 'max_step'))
 
     @cached_property
     def timeout_ns(self) -> int:
-        """Return the torque timeout, ns; 0 if a torque never times out."""
+        """Return the torque timeout, ns, or 0 if torques never time out."""
         return duration_ns(self.torque_timeout, 'torque_timeout')
 
     @cached_property
     def method(self) -> NDArray[Any]:
-        """Return the solver and its step limits, for the kernels: METHOD, shape (1,)."""
+        """Return the solver and its step limits for the kernels, as a METHOD of shape (1,)."""
         record = self.record
         return np.array([(record.code, record.fixed_step, record.closed_form_beyond,
                           self.tolerance, kernels.step_angle(self.tolerance), self.max_step_ns)],
@@ -114,7 +114,7 @@ class Options:
                              'and taylor do')
 
     def check_torque_free(self, log: TorqueLog) -> None:
-        """Raise ValueError if a log has a torque other than zero."""
+        """Raise ValueError if a log contains a torque that is not zero."""
         if log.torques.any():
             row = int(np.flatnonzero(log.torques.any(axis=1))[0])
             raise ValueError(f'solver {self.solver!r} handles torque-free motion only, found a '
@@ -124,10 +124,11 @@ class Options:
     def rule(self, body: RigidBody, fields: NDArray[Any] | None, torque: Floats, in_space: bool,
              *others: Floats) -> Hashable:
         """
-        Return a key with everything that determines the motion in a segment, except the start.
+        Return a key made of everything that determines a segment's motion except its start.
 
-        `others` contains a torque in space axes that acts in addition to a torque in body axes,
-        the torque on the rotors, and the keys of lags and friction.
+        If there are any `others`, the first one is a torque in space axes that acts in addition to
+        a torque in body axes. The second one is the torque on the rotors. The keys of lags and
+        friction follow.
         """
         return (body._constants.tobytes(), None if fields is None else fields.tobytes(),
                 self.solver, float(self.tolerance), self.max_step_ns,
@@ -136,7 +137,7 @@ class Options:
                 if any(other.any() for other in others) else None)
 
     def too_fast(self, time_ns: int) -> ValueError:
-        """Return the error to raise if even the shortest step, a nanosecond, is too long."""
+        """Return the error to raise if the body is too fast even for steps of a nanosecond."""
         cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}' \
             if self.record.fixed_step else 'check the torque (N m) and the inertia (kg m^2)'
         return ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}')

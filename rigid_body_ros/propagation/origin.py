@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The step grid of a state, with which a restarted run continues with the same bits."""
+"""Record the step grid of a state, so that a restarted run continues with the same bits."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ class Origin(NamedTuple):
     """
     The step grid from which a state between two torque changes was computed.
 
-    The state alone does not determine the grid. Without this record, a restart would begin a new
+    A state alone does not determine its grid. Without this record, a restart would begin a new
     grid.
     """
 
     #: The `Options.rule` of the segment.
     rule: Hashable
-    #: Time and state at the beginning of the segment.
+    #: The time and the state at the beginning of the segment.
     begin_ns: int
     begin: Floats
-    #: Time and state of the last grid point before the state.
+    #: The time and the state of the last grid point before the state to which this record belongs.
     grid_ns: int
     grid: Floats
-    #: Momentum of the rotors at the beginning, N m s, and its low-order part, shape (2, 3).
+    #: Rotor momentum at the beginning of the segment, N m s, and its low-order part, shape (2, 3).
     rotors: Floats
-    #: Start of the motion, at which lagging torques are zero; None if no torques lag.
+    #: The start of the motion, at which lagging torques are zero. None if no torques lag.
     rest_ns: int | None = None
 
 
@@ -59,14 +59,14 @@ def origin_of(start: State, rule: Hashable) -> Origin:
 
 
 def rest_ns_of(start: State) -> int:
-    """Return the time at which lagging torques are zero in a motion from a start, ns."""
+    """Return the time, ns, at which lagging torques are zero in a motion from `start`."""
     found = start._origin
     rest_ns = found.rest_ns if isinstance(found, Origin) else None
     return start.time_ns if rest_ns is None else rest_ns
 
 
 def with_rest(state: State, rest_ns: int) -> State:
-    """Return a state that remembers the time at which lagging torques were zero, ns."""
+    """Return the state, with a record of the time `rest_ns` at which lagging torques were zero."""
     origin = state._origin
     assert isinstance(origin, Origin)
     return State._as_computed(state.time_ns, state._packed, origin._replace(rest_ns=rest_ns),
@@ -74,5 +74,5 @@ def with_rest(state: State, rest_ns: int) -> State:
 
 
 def without_origin(state: State) -> State:
-    """Return a state at which a new segment begins."""
+    """Return the same state without its step grid, so that it begins a new segment."""
     return State._as_computed(state.time_ns, state._packed, None, state._rotors)

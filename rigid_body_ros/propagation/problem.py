@@ -52,26 +52,27 @@ class Problem:
     body : RigidBody
         The body. It rotates about its centre of mass, which may move in any way.
     start : State
-        The state at the earliest time of the motion. From a state that `Propagator.at` returned,
-        the motion continues with the same bits as in the `Propagator`.
+        The state at which the motion begins. If `Propagator.at` returned this state, the motion
+        continues with the same bits as in the `Propagator`.
     log : TorqueLog or sequence of TorqueLog, optional
-        None for torque-free motion. The torques of several logs add up; each log is held,
-        interpolated and timed out independently of the other logs. The torque of a log is zero
-        before the first sample of this log.
+        The torques on the body, or None for torque-free motion. The torques of several logs add
+        up. Each log is held, interpolated and timed out independently of the other logs, and its
+        torque is zero before its first sample.
     wheels : TorqueLog or sequence of Wheel, optional
-        A log gives the torque of the motors on the rotors, in body axes; the body feels the
-        opposite torque. A sequence lists named wheels, whose commands are in `efforts`.
+        Either a log of the motor torque on the rotors, in body axes, or a sequence of named
+        wheels, whose commands are in `efforts`. The body feels the opposite torque.
     efforts : EffortLog, optional
-        The torques of the motors of named wheels.
+        The motor torques commanded to named wheels.
     fields : sequence of UniformField or GravityGradient
-        Torques that depend on the attitude; at most one gravity gradient.
+        Torques that depend on the attitude. At most one of them may be a gravity gradient.
     changes : BodyLog, optional
-        The bodies that replace the first body, each from its stamp on. If any stamps lie at or
-        before the start, the motion starts with the body of the latest of these stamps.
+        The bodies that replace `body`, each at its own stamp. If any of these stamps lie at or
+        before the start, the motion starts with the body that has the latest of them.
     actuator : Actuator, or sequence of Actuator or None, optional
-        Delay, limit and lag of the torques: one for all logs, or one for each. The samples of a
-        log with an actuator are commands, and must be held, not interpolated. `torque_timeout`
-        counts from the stamp of a command. The actuator delays the effect of the timeout, too.
+        The actuators, which delay, limit and lag the torques: one actuator for all logs, or one
+        for each log. The samples of a log with an actuator are commands, which must be held, not
+        interpolated. `torque_timeout` counts from the stamp of a command, but the actuator delays
+        the effect of the timeout, too.
     solver : str
         'auto' uses the simplest model that the scene allows: the closed form for a long coast (a
         span without torques), and a Taylor series for anything else. 'taylor' always uses the
@@ -81,8 +82,8 @@ class Problem:
         Bound on the truncation error of the attitude per radian turned, 1e-15 to 1. The bound does
         not include rounding errors.
     max_step : float, optional, s
-        Upper limit of a step. Solvers with fixed steps require `max_step`: their steps have this
-        length.
+        Upper limit on the length of a step. Solvers with fixed steps require `max_step`, which is
+        then the length of their steps.
     torque_timeout : float, s
         If positive, a sample acts for at most this long. After this time, the torque is zero until
         the next sample.
@@ -92,22 +93,22 @@ class Problem:
     body : RigidBody
     start : State
     logs : tuple of TorqueLog
-        The logs that have samples.
+        The logs that contain samples.
     wheels : TorqueLog, optional
-        The torque on the rotors. None if the log has no samples, or if `wheels` lists named
-        wheels.
+        The torque on the rotors. None if the given log has no samples, or if named wheels were
+        given.
     named_wheels : Wheels, optional
         The named wheels.
     efforts : EffortLog, optional
         None if there are no commands.
     fields : tuple of UniformField or GravityGradient
-        A gravity gradient without a time gets the time of the start.
+        The fields. A gravity gradient that was given without a time gets the time of the start.
     changes : BodyLog, optional
         None if the body does not change.
     actuators : tuple of Actuator or None
         The actuator of each log; empty if there are no actuators.
     acting_logs : tuple of TorqueLog
-        The logs after the delays and the limits of the actuators, but before the lags.
+        The logs with the delays and limits of the actuators applied, but without the lags.
     options : Options
 
     Raises
@@ -195,7 +196,7 @@ class Problem:
 
     @property
     def has_rotors(self) -> bool:
-        """Return whether there are rotors that turn, or motors that turn them."""
+        """Return whether there are named wheels, rotors that turn, or torques on rotors."""
         return bool(self.start._has_rotors or self.named_wheels
                     or (self.wheels and self.wheels.torques.any()))
 
@@ -212,12 +213,12 @@ class Problem:
 
     @property
     def sources(self) -> tuple[TorqueLog, ...]:
-        """Return the torques on the body, followed by the torque on the rotors, if any."""
+        """Return the torques on the body, followed by the torque on the rotors if there is one."""
         return (*self.logs, self.wheels) if self.wheels else self.logs
 
     @property
     def acting_sources(self) -> tuple[TorqueLog, ...]:
-        """Return the sources after the delays and limits of the actuators, but before the lags."""
+        """Return `sources` with the actuator delays and limits applied, but without the lags."""
         return (*self.acting_logs, self.wheels) if self.wheels else self.acting_logs
 
     @property
@@ -254,13 +255,13 @@ class Problem:
         return other
 
     def solved_by(self, **options: Any) -> Problem:
-        """Return this problem with other `Options`, but the same timeout of the torques."""
+        """Return this problem with other `Options`, but with the same torque timeout."""
         return self.replaced(options=Options(torque_timeout=self.options.torque_timeout,
                                              **options))
 
     def between(self, start: State, end_ns: int, memory_ns: int = 0) -> Problem:
         """
-        Return the problem from another start on, with only the torques that matter up to a time.
+        Return the problem from another start, with only the torques that matter until `end_ns`.
 
         Parameters
         ----------
@@ -269,7 +270,7 @@ class Problem:
         end_ns : int, ns
             Later torques are left out.
         memory_ns : int, ns
-            Length of a span before the start; torques that act in this span are kept, too.
+            Torques that act within this time before the start are kept, too.
 
         """
         begin_ns = start.time_ns - memory_ns
@@ -282,17 +283,17 @@ class Problem:
                              efforts=self.efforts and self.efforts.between(begin_ns, end_ns))
 
     def body_at(self, time_ns: int) -> RigidBody:
-        """Return the body at a time; at a change, the body after the change."""
+        """Return the body at a given time. At a change, this is the body after the change."""
         row = self.changes.in_force(time_ns) if self.changes else -1
         return self.changes.bodies[row] if self.changes and row >= 0 else self.body
 
     @property
     def next_change_ns(self) -> int:
-        """Return when the body first changes after the start, ns; NEVER_NS if it never does."""
+        """Return the time of the first change of the body after the start, ns, or NEVER_NS."""
         return self.changes.next_ns(self.start.time_ns) if self.changes else NEVER_NS
 
     def with_first_body(self) -> Problem:
-        """Return this problem without changes of the body, which remains as at the start."""
+        """Return this problem without changes of the body: the body at the start remains."""
         other = self.replaced(body=self.body_at(self.start.time_ns))
         other.changes = None
         return other
@@ -301,8 +302,8 @@ class Problem:
         """
         Return a problem with the same motion, in which rotors replace the named wheels.
 
-        The bodies of that problem lack the axial inertia of the wheels. If there are no named
-        wheels, the method returns this problem.
+        The bodies of the returned problem lack the axial inertia of the wheels. If there are no
+        named wheels, the method returns the problem itself.
 
         Raises
         ------
@@ -328,7 +329,9 @@ class Problem:
 
     def torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """
-        Return the torque on the body at given times; at a jump, the value after the jump.
+        Return the torque on the body at given times.
+
+        At a jump, this is the value after the jump.
 
         Parameters
         ----------
@@ -341,7 +344,7 @@ class Problem:
         Returns
         -------
         array, shape (m, 3), N m, body axes
-            The torque of the fields is included; the torque on the rotors is not included.
+            The result includes the torque of the fields, but not the torque on the rotors.
 
         """
         total = np.zeros((len(times_ns), 3))
@@ -366,13 +369,17 @@ class Problem:
         return total
 
     def biased(self, torque: Floats, end_ns: int) -> Problem:
-        """Return this problem plus a constant torque, N m, body axes, that ends at a time, ns."""
+        """
+        Return this problem with an additional constant torque, N m, in body axes.
+
+        The additional torque acts from the start at least until `end_ns`.
+        """
         bias = TorqueLog.constant(torque, self.start.time_ns, end_ns, self.options.timeout_ns)
         actuator = [*(self.actuators or [None] * len(self.logs)), None] if self._actuator else None
         return self.replaced(log=[*self.logs, bias], actuator=actuator)
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the momentum of the rotors at given times, N m s, body axes, shape (m, 3)."""
+        """Return the rotor momentum at given times, N m s, body axes, shape (m, 3)."""
         if self.named_wheels:  # the momentum of named wheels depends on the motion
             return self.propagate(at=times_ns).rotor_momentum
         return Integration(self.with_first_body()).rotor_momentum(times_ns)
@@ -389,7 +396,7 @@ class Problem:
         Raises
         ------
         ValueError
-            A time lies before the start or is not an integer that fits int64, or the torques
+            A time lies before the start or is not an integer that fits in int64, or the torques
             accelerate the body beyond 1e9 rad/s.
 
         """

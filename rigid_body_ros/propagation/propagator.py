@@ -45,20 +45,21 @@ class Propagator:
     """
     The motion under torques that arrive sample by sample.
 
-    A torque, or a change of the body, commits a state: the state at its stamp, computed under the
-    previous torque. A state between stamps is a prediction: no later state depends on it. A torque
-    that arrives less than `history` late is inserted in the order of the stamps, and the later
-    torques are applied again. If several torques of a source have the same stamp, the last one to
-    arrive is used. So the states at the stamps equal those of `propagate` with the whole log, bit
-    for bit, in whatever order the torques of each source arrive.
+    Each torque and each change of the body commits the state at its stamp. This state is computed
+    with the torque that acts before the stamp. A state between stamps is only a prediction; no
+    later state depends on it. A torque that arrives less than `history` late is inserted in stamp
+    order, and the later torques are applied again. If several torques of a source have the same
+    stamp, the last one to arrive is used. As a result, the states at the stamps equal those that
+    `propagate` computes from the whole log, bit for bit, whatever the order in which the torques
+    of each source arrive.
 
     Parameters
     ----------
     wheels : sequence of Wheel, optional
         Named wheels, whose motor torques `apply_efforts` sets.
     history : float, s
-        A torque that is older than the newest stamp by this time or more is dropped. States of
-        this age are discarded.
+        How late a torque may arrive. A torque is dropped if its stamp is older than the newest
+        stamp by this time or more. States that are this old are discarded, too.
     body, start, fields, actuator, solver, tolerance, max_step, torque_timeout
         See `Problem`.
 
@@ -77,7 +78,7 @@ class Propagator:
                  torque_timeout: float = Options.torque_timeout,
                  history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
-        #: The history, ns, at least 1.
+        #: The `history` in ns, at least 1.
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._wheels = Wheels(wheels) if wheels else None
         self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields),
@@ -102,15 +103,15 @@ class Propagator:
         return self._history.newest_ns
 
     def held(self, time_ns: int) -> Mapping[int, Sample]:
-        """Return the last sample of each source at a time, even if it has timed out."""
+        """Return the latest sample of each source at a time, even a sample that has timed out."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
 
     def delay_ns(self, source: int) -> int:
-        """Return the delay from the stamp of a torque of a source until the torque acts, ns."""
+        """Return the delay between the stamp of a source's torque and its effect, ns."""
         return self._acting.delay_ns(source)
 
     def body_at(self, time_ns: int) -> NewBody:
-        """Return the body at a time; the stamp of the first body is -NEVER_NS."""
+        """Return the body at a given time. The first body has the stamp -NEVER_NS."""
         return self._history.changes[max(self._history.index_of(time_ns), 0)].body
 
     def bodies_since(self, time_ns: int) -> list[NewBody]:
@@ -121,9 +122,9 @@ class Propagator:
 
     def stamps(self, after_ns: int, until_ns: int) -> list[int]:
         """
-        Return the stamps of torques and bodies in (after_ns, until_ns], ns, ascending.
+        Return the stamps of torques and bodies in (after_ns, until_ns], ascending, in ns.
 
-        Stamps before `earliest_ns` are forgotten.
+        Stamps before `earliest_ns` have been discarded and are not returned.
         """
         delay_ns = self._acting.longest_delay_ns
         changes = self._history.between(after_ns, until_ns + delay_ns)
@@ -133,7 +134,7 @@ class Propagator:
         return sorted(stamp_ns for stamp_ns in found if after_ns < stamp_ns <= until_ns)
 
     def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
-        """Return the source and the sample of each torque in force at a time or later."""
+        """Return all torques in force at a given time or later, as pairs of source and sample."""
         index = max(self._history.index_of(time_ns), 0)
         return [*self._history.changes[index].samples.items(), *(
             (source, sample) for change in self._history.changes[index + 1:]
@@ -141,15 +142,19 @@ class Propagator:
             if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
 
     def commands_at(self, time_ns: int) -> Commands:
-        """Return the wheel commands in force at a time; the stamp -NEVER_NS means no command."""
+        """
+        Return the wheel commands in force at a given time.
+
+        A wheel without a command has the stamp -NEVER_NS.
+        """
         return self._history.changes[max(self._history.index_of(time_ns), 0)].commands
 
     def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:
         """
-        Return the wheel commands in force at a time, and all later wheel commands.
+        Return the wheel commands that are in force at `time_ns`, and all later ones.
 
-        The result lists stamps, ns, in ascending order, each with a mapping from the names of
-        wheels to efforts, N m, that `apply_efforts` accepts.
+        The result is sorted by stamp, ns. Each stamp comes with a mapping of wheel names to
+        efforts, N m, in the form that `apply_efforts` accepts.
         """
         index, found = max(self._history.index_of(time_ns), 0), dict[int, dict[str, float]]()
         for change in self._history.changes[index:]:
@@ -162,13 +167,13 @@ class Propagator:
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body',
               source: int = 0) -> bool:
         """
-        Apply a torque from its stamp to the next stamp.
+        Apply a torque from its stamp until the next stamp.
 
         Parameters
         ----------
         time_ns : int
             The stamp, ns. Stamps may arrive in any order. A torque with a stamp before the start
-            acts from the start to the next stamp.
+            acts from the start until the next stamp.
         torque : array, shape (3,), N m
             The torque about the centre of mass.
         frame : str
@@ -180,14 +185,14 @@ class Propagator:
         Returns
         -------
         bool
-            False if the torque was dropped, because it is older than the newest stamp by `history`
+            False if the torque was dropped because it is older than the newest stamp by `history`
             or more.
 
         Raises
         ------
         ValueError
             The torque is not finite; the frame is unknown; the source is negative, or there are
-            actuators but none for this source; the time does not fit int64 or lies 292 years or
+            actuators but none for this source; the time does not fit in int64 or lies 292 years or
             more from the start; the solver is 'exact' and the torque is not zero; or earlier
             torques accelerate the body beyond 1e9 rad/s. In each of these cases, the torque is not
             applied.
@@ -205,7 +210,7 @@ class Propagator:
 
     def apply_wheels(self, time_ns: int, torque: ArrayLike) -> bool:
         """
-        Apply a torque of the motors on the rotors, from its stamp to the next stamp.
+        Apply a motor torque to the rotors, from its stamp until the next stamp.
 
         Parameters
         ----------
@@ -234,7 +239,7 @@ class Propagator:
 
     def apply_body(self, time_ns: int, body: RigidBody, keep: str = RATE) -> bool:
         """
-        Replace the body from a stamp to the next change.
+        Replace the body, from a stamp until the next change.
 
         Parameters
         ----------
@@ -273,16 +278,15 @@ class Propagator:
         """
         Apply motor torques to named wheels.
 
-        Each torque acts from its stamp to the next effort of the same wheel.
+        Each torque acts from its stamp until the next effort of the same wheel.
 
         Parameters
         ----------
         time_ns : int
             See `apply`.
         efforts : mapping of str to float, N m
-            The efforts, keyed by the name of the wheel. Wheels without an entry keep their
-            efforts. If several efforts of a wheel have the same stamp, the last one to arrive is
-            used.
+            The efforts, keyed by wheel name. Wheels without an entry keep their efforts. If
+            several efforts of a wheel have the same stamp, the last one to arrive is used.
 
         Returns
         -------
@@ -309,10 +313,10 @@ class Propagator:
 
     def refused_commands(self, after_ns: int, until_ns: int) -> int:
         """
-        Return the number of commands with stamps in (after_ns, until_ns] that act as zero.
+        Return the number of refused commands with stamps in (after_ns, until_ns].
 
-        These commands act as zero because their wheels are too fast; see `max_speed` of `Wheel`.
-        Commands before `earliest_ns` are forgotten.
+        A refused command is treated as zero, because its wheel is too fast; see `Wheel.max_speed`.
+        Commands before `earliest_ns` have been discarded and are not counted.
         """
         self._history.compute(max(self._history.index_of(until_ns), 0))
         return sum(int(change.active.axial.refused.sum())
@@ -322,7 +326,7 @@ class Propagator:
 
     def at(self, time_ns: int, within: float = math.inf) -> State:
         """
-        Return the state at a time under the torques known so far.
+        Return the state at a time, computed with the torques known so far.
 
         Parameters
         ----------
@@ -339,12 +343,12 @@ class Propagator:
         Raises
         ------
         ValueError
-            The time lies before `earliest_ns`, does not fit int64 or lies 292 years or more from
-            the start, or the torques accelerate the body beyond 1e9 rad/s.
+            The time lies before `earliest_ns`, does not fit in int64 or lies 292 years or more
+            from the start, or the torques accelerate the body beyond 1e9 rad/s.
         TypeError
             The time is not an integer.
         TimeoutError
-            The limit on the computing time was reached. The next call continues the computation.
+            The computing time reached its limit. The next call continues the computation.
 
         """
         time_ns, until = self._checked_time(time_ns), time.monotonic() + within

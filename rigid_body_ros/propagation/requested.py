@@ -23,7 +23,7 @@ from rigid_body_ros.engine import kernels
 
 
 def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
-    """Return the times, whether they ascend, and the latest time, or raise ValueError."""
+    """Return the times, whether the times ascend, and the latest time, or raise ValueError."""
     times = instants(at, 'at')
     if times.size > 1:
         ascends, first_ns, last_ns = kernels.extent(times)

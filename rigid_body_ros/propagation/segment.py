@@ -45,17 +45,17 @@ from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.summation import added
 from rigid_body_ros.propagation.timeline import held_row, momentum_at
 
-#: The source numbers of the commands of named wheels, of the torque on the rotors, and of
-#: bodies. These are the largest numbers, so these sources come last.
+#: The source numbers of wheel commands, of the torque on the rotors, and of bodies. These are the
+#: largest possible numbers, so that these sources come after all others.
 COMMANDS, WHEELS, BODY = sys.maxsize - 2, sys.maxsize - 1, sys.maxsize
-#: Outputs of the loop that are never read: a segment uses only the latest state of the loop.
+#: Outputs of the loop that are never read, because a segment uses only the loop's latest state.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 _NONE = np.zeros((1, 3))
 _NOTHING_LAGS: Mapping[int, Lagging] = {}
 
 
 class Sample(NamedTuple):
-    """A torque, N m, shape (1, 3), of one source."""
+    """A torque from one source, N m, shape (1, 3)."""
 
     stamp_ns: int
     torque: Floats
@@ -63,29 +63,35 @@ class Sample(NamedTuple):
 
 
 class NewBody(NamedTuple):
-    """A body from a stamp on, and the quantity that stays the same at the stamp; see `BodyLog`."""
+    """
+    A body that takes over at a stamp.
+
+    `keep` names the quantity that stays the same at the change; see `BodyLog`.
+    """
 
     stamp_ns: int
     body: RigidBody
     keep: str
-    #: The body without the axial inertia of named wheels; the body itself without such wheels.
+    #: The body without the axial inertia of the named wheels. Without named wheels, the body
+    #: itself.
     carrier: RigidBody
 
 
 class Sum(NamedTuple):
-    """The sums, N m, shape (1, 3), of the torques of all sources; see `layout.Rows`."""
+    """The total torques from all sources, N m, shape (1, 3); see `layout.Rows`."""
 
     torque: Floats
     in_space: bool
     space: Floats = _NONE
     motors: Floats = _NONE
-    #: The sources that lag, and the torques of these sources minus their commands.
+    #: `lagging` contains the sources that lag, and `lags` the torques of these sources minus their
+    #: commands.
     lagging: Mapping[int, Lagging] = _NOTHING_LAGS
     lags: Lags | None = None
 
     @property
     def others(self) -> tuple[Floats, ...]:
-        """Return the torques besides `torque`: one in space axes and one on the rotors, or ()."""
+        """Return the torques in space axes and on the rotors, or () if both torques are zero."""
         # Most motions have neither of these torques, and checking arrays of zeros takes a tenth of
         # the time of a short segment.
         if self.space is self.motors or not (self.space.any() or self.motors.any()):
@@ -103,7 +109,7 @@ def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
     """
     Return the sum of the samples that have not timed out, added in the order of the sources.
 
-    `of_named` is the torque of the motors of named wheels, N m, shape (1, 3).
+    `of_named` is the total motor torque on the named wheels, N m, shape (1, 3).
     """
     body, space, motors = list[Floats](), list[Floats](), list[Floats]()
     if of_named is not None:
@@ -116,7 +122,7 @@ def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
         return Sum(added(body), False)
     total, on_rotors = added(body), added(motors)
     total = total - on_rotors
-    if not total.any():  # no torque acts in body axes: store the torque in space axes instead
+    if not total.any():  # no torque acts in body axes, so store the torque in space axes instead
         return Sum(added(space), bool(space), _NONE, on_rotors)
     return Sum(total, False, added(space), on_rotors)
 
@@ -148,7 +154,8 @@ class Segment:
         self._rotors = origin.rotors
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        #: Time and state computed last; time and state of the last grid point before this time.
+        #: Four values: the time and the state that were computed last, then the time and the state
+        #: of the last grid point before that time.
         self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
         terms: Terms | FieldTerms | LagTerms | FrictionTerms | None = None
         if friction is not None:
@@ -173,7 +180,7 @@ class Segment:
         return self._state(*self._latest)
 
     def _compute(self, time_ns: int, until: float) -> None:
-        """Compute the state at a time from the last grid point before this time, and store it."""
+        """Compute and store the state at a time, starting from the last earlier grid point."""
         begin_ns, begin = self._grid_ns[0], self._states[0]
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
         progress = layout.begun(self._states[nearest], self._grid_ns[nearest], begin, begin_ns, 0,
@@ -211,11 +218,16 @@ class Segment:
                 break
 
     def end_at(self, time_ns: int, until: float) -> State:
-        """Return a state at which a new segment begins, even if the torque does not change."""
+        """
+        Return the state at a given time, as the start of a new segment.
+
+        The new segment begins even if no torque changes.
+        """
         return without_origin(self.state_at(time_ns, until))
 
     def _discard_grid_points(self, horizon_ns: int) -> None:
-        # Keep the grid points of the last `history`, from which `at` continues after a late
-        # torque, and the beginning of the segment, from which `at` computes any earlier time.
+        # Keep the grid points within the last `history`, because `at` continues from one of them
+        # after a late torque. Also keep the beginning of the segment, because `at` computes all
+        # states before these grid points from the beginning.
         while len(self._grid_ns) > 2 and self._grid_ns[2] <= horizon_ns:
             del self._grid_ns[1], self._states[1]

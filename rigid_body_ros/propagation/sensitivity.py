@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The effect of the last digit of the inputs on a motion."""
+"""Measure how much a change in the last digit of the inputs affects a motion."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.problem import Problem
 
-#: How often each kind of change is tried.
+#: Number of times that each kind of change is tried.
 _ROUNDS = 2
 
 
@@ -36,14 +36,14 @@ def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     Return how much a motion changes if its inputs change in the last digit.
 
     The function computes up to six changed motions: two with changed inertia and damping, two with
-    changed torques, and two in which the start changes as well as the inertia, the damping and the
-    torques. A change moves every entry by one unit in the last place, up or down at random. The
+    changed torques, and two in which the inertia, the damping, the torques and the start all
+    change. Every changed entry moves by one unit in the last place, up or down at random. The
     random numbers are the same in every call. Zeros stay zero, and tensors stay symmetric. A
     change is skipped if no rigid body can have the changed tensor, or if the body turns faster
     than 1e9 rad/s in the changed motion.
 
-    The solver is `auto` at its tightest tolerance, whatever solver the problem uses. The
-    rounding error of this solver adds to the result.
+    All motions are computed by `auto` at its tightest tolerance, whatever solver the problem uses.
+    The rounding error of `auto` adds to the result.
 
     Parameters
     ----------
@@ -80,7 +80,11 @@ def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
 
 def _changed_problem(problem: Problem, kinds: Collection[str],
                      random: np.random.Generator) -> Problem:
-    """Return a problem with some inputs changed, or raise ValueError if a tensor is not valid."""
+    """
+    Return a problem with the given kinds of inputs changed in the last digit.
+
+    The function raises ValueError if a changed tensor is not valid.
+    """
     start, logs, wheels = problem.start, problem.logs, problem.wheels
     inertia, damping = problem.body.inertia, problem.body.damping
     if 'tensors' in kinds:
@@ -91,8 +95,8 @@ def _changed_problem(problem: Problem, kinds: Collection[str],
     if 'torques' in kinds:
         logs = tuple([_changed_log(log, random) for log in logs])
         wheels = wheels and _changed_log(wheels, random)
-    # Build the body last. Then all random numbers of this change are drawn even if the body is
-    # invalid, and later changes get the same random numbers.
+    # Build the body last, so that all random numbers of this change are drawn even if the body is
+    # invalid. Otherwise, later changes would get different random numbers.
     return problem.replaced(body=RigidBody(inertia, damping), start=start, log=logs,
                             wheels=wheels)
 
@@ -115,6 +119,6 @@ def _changed_tensor(tensor: Floats, random: np.random.Generator) -> Floats:
 
 
 def _changed(values: Floats, random: np.random.Generator) -> Floats:
-    # Change values by one unit in the last place, except zeros.
+    # Change all values except zeros by one unit in the last place.
     target = np.where(random.random(values.shape) < 0.5, -np.inf, np.inf)
     return np.where(values == 0.0, values, np.nextafter(values, target))

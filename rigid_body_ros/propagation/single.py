@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A motion under logs of torques."""
+"""Compute a motion under torque logs."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
     Raises
     ------
     ValueError
-        A time lies before the start or is not an integer that fits int64, an option is out of its
-        range, torques are given to the solver 'exact', or the torques accelerate the body beyond
-        1e9 rad/s.
+        A time lies before the start or is not an integer that fits in int64, an option is out of
+        its range, torques are given to the solver 'exact', or the torques accelerate the body
+        beyond 1e9 rad/s.
 
     """
     return Problem(

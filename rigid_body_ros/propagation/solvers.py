@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The solvers, one record each."""
+"""The solvers, with one record for each."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from typing import NamedTuple
 
 from rigid_body_ros.engine import CLASSICAL, layout
 
-#: If the body turns by more than this angle, rad, in a coast, `auto` uses the closed form.
-#: Up to this angle, the series is as accurate as the closed form, and cheaper.
+#: `auto` uses the closed form if the body turns by more than this angle, rad, in a coast. Up to
+#: this angle, the Taylor series is as accurate as the closed form, and faster.
 LONG_COAST = 16.0
 
 
 class Solver(NamedTuple):
-    """The properties of a solver that the loop, the options and the documentation need."""
+    """What the loop, the options and the documentation need to know about a solver."""
 
     name: str
-    #: The number of the solver in the kernels.
+    #: The number that identifies the solver in the kernels.
     code: int
-    #: Order of convergence; None if a tolerance bounds the truncation error instead.
+    #: Order of convergence of a solver with fixed steps. None if a tolerance bounds the truncation
+    #: error instead.
     order: int | None = None
     #: Whether every step is `max_step` long.
     fixed_step: bool = False

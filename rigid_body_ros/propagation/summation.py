@@ -16,7 +16,7 @@
 The sum of several torque logs, and the momentum of the rotors.
 
 The sum changes whenever one of its sources changes. Torques are added in the order of the sources,
-so the order in which they arrive does not change any bit.
+so the order in which the torques arrive does not change any bit of the sum.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels, Samples, Sums
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: A sum without torques. Adding it to a torque does not change any bit of the torque.
+#: The sum of no torques. Adding it to a torque does not change any bit of the torque.
 _NOTHING = np.full((1, 3), -0.0)
 _NO_MARKS = np.empty(0, np.int64)
 
@@ -44,21 +44,21 @@ def summed(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeou
     Parameters
     ----------
     sources : sequence of TorqueLog
-        The logs of torques on the body, none of them empty, followed by the log of the torque on
-        the rotors, in body axes. Only this last log may be empty.
+        The torque logs of the body, followed by the log of the torque on the rotors, in body axes.
+        Only this last log may be empty.
     start_ns : int
-        Start of the motion.
+        The start of the motion.
     momentum : array, shape (2, 3), N m s
-        Momentum of the rotors at the start, and its low-order part.
+        The rotor momentum at the start, and its low-order part.
     timeout_ns : int
         See `TorqueLog.segments`.
     marks_ns : array of int64, shape (n,), ns, optional
-        Further times at which a row begins, ascending.
+        Additional times at which a row must begin, in ascending order.
 
     Returns
     -------
     Sums
-        The sums. The first time of the sums is the start.
+        The sums. Their first row begins at the start.
 
     """
     *logs, wheels = sources
@@ -75,7 +75,12 @@ def added(torques: Sequence[Floats]) -> Floats:
 
 
 def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
-    """Return whether all logs are held, have begun, and have equal stamps or one stamp each."""
+    """
+    Return whether all logs are held, begin at or before the start, and change together.
+
+    Each log must have a single stamp, or the same stamps as the longest log. The samples of a log
+    must all be in the same axes.
+    """
     stamps = max((log.times_ns for log in logs), key=len, default=())
     return (len(stamps) > 0 and all(log.interpolation == 'hold' for log in logs)
             and all(log.times_ns[0] <= start_ns for log in logs)
@@ -85,7 +90,11 @@ def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
 
 def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], start_ns: int,
                      momentum: Floats) -> Sums:
-    """Return the sum of logs that change together, in a third of the time of `_merged`."""
+    """
+    Return the sum of torque logs whose torques change at the same times.
+
+    For such logs, this takes a third of the time that `_merged` takes.
+    """
     stamps_ns = max((log.times_ns for log in (*logs, *motors)), key=len)
     first = int(np.searchsorted(stamps_ns, start_ns, 'right')) - 1
     times_ns = np.append(start_ns, stamps_ns[first + 1:])
@@ -100,11 +109,11 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
 
 def _allocated(times_ns: NDArray[np.int64], degree: int) -> Sums:
     """
-    Return arrays for the sums at given times, not yet filled.
+    Allocate arrays for the sums at given times, without filling them.
 
-    The arrays share one block that numpy allocates. For a large block, numpy requests large pages.
-    This saves time: getting small pages from the system takes longer than filling them. Memory
-    that is never touched takes no time.
+    The arrays share one block of memory, because NumPy requests large pages for a large block.
+    This saves time: getting many small pages from the system takes longer than filling the arrays.
+    Memory that is never touched costs no time.
     """
     sizes, count = (2 * degree + 1, degree + 1, degree + 1, 2), len(times_ns)
     block = np.empty((sum(sizes), 3 * count))
@@ -135,7 +144,7 @@ def _pieces(log: TorqueLog) -> Floats:
 
 
 def _padded(coefficients: Floats, degree: int) -> Floats:
-    """Return polynomials padded with zero coefficients up to a degree."""
+    """Return polynomials with zero coefficients added, so that all have the given degree."""
     count, own = len(coefficients), coefficients.shape[1] // 2
     if own == degree:
         return coefficients

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a body as rows: the torques of all sources, their timeouts, and the rotors."""
+"""A body's inputs in rows: the torques of all sources, their timeouts, and the rotors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,11 @@ _CHUNK = 65536
 
 
 class OtherTorques(NamedTuple):
-    """Torques in addition to those of the logs and the rotors; None for each absent kind."""
+    """
+    Torques other than those of the logs and the rotors.
+
+    If there are no torques of a kind, the attribute for this kind is None.
+    """
 
     #: The torques that depend on the attitude: FIELDS, shape (1,).
     fields: NDArray[Any] | None = None
@@ -52,10 +56,10 @@ NO_OTHERS = OtherTorques()
 
 class Timeline:
     """
-    The inputs of a body from a time on.
+    The inputs of a body from a given time onward.
 
-    The rows are the samples of a single log, or the sums of several logs. When a torque times out,
-    a row of zeros follows.
+    The rows are the samples of a single log, or the sums of several logs. A torque that times out
+    is followed by a row of zeros.
 
     Parameters
     ----------
@@ -70,7 +74,7 @@ class Timeline:
     start_ns : int
         The time from which the inputs are needed.
     momentum : array, shape (2, 3), N m s, or None
-        Momentum of the rotors at `start_ns`, and its low-order part; None without rotors.
+        The rotor momentum at `start_ns`, and its low-order part. None if there are no rotors.
     others : OtherTorques
 
     Attributes
@@ -78,18 +82,20 @@ class Timeline:
     times_ns : array of int64, shape (n,)
         The time at which each row begins.
     has_rotors, has_terms : bool
-        Whether there are rotors, and whether there are rotors, damping or fields.
+        `has_rotors` tells whether there are rotors, and `has_terms` whether there are rotors,
+        damping or fields.
 
     """
 
-    # These defaults are class attributes, because most motions keep the defaults, and setting
-    # attributes takes time.
+    # These defaults are class attributes, because most motions never change them, and setting
+    # instance attributes takes time.
     has_rotors = has_terms = _has_motors = _always_acts = False
     _fields: NDArray[Any] | None = None
     _lagging: LaggingSources | None = None
     #: The wheels with friction.
     _named: WheelTimeline | None = None
-    #: The terms of the rows of a single log, or the rows of a sum, which contain their terms.
+    #: For a single log, `_terms` holds the terms of the rows. For a sum of logs, `_summed` holds
+    #: the rows, including their terms.
     _terms: Terms | None = None
     _summed: Rows | None = None
     #: The indices of the samples that time out before the next sample; None without a timeout.
@@ -129,7 +135,11 @@ class Timeline:
 
     @cached_property
     def _samples(self) -> NDArray[np.intp] | None:
-        """Return the index of each row's sample, -1 after a timeout; None without timeouts."""
+        """
+        Return the index of the sample in each row, or None if torques do not time out.
+
+        The index is -1 in a row that begins at a timeout.
+        """
         if self._silent is None:
             return None
         return np.insert(np.arange(len(self._log)), self._silent + 1, -1)
@@ -163,21 +173,22 @@ class Timeline:
         return Rows(times_ns, sums.torques, sums.in_space, spans, terms)
 
     def in_force(self, time_ns: int) -> int:
-        """Return the row in force at a time; -1 before the first row."""
+        """Return the index of the row in force at a given time; -1 before the first row."""
         times_ns = self.times_ns
         if not len(times_ns) or time_ns < times_ns.item(0):
             return -1
-        if len(times_ns) == 1 or time_ns < times_ns.item(1):  # most starts; this saves a search
+        if len(times_ns) == 1 or time_ns < times_ns.item(1):  # the usual case; saves a search
             return 0
         return int(times_ns.searchsorted(time_ns, 'right')) - 1
 
     def held(self, row: int) -> tuple[Floats, bool, list[Floats]] | None:
         """
-        Return the torques that are held in a row, N m; None if torques change within the row.
+        Return the torques that are held in a row, N m; None if a torque changes within the row.
 
-        The result is the torque on the body, shape (3,), whether this torque is in space axes, and
-        a list of other torques. The list contains a torque in space axes that acts in addition to
-        a torque in body axes, the torque on the rotors, and the excess of torques that lag.
+        The result is a tuple of three values: the torque on the body, shape (3,); whether this
+        torque is in space axes; and a list of other torques. In this order, the list contains a
+        torque in space axes that acts in addition to a torque in body axes, the torque on the
+        rotors, and the excess of lagging torques.
         """
         none = np.zeros(3)
         if self._summed is not None:
@@ -199,12 +210,12 @@ class Timeline:
         return self._log.torques[row], bool(self._log.in_space[row]), [none, none]
 
     def key(self, row: int) -> list[Floats]:
-        """Return all numbers that determine the friction in a row; empty without friction."""
+        """Return all numbers that determine the friction in a row, or [] without friction."""
         terms = self._summed.terms if self._summed else None
         return [friction_key(terms.friction, row)] if terms and terms.friction else []
 
     def begin_earlier(self, begin_ns: int, momentum: Floats) -> None:
-        """Let the first row, whose torques are held, begin before the start."""
+        """Move the beginning of the first row, whose torques are held, to an earlier time."""
         if self._summed is None:
             return
         self.times_ns, terms = np.append(begin_ns, self.times_ns[1:]), self._summed.terms
@@ -222,16 +233,16 @@ class Timeline:
         Parameters
         ----------
         begun : array of int, shape (n,)
-            The rows in force, -1 before the first row. The first row returned is the smallest
-            number in `begun`.
+            The indices of the rows in force, or -1 before the first row. Rows before the smallest
+            of these indices are not needed, and may be left out.
         stop : int
-            The row after the last row returned.
+            The index after the last row to return.
 
         Returns
         -------
         iterable of (int, int, Rows)
-            For each chunk, the first row, the row after the last row, and the rows. The rows
-            include one more row after the chunk.
+            For each chunk, the index of its first row, the index after its last row, and its rows.
+            The returned rows include one extra row after the last row of the chunk.
 
         """
         if self._summed:
@@ -264,7 +275,7 @@ class Timeline:
         return Rows(times_ns, polynomials, log.in_space[samples] & acts, spans, self._terms)
 
     def acts(self) -> NDArray[np.bool_]:
-        """Return for each row whether torques, rotors, damping or fields act in it."""
+        """For each row, return whether any torques, rotors, damping or fields act in that row."""
         if self._always_acts:
             return np.ones(len(self.times_ns), np.bool_)
         if self._summed is not None:
@@ -281,7 +292,7 @@ class Timeline:
 
     def momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """
-        Return the momentum of the rotors, and its low-order part.
+        Return the rotor momentum at given times, and its low-order part.
 
         Parameters
         ----------
@@ -310,7 +321,7 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
 
 def held_row(time_ns: int, torque: Floats, in_space: bool,
              terms: layout.AnyTerms | None = None) -> Rows:
-    """Return the row of a torque, N m, shape (1, 3), that is held from a time on."""
+    """Return a row with a torque, N m, shape (1, 3), that is held from a given time onward."""
     return Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms)
 
 

@@ -46,12 +46,13 @@ class Trajectory:
     """
 
     times_ns: NDArray[np.int64]
-    #: The motion as `motion_layout` defines it. The array may have more rows than there are times.
+    #: The motion, in the layout that `motion_layout` defines. The array may have more rows than
+    #: there are times.
     _motion: Floats
     #: The parts of the motion, in order. A new part begins at each change of the body.
     _parts: tuple[SolverUsage, ...]
-    #: The axial momenta of wheels with friction, N m s, a row for each time; None without such
-    #: wheels.
+    #: The axial momenta of wheels with friction, N m s, with one row for each time. None if there
+    #: are no such wheels.
     _momenta: Floats | None = None
 
     def __repr__(self) -> str:
@@ -64,7 +65,7 @@ class Trajectory:
 
     @property
     def body(self) -> RigidBody:
-        """Return the body; the first body if the body changes."""
+        """Return the body, or the first body if the body changes."""
         return self._parts[0].body
 
     @cached_property
@@ -72,7 +73,8 @@ class Trajectory:
         """
         Quaternions x y z w, body to space, shape (m, 4).
 
-        The quaternions change continuously from the start on, so the sign never flips.
+        The quaternions change continuously from the start of the motion, so their sign never
+        flips.
         """
         return motion_layout.attitude(self._motion)[:self.times_ns.size]
 
@@ -84,7 +86,8 @@ class Trajectory:
     @cached_property
     def rotation(self) -> Rotation:
         """Attitudes, body to space, as a SciPy Rotation, which normalises the quaternions."""
-        from scipy.spatial.transform import Rotation  # takes as long to import as this package
+        # Import SciPy only here, because this takes as long as importing the rest of the package.
+        from scipy.spatial.transform import Rotation
         return Rotation.from_quat(self.attitude)
 
     def euler_angles(self, sequence: str = 'ZXZ', continuous: bool = False) -> Floats:
@@ -110,7 +113,9 @@ class Trajectory:
 
     def degenerate(self, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
         """
-        Return at which times the Euler angles are degenerate, shape (m,); see `euler.degenerate`.
+        Return whether the Euler angles are degenerate at each time, shape (m,).
+
+        See `euler.degenerate`.
 
         Raises
         ------
@@ -136,7 +141,7 @@ class Trajectory:
         """
         Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3).
 
-        The momentum of named wheels is included.
+        The momentum of the rotors includes that of named wheels.
         """
         def of_part(part: SolverUsage, rows: Any) -> Floats:
             momentum = part.timeline.momentum(self.times_ns[rows])[:, 0]
@@ -164,7 +169,7 @@ class Trajectory:
     @cached_property
     def wheel_efforts(self) -> Floats:
         """
-        Torques of the motors on named wheels, N m, shape (m, wheels).
+        Motor torques on named wheels, N m, shape (m, wheels).
 
         At a jump, these are the torques after the jump.
         """
@@ -187,7 +192,7 @@ class Trajectory:
             lambda part, rows: part.body.kinetic_energy(self.angular_velocity[rows]))
 
     def _by_part(self, value: Callable[[SolverUsage, Any], Floats]) -> Floats:
-        """Return a quantity at all times, given a function that returns the rows of a part."""
+        """Return a quantity at all times, given a function that computes it for one part."""
         if len(self._parts) == 1:
             return value(self._parts[0], slice(None))
         begins_ns = [part.start_ns for part in self._parts[1:]]
@@ -200,7 +205,7 @@ class Trajectory:
 
 
 def joined(times_ns: NDArray[np.int64], parts: Sequence[Trajectory]) -> Trajectory:
-    """Return the motion at given times; each of the parts covers the times in its span."""
+    """Join the parts of a motion, each of which covers the times in its own span."""
     motion = motion_layout.allocate(times_ns.size)
     begins_ns = [part._parts[0].start_ns for part in parts[1:]]
     of_row = np.searchsorted(begins_ns, times_ns, 'right')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The efforts that act on named wheels, and the momenta that result."""
+"""The efforts applied to named wheels, and the resulting momenta."""
 
 from __future__ import annotations
 
@@ -36,10 +36,11 @@ _NO_TIMES = np.empty(0, np.int64)
 
 class WheelTimeline:
     """
-    The wheels from a start time on.
+    The wheels from a start time onward.
 
-    A command acts unless its wheel is too fast. Whether it is too fast depends on the motion
-    before the command. Until this motion is known, `assume` sets which commands act.
+    If a wheel is too fast when a command that would speed it up takes effect, the command is
+    refused and acts as zero. Whether the wheel is too fast depends on the motion before the
+    command. Until this motion is known, `assume` sets which commands count as refused.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class WheelTimeline:
     timeout_ns : int
         See `TorqueLog.segments`.
     start_ns : int
-        The start time, ns. For the commands up to this time, it is known which act.
+        The start time, ns. It is already known which of the commands up to this time are refused.
 
     Attributes
     ----------
@@ -72,40 +73,40 @@ class WheelTimeline:
         self.assume(0, self._refused)
 
     def assume(self, row: int, refused: NDArray[np.bool_]) -> None:
-        """Set which commands act as zero from a row on, shape (n - row, wheels)."""
+        """Set which commands count as refused from a row onward, shape (n - row, wheels)."""
         self._refused[row:] = refused & self._given[row:]
         commands = np.where(self._refused, 0.0, self._commanded)
         self._acting = filled(np.where(self._given, commands, np.nan), self._axial.acting)
         self.__dict__.pop('_groups', None)
 
     def refused(self, rows: slice, speeds: Floats) -> NDArray[np.bool_]:
-        """Return which commands of some rows act as zero at given speeds of the wheels."""
+        """Return whether each command in some rows is refused at given wheel speeds."""
         return self.wheels.refused(self._commanded[rows], speeds) & self._given[rows]
 
     def first_wrong(self, rows: slice, refused: NDArray[np.bool_]) -> int | None:
-        """Return the first row whose assumption differs from `refused`; None if no row differs."""
+        """Return the first row in which the assumed refusals differ from `refused`, or None."""
         wrong = np.flatnonzero((refused != self._refused[rows]).any(axis=1))
         return rows.start + int(wrong[0]) if len(wrong) else None
 
     def count_refused(self, begin_ns: int, end_ns: int) -> int:
-        """Return the number of commands with stamps in (begin_ns, end_ns] that act as zero."""
+        """Return the number of refused commands with stamps in (begin_ns, end_ns]."""
         rows = slice(*self.times_ns.searchsorted([begin_ns, end_ns], 'right'))
         return int(self._refused[rows].sum())
 
     @property
     def marks_ns(self) -> NDArray[np.int64]:
-        """Return the times at which efforts change, ns, ascending."""
+        """Return the times at which the efforts of the wheels change, ns, ascending."""
         return self.log.segments(self._timeout_ns)[0] if self.log else _NO_TIMES
 
     @property
     def log(self) -> TorqueLog | None:
-        """Return the total torque of the motors on the wheels; None if there is no command."""
+        """Return the total motor torque on the wheels, or None if there are no commands."""
         times_ns, efforts = self._held
         return TorqueLog(times_ns, self.wheels.torque(efforts)) if len(times_ns) else None
 
     @property
     def _held(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return stamps and efforts of the command at the start and of all later commands."""
+        """Return the stamps and efforts of the commands in force at the start or later."""
         if self._axial.stamp_ns == -NEVER_NS:
             return self.times_ns, self._acting
         return (np.append(self._axial.stamp_ns, self.times_ns),
@@ -113,7 +114,11 @@ class WheelTimeline:
 
     @cached_property
     def _groups(self) -> list[Timeline]:
-        """Return timelines, each with three wheels in place of the three axes of rotors."""
+        """
+        Return timelines for groups of three wheels.
+
+        A timeline treats the three wheels of a group like the three axes of rotors.
+        """
         assert self._axial.momenta is not None
         times_ns, efforts = self._held
         return [Timeline((), TorqueLog(times_ns, three) if len(times_ns) else None,
@@ -121,12 +126,16 @@ class WheelTimeline:
                 for three, momenta in zip(_threes(efforts), _threes(self._axial.momenta))]
 
     def momenta(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return momenta, N m s, and low-order parts, (m, 2, n), of wheels without friction."""
+        """
+        Return the momenta of wheels without friction, N m s, shape (m, 2, n).
+
+        The second axis holds the momenta and their low-order parts.
+        """
         found = [group.momentum(times_ns) for group in self._groups]
         return np.concatenate(found, axis=2)[:, :, :len(self.wheels)]
 
     def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the efforts that act at given times, N m, shape (m, wheels)."""
+        """Return the efforts applied at given times, N m, shape (m, wheels)."""
         held_ns, efforts = self._held
         rows = held_ns.searchsorted(times_ns, 'right') - 1
         found = np.zeros((len(times_ns), len(self.wheels)))
@@ -137,7 +146,7 @@ class WheelTimeline:
         return found
 
     def axial(self, time_ns: int) -> Axial:
-        """Return the state of the wheels at a time, not before the start time."""
+        """Return the state of the wheels at a time, which must not lie before the start time."""
         row = int(self.times_ns.searchsorted(time_ns, 'right')) - 1
         stamp_ns, commanded, acting, refused = self._axial.stamp_ns, self._axial.commanded, \
             self._axial.acting, self._axial.refused
@@ -154,15 +163,16 @@ class WheelTimeline:
 
 
 def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
-    """Return the total torque of the motors on the wheels over consecutive timelines."""
+    """Return the total motor torque on the wheels over consecutive timelines."""
     logs = [log for each in timelines if (log := each.log)]
-    # At equal stamps TorqueLog uses the later timeline, which knows whether the command acts.
+    # If two timelines contain the same stamp, TorqueLog uses the sample of the later timeline, for
+    # which it is known whether the command is refused.
     return TorqueLog(np.concatenate([_NO_TIMES, *(log.times_ns for log in logs)]),
                      np.concatenate([np.empty((0, 3)), *(log.torques for log in logs)]))
 
 
 def without_wheels(start: State) -> State:
-    """Return a start in which rotors with the same momentum replace the named wheels."""
+    """Return a start state in which rotors with the same momentum replace the named wheels."""
     if start._axial is None:
         return start
     return State(start.time_ns, start.attitude, start.angular_velocity, start.rotor_momentum)
@@ -182,7 +192,7 @@ def check_named(wheels: Wheels | None, efforts: EffortLog | None,
 
 def commanded(wheels: Wheels, before: Axial, row: Floats, state: State) -> Axial:
     """
-    Return the state of the wheels from new commands on.
+    Return the state of the wheels after new commands take effect.
 
     Parameters
     ----------
@@ -207,9 +217,9 @@ def commanded(wheels: Wheels, before: Axial, row: Floats, state: State) -> Axial
 def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, state: State,
              timeout_ns: int) -> Axial:
     """
-    Return the state of the wheels from a state of the carrier on, under the commands in force.
+    Return the state of the wheels under the commands in force at a given carrier state.
 
-    A command that has already begun to act, or has been refused, is not checked again.
+    Commands that have already taken effect or have already been refused are not checked again.
 
     Parameters
     ----------
@@ -253,7 +263,7 @@ def momenta_of(axial: Axial, state: State) -> Floats:
 
 
 def _threes(rows: Floats) -> list[Floats]:
-    """Return columns in groups of three; the last group is padded with zeros."""
+    """Split the columns of an array into groups of three, and pad the last group with zeros."""
     count = rows.shape[1]
     padded = np.pad(rows, [(0, 0), (0, -count % 3)])
     return [np.ascontiguousarray(padded[:, k:k + 3]) for k in range(0, count, 3)]

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Alarms of a live check: tests of the errors of windows, with a given rate of false alarms.
+Raise alarms in a live check, by testing the errors of windows at a given false-alarm rate.
 
-One test applies to each single window. Three other tests apply to the residual torques of 4, 16
-and 64 windows together, to find errors that are too small for a single window. The rate of false
-alarms is divided equally among the four tests.
+One test looks at each single window. Three more tests look at the residual torques of 4, 16 and 64
+windows together, to find errors that are too small to show in a single window. The false-alarm
+rate is divided equally among the four tests.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from rigid_body_ros.sensing.windows import SensorNoise, WindowError
 OK, WARN, ERROR = range(3)
 #: Numbers of windows that are tested together.
 _TOGETHER = 1, 4, 16, 64
-#: A test warns if its probability is less than this factor times the probability below which it
-#: raises an alarm.
+#: A test raises an alarm if the probability of its result is below a limit. The test warns if this
+#: probability is below `_WARNING` times the limit.
 _WARNING = 10.0
-#: Number of windows after which the noise of a window has the weight 1/e; number of fictitious
-#: samples before the first window; and AR(1) correlation of the fictitious samples. The fictitious
-#: samples make early alarms rarer.
+#: In the noise estimate, the weight of a window falls to 1/e after `_MEMORY` more windows. Before
+#: the first window, the estimate starts with `_EARLIER` fictitious samples that have the AR(1)
+#: correlation `_CAUTION`. These samples make early alarms rarer.
 _MEMORY, _EARLIER, _CAUTION = 60.0, 1000.0, 0.5
-#: Largest correlation of adjacent samples.
+#: Largest correlation that is assumed between adjacent samples.
 _MOST = 0.95
 
 
 class Judgement(NamedTuple):
     """
-    The judgement of a model by one window.
+    How the model was judged in one window.
 
     Attributes
     ----------
@@ -56,15 +56,15 @@ class Judgement(NamedTuple):
         OK, WARN or ERROR. ERROR is an alarm. For a correct model, WARN is about ten times as
         frequent as ERROR.
     sigma : float
-        The probability of the most significant of the latest tests, expressed as a number of
-        standard deviations of a normal distribution.
+        The significance of the most significant of the latest tests: the probability of its
+        result, converted to a number of standard deviations of a normal distribution.
     windows : int
-        The number of windows in the most significant test.
+        Number of windows in the most significant test.
     axis : str
-        The component with the largest deviation, and this deviation as a number of standard
-        deviations.
+        The component of the error that deviates most, followed by the deviation of this component
+        as a number of standard deviations.
     since_ns : int
-        End of the window with which the present level began.
+        End of the first window at the present level.
 
     """
 
@@ -76,7 +76,7 @@ class Judgement(NamedTuple):
     since_ns: int
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the judgement as JSON types; the names include the units."""
+        """Return the judgement as JSON types, with units in the names."""
         error = self.error
         return {'end_ns': error.end_ns, 'level': ('OK', 'WARN', 'ERROR')[self.level],
                 'sigma': self.sigma, 'windows': self.windows, 'axis': self.axis,
@@ -88,21 +88,22 @@ class Judgement(NamedTuple):
 @dataclass
 class NoiseLevel:
     """
-    The actual noise of one quantity of a sensor, and the correlation of this noise.
+    The actual noise of one quantity of a sensor, including its correlation.
 
-    The noise and the correlation are estimated from all windows so far.
+    Both the size and the correlation of the noise are estimated from all windows so far.
 
     Parameters
     ----------
     stated : float
-        Standard deviation of a component according to the scene.
+        Standard deviation of each component, as stated in the scene.
 
     """
 
     stated: float
-    #: Three statistics of the differences of adjacent samples: the number of differences, the sum
-    #: of their squares, and the sum of the products of successive differences. A fitted line is
-    #: subtracted from the differences first, because errors of the model are smooth.
+    #: Three statistics of the differences between adjacent samples: how many there are, the sum of
+    #: their squares, and the sum of the products of successive differences. Before the statistics
+    #: are computed, a line fitted to the differences is subtracted, because model errors are
+    #: smooth.
     _sums: Floats = field(init=False)
     #: Whether the sensor measures the quantity.
     is_measured: bool = field(default=False, init=False)
@@ -113,14 +114,18 @@ class NoiseLevel:
             1.0 / self.stated ** 2, 2.0 * change, -change ** 2])
 
     def add(self, errors: Floats | None) -> None:
-        """Add the errors of a window, shape (n, 3); ignore None, and fewer than four errors."""
+        """
+        Update the estimate with the errors of a window, shape (n, 3).
+
+        Nothing happens if the errors are None or if there are fewer than four of them.
+        """
         if errors is None or len(errors) < 4:
             return
         self.is_measured = True
         steps = np.diff(errors, axis=0)
         columns = np.stack([np.ones(len(steps)), np.arange(len(steps))], axis=1)
         steps = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
-        # Clip outliers and jumps, because they are not noise.
+        # Clip the differences, because outliers and jumps are not noise.
         limit = 6.0 * float(np.median(np.abs(steps))) / 0.6745
         steps = np.clip(steps, -limit, limit)
         self._sums *= np.exp(-1.0 / _MEMORY)
@@ -145,7 +150,7 @@ class NoiseLevel:
 
 @dataclass
 class _Together:
-    """The residual torques of several windows, weighted by their precision."""
+    """A sum of the residual torques of several windows, each weighted by its precision."""
 
     windows: int
     count: int = 0
@@ -153,7 +158,11 @@ class _Together:
     product: Floats = field(default_factory=lambda: np.zeros(3))
 
     def add(self, torque: Floats, covariance: Floats) -> float | None:
-        """Add a window's torque; after the last window, return the chi-square of all and reset."""
+        """
+        Add a window to the group of windows that are tested together.
+
+        If the window completes the group, return the group's chi-square and start a new group.
+        """
         weight = np.linalg.inv(covariance)
         self.count += 1
         self.weight, self.product = self.weight + weight, self.product + weight @ torque
@@ -166,26 +175,26 @@ class _Together:
 
 class Alarms:
     """
-    Judge windows one after the other.
+    Judge one window after another.
 
     Parameters
     ----------
     window_s : float, s
         Length of a window.
     hours : float, h
-        Average time between false alarms, if the model is correct.
+        Average time between false alarms if the model is correct.
 
     """
 
     def __init__(self, window_s: float, hours: float) -> None:
-        #: Probability below which a test of one window raises an alarm.
+        #: Probability below which the test of a single window raises an alarm.
         self._usual = window_s / (3600.0 * hours * len(_TOGETHER))
         self._sums = [_Together(count) for count in _TOGETHER[1:]]
-        #: For each number of windows that are tested together, the probability of the latest
-        #: test, divided by the probability below which the test raises an alarm.
+        #: For each number of windows tested together, the probability of the latest test result,
+        #: divided by the probability below which the test raises an alarm.
         self._ratios = dict.fromkeys(_TOGETHER, np.inf)
         self._level, self._since_ns = OK, 0
-        # Import now, because a later import would delay the judgement of the first window.
+        # Import now, so that the import does not delay the judgement of the first window.
         from scipy.special import chdtrc, ndtri
         self._tail, self._quantile = chdtrc, ndtri
 
@@ -211,7 +220,7 @@ class Alarms:
 
 
 def _axis(change: Floats, covariance: Floats) -> str:
-    """Return the name of the component with the largest deviation, and this deviation."""
+    """Return text that names the component that deviates most, with its deviation."""
     deviations = np.abs(change) / np.sqrt(np.diag(covariance))
     names = [f'{what} about {axis}' for what in ('attitude', 'rate') for axis in 'xyz']
     row = int(np.argmax(deviations))
@@ -219,6 +228,10 @@ def _axis(change: Floats, covariance: Floats) -> str:
 
 
 def noises_of(levels: Sequence[tuple[NoiseLevel, NoiseLevel]]) -> list[SensorNoise]:
-    """Return each sensor's standard deviations from the scene and latest correlation factors."""
+    """
+    Return the noise of each sensor.
+
+    Each result combines the stated standard deviations with the latest correlation factors.
+    """
     return [SensorNoise(turned.stated, rate.stated, turned.factor, rate.factor)
             for turned, rate in levels]

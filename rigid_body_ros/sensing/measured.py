@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The measurements of a sensor, as arrays."""
+"""The measurements of one sensor, stored as arrays."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants
 from rigid_body_ros.propagation.options import FASTEST
 
-#: Minimum number of samples that can be compared with a motion.
+#: Minimum number of samples needed for a comparison with a motion.
 FEWEST = 4
 #: Largest accepted deviation of the norm of a quaternion from 1.
 _UNIT = 1e-6
@@ -34,27 +34,30 @@ _UNIT = 1e-6
 @dataclass(frozen=True)
 class Measured:
     """
-    The measurements of one sensor, on one topic.
+    The measurements of one sensor, from one topic.
 
     Attributes
     ----------
     topic : str
     stamps_ns : array of int64, shape (n,)
-        Time of each sample, ns, increasing.
+        Time of each sample in ns, in increasing order.
     attitude : array, shape (n, 4), optional
-        Unit quaternions x y z w, from body to space axes; None if the topic contains none.
+        Unit quaternions x, y, z, w from body to space axes. None if the topic contains no
+        attitudes.
     angular_velocity : array, shape (n, 3), optional
-        rad/s, body axes; None if the topic contains none.
+        Angular velocities in body axes, rad/s. None if the topic contains no angular velocities.
     attitude_covariance : array, shape (n, 3, 3), optional
-        Covariance of the attitude error as a rotation vector in body axes, rad^2; None if unknown.
+        Covariance of the attitude error, rad^2. The error is a rotation vector in body axes. None
+        if the covariance is unknown.
     rate_covariance : array, shape (n, 3, 3), optional
-        Covariance of the angular velocity in body axes, rad^2/s^2; None if unknown.
+        Covariance of the angular velocity in body axes, rad^2/s^2. None if the covariance is
+        unknown.
     rejected : int
-        Number of messages that `read_measured` rejected.
+        Number of messages rejected by `read_measured`.
     damage : str
-        Text that says which part of the recording was lost; empty if no part was lost.
+        A description of what was lost from the recording. Empty if nothing was lost.
     frames : str
-        Text that says how the frames of the messages differ from the frames of the scene; empty if
+        A description of how the frames of the messages differ from those of the scene. Empty if
         the frames agree.
 
     """
@@ -85,7 +88,7 @@ class Measured:
         return values
 
     def channels(self) -> Iterator[Measured]:
-        """Generate the measured quantities as separate sensors, the attitudes first."""
+        """Generate each measured quantity as a separate sensor, attitudes first."""
         stamps_ns = np.asarray(self.stamps_ns, np.int64)
         if self.attitude is not None:
             yield Measured(self.topic, stamps_ns, np.asarray(self.attitude, float), None)
@@ -94,7 +97,7 @@ class Measured:
 
     def check(self) -> None:
         """
-        Check that the attributes are valid.
+        Check that all attributes are valid.
 
         Raises
         ------

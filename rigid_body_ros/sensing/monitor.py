@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A live check of a model: receive torques and measurements, and judge the model in windows."""
+"""Check a model live: judge the model window by window as torques and measurements arrive."""
 
 from __future__ import annotations
 
@@ -37,37 +37,41 @@ from rigid_body_ros.sensing.windows import window_error
 #: Reasons why a window is not judged.
 FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'
 BEGINS, SILENT = 'torque not known yet', 'no torque for longer than stale_after'
-#: Numbers of columns. A row of torques contains the torque, and whether it is in space axes. A row
-#: of measurements contains the attitude and the angular velocity.
+#: Numbers of columns in a torque row and in a measurement row. A torque row contains the torque,
+#: and whether the torque is in space axes. A measurement row contains the attitude and the angular
+#: velocity.
 _TORQUE, _MEASUREMENT = 4, 7
-#: ns; length of the pieces in which a recording is processed, and earliest time that fits int64.
+#: Length of the pieces in which a recording is processed, and the earliest time that fits into
+#: int64, both in ns.
 _PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
 
 
 class Settings(NamedTuple):
     """The settings of a live check."""
 
-    #: s; length of a window, and maximum delay of a message.
+    #: Length of a window, and maximum delay of a message, both in seconds.
     window: float
     history: float
-    #: rad, rad/s; standard deviations of each component of measured attitudes and rates.
+    #: Standard deviations of each component of a measured attitude (rad) and of each component of
+    #: a measured rate (rad/s).
     attitude_noise: float
     rate_noise: float
-    #: h; average time between false alarms, if the model is correct.
+    #: Average time between false alarms if the model is correct, in hours.
     false_alarms: float
-    #: s; a torque counts as unknown if no other torque follows within this time. 0 means no limit.
+    #: A torque counts as unknown if no other torque follows within this time, in seconds. 0 means
+    #: no limit.
     stale_after: float = 0.0
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """Return the settings of the live check from the parameters of a scene."""
+    """Get the settings of the live check from the parameters of a scene."""
     names = ('monitor.window', 'history', 'monitor.attitude_noise', 'monitor.rate_noise',
              'monitor.false_alarms', 'stale_after')
     return Settings(*(values[name] for name in names))
 
 
 def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
-    """Return whether the scene sets the noise and a live check accepts the problem."""
+    """Return whether a live check can handle the problem and knows the noise from the scene."""
     others = problem.named_wheels or problem.changes
     is_held = all(log.interpolation == 'hold' for log in problem.sources)
     is_stated = values['monitor.attitude_noise'] and values['monitor.rate_noise']
@@ -76,38 +80,38 @@ def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
 
 class Monitor:
     """
-    Judge a model window by window, as torques and measurements arrive.
+    Judge a model window by window, while torques and measurements arrive.
 
-    Windows begin at multiples of their length. A window is judged when a message arrives whose
-    stamp is later than the end of the window plus `history`. Before that, messages may arrive in
-    any order. A window in which the torque is unknown is skipped, because it says nothing about
-    the model.
+    Windows begin at multiples of their length. A window is judged as soon as a message arrives
+    whose stamp is later than the end of the window plus `history`. Until then, messages may arrive
+    in any order. If the torque in a window is unknown, the window is skipped, because such a
+    window says nothing about the model.
 
     Parameters
     ----------
     problem : Problem
-        The model: body, fields, options, and initial momentum of the rotors. The torques of the
-        problem are ignored.
+        The model: its body, fields, options and initial rotor momentum. Any torques in the problem
+        are ignored.
     settings : Settings
     actuators : sequence of Actuator or None
-        The actuators of the sources of torque, in the order of the sources; empty if there are no
+        The actuator of each torque source, in the order of the sources. Empty if there are no
         actuators.
 
     Attributes
     ----------
     newest_ns : int
-        The newest stamp; 0 before the first message.
+        The newest stamp so far, or 0 before the first message.
     noises : dict of tuple of NoiseLevel
-        The actual noise of attitude and angular velocity, by topic.
+        For each topic, the actual noise of the attitude and of the angular velocity.
     skipped : Counter of str
         Number of windows that were not judged, by reason.
     last_skipped : str
-        Why the last window was not judged; empty if it was judged.
+        Why the last window was not judged. Empty if the last window was judged.
     last : Judgement or None
         The latest judgement.
     awaited : set of int
-        Sources whose torque before the first message is unknown. The torque of any other source
-        before the first message is zero.
+        Sources whose torque is unknown until their first message arrives. The torque of any other
+        source is zero until its first message arrives.
 
     """
 
@@ -118,15 +122,16 @@ class Monitor:
         self._history_ns = duration_ns(settings.history, 'history')
         self._stale_ns = duration_ns(settings.stale_after, 'stale_after') or NEVER_NS
         self._actuators = dict(enumerate(actuators))
-        #: ns; longest delay plus lag of an actuator: how long a replaced command may still act.
+        #: How long a command may still act after it has been replaced, ns. This is the longest
+        #: delay plus lag of any actuator.
         self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
         self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE))
         self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT))
         self.noises: dict[str, tuple[NoiseLevel, NoiseLevel]] = {}
         self._alarms = Alarms(settings.window, settings.false_alarms)
-        #: Beginning of the next window, ns, and the momentum of the rotors at this time.
+        #: Beginning of the next window, ns, and the rotor momentum at this time.
         self._begin_ns, self._momentum = 0, problem.start.rotor_momentum
-        #: Spans of time, ns, in which no window is judged, and the reasons.
+        #: Time spans, ns, in which no window is judged, each with a reason.
         self._spans: list[tuple[int, int, str]] = []
         self.newest_ns, self.skipped, self.last_skipped = 0, Counter[str](), ''
         self.last: Judgement | None = None
@@ -135,10 +140,10 @@ class Monitor:
     def apply(self, times_ns: ArrayLike, torques: Floats, in_space: ArrayLike = False,
               source: int = 0) -> NDArray[np.bool_]:
         """
-        Add torques of a source, N m, shape (n, 3); the source of torques on rotors is WHEELS.
+        Add torques from a source, N m, shape (n, 3). Torques on rotors have the source WHEELS.
 
-        Return which torques were accepted, shape (n,). A torque is accepted if its window has not
-        been judged yet.
+        Return a mask of the torques that were accepted, shape (n,). A torque is accepted if its
+        window has not been judged yet.
         """
         values = np.empty((len(torques), _TORQUE))
         values[:, :3], values[:, 3] = torques, in_space
@@ -149,15 +154,15 @@ class Monitor:
         """
         Add measured attitudes, shape (n, 4), and angular velocities, rad/s, shape (n, 3).
 
-        The attitudes are unit quaternions x y z w. A quantity that the topic does not measure is
-        NaN. Return which samples were accepted, shape (n,). A sample is accepted if its window has
-        not been judged yet.
+        The attitudes are unit quaternions x, y, z, w. Pass NaN for a quantity that the topic does
+        not measure. Return a mask of the samples that were accepted, shape (n,). A sample is
+        accepted if its window has not been judged yet.
         """
         return self._put(self._sensors[topic], np.asarray(times_ns),
                          np.concatenate([attitude, angular_velocity], axis=1))
 
     def skip(self, begin_ns: int, end_ns: int, reason: str) -> None:
-        """Skip all windows that overlap a span with lost messages or ambiguous stamps."""
+        """Skip all windows that overlap a time span with lost messages or ambiguous stamps."""
         self._spans.append((begin_ns, end_ns, reason))
 
     def _put(self, rows: _Rows, times_ns: NDArray[np.int64], values: Floats) -> NDArray[np.bool_]:
@@ -168,10 +173,11 @@ class Monitor:
 
     def judgements(self, complete_ns: int | None = None) -> Iterator[Judgement]:
         """
-        Generate the judgements of all windows that are over, and discard their measurements.
+        Generate the judgements of all windows that are over.
 
-        Windows without samples are skipped. If `complete_ns` is given, only windows that end by
-        this time are judged, because later messages may not have been added yet.
+        The measurements in these windows are then discarded. Windows without samples are skipped.
+        Pass `complete_ns` if some messages with stamps after this time may not have been added
+        yet. Only windows that end by `complete_ns` are then judged.
         """
         until_ns = self.newest_ns - self._history_ns
         if complete_ns is not None:
@@ -205,7 +211,7 @@ class Monitor:
                     level.add(errors)
 
     def _forget(self, before_ns: int) -> None:
-        """Discard data before a time, except torques that still act after that time."""
+        """Discard data from before a given time, except torques that still act at that time."""
         for torques in self._torques.values():
             torques.forget(before_ns - self._reach_ns)
         for measured in self._sensors.values():
@@ -213,7 +219,11 @@ class Monitor:
         self._spans = [span for span in self._spans if span[1] > before_ns]
 
     def _unknown(self, begin_ns: int, end_ns: int) -> str:
-        """Return why the torque between two times is unknown; empty if the torque is known."""
+        """
+        Return why the torque between two times is unknown.
+
+        Return an empty string if the torque is known.
+        """
         for first_ns, last_ns, reason in self._spans:
             if first_ns < end_ns and last_ns > begin_ns:
                 return reason
@@ -227,10 +237,10 @@ class Monitor:
 
     def _held(self, rows: _Rows, begin_ns: int, end_ns: int
               ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the stamps and the durations, ns, of the torques in force between two times."""
+        """Return the stamps and durations, ns, of the torques that act between two times."""
         times_ns, values = rows.between(begin_ns, end_ns, 1)
         held_ns = np.diff(np.append(times_ns, rows.first_ns(end_ns)))
-        # After its timeout, a torque is known to be zero.
+        # After the timeout of a torque, the torque is known to be zero.
         timeout_ns = self._problem.options.timeout_ns or NEVER_NS
         return times_ns, np.minimum(held_ns, timeout_ns) * values[:, :3].any(axis=1)
 
@@ -239,7 +249,7 @@ class Monitor:
         Return whether enough data has arrived to tell if the last torque of a window is stale.
 
         A torque is stale if no other torque follows within `stale_after`. If this time ends after
-        `until_ns`, another torque may still follow.
+        `until_ns`, a torque that has not arrived yet may still follow in time.
         """
         for rows in self._torques.values():
             times_ns, held_ns = self._held(rows, begin_ns, end_ns)
@@ -248,7 +258,11 @@ class Monitor:
         return True
 
     def _next_ns(self, until_ns: int) -> int | None:
-        """Return when the next window with samples begins; None if it ends after `until_ns`."""
+        """
+        Return the beginning of the next window that contains samples, ns.
+
+        Return None if this window ends after `until_ns`.
+        """
         last_ns = until_ns - self._window_ns
         if last_ns < self._begin_ns:
             return None
@@ -258,8 +272,8 @@ class Monitor:
         return begin_ns if begin_ns <= last_ns else None
 
     def _between(self, begin_ns: int, end_ns: int) -> Problem:
-        """Return the problem of a window, with the torques that act in it."""
-        # Start at the end of the previous window, where the momentum of the rotors is known.
+        """Return the problem for a window, with the torques that act in the window."""
+        # Start at the end of the previous window, where the rotor momentum is known.
         start_ns = self._begin_ns or begin_ns
         start = State(start_ns, self._problem.start.attitude, np.zeros(3), self._momentum)
         logs = {}
@@ -267,7 +281,7 @@ class Monitor:
             times_ns, values = rows.between(start_ns - self._reach_ns, end_ns, 1)
             logs[source] = TorqueLog(times_ns, values[:, :3], values[:, 3] > 0.0)
         wheels = logs.pop(WHEELS, None)
-        # Actuators with a lag are at rest before the first command in the logs.
+        # Actuators with a lag are at rest until the first command in the logs.
         rest_ns = min([start_ns, *(int(log.times_ns[0]) for log in logs.values() if log)])
         problem = self._problem.replaced(
             start=replace(start, time_ns=rest_ns), wheels=wheels, log=[*logs.values()],
@@ -287,11 +301,11 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
     Parameters
     ----------
     problem : Problem
-        The model and the torques, which are held between samples.
+        The model and its torques, which are held between samples.
     sensors : sequence of Measured
-        The measurements, converted to body axes and to the clock of the torques.
+        The measurements, already converted to body axes and to the torque clock.
     settings : Settings
-        The settings of the check, such as the length of a window and the noise.
+        The settings of the check, such as the window length and the noise.
 
     """
     monitor, begin_ns = Monitor(problem, settings, problem.actuators), _EARLIEST_NS
@@ -312,7 +326,7 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
 
 
 class _Rows:
-    """Values by stamp; a value that is added later replaces a value with the same stamp."""
+    """Rows of values keyed by stamp. A new row replaces an existing row with the same stamp."""
 
     def __init__(self, columns: int) -> None:
         self._new: list[tuple[NDArray[np.int64], Floats]] = []
@@ -331,20 +345,20 @@ class _Rows:
         return self._sorted
 
     def forget(self, before_ns: int) -> None:
-        """Discard the values before a time, except the newest of these values."""
+        """Discard all values before a given time, except the newest of these values."""
         stamps_ns, values = self._all()
         row = max(int(stamps_ns.searchsorted(before_ns)) - 1, 0)
         self._sorted = stamps_ns[row:].copy(), values[row:].copy()
 
     def first_ns(self, since_ns: int) -> int:
-        """Return the first stamp at or after a time; NEVER_NS if there is no such stamp."""
+        """Return the first stamp at or after a given time, or NEVER_NS if there is none."""
         stamps_ns, _ = self._all()
         row = stamps_ns.searchsorted(since_ns)
         return int(stamps_ns[row]) if row < len(stamps_ns) else NEVER_NS
 
     def between(self, begin_ns: int, end_ns: int,
                 earlier: int = 0) -> tuple[NDArray[np.int64], Floats]:
-        """Return stamps and values between two times, and at most `earlier` preceding values."""
+        """Return stamps and values between two times, plus up to `earlier` preceding values."""
         stamps_ns, values = self._all()
         first, stop = stamps_ns.searchsorted([begin_ns, end_ns]).tolist()
         rows = slice(max(first - earlier, 0), stop)
@@ -352,7 +366,7 @@ class _Rows:
 
 
 def _measured(topic: str, rows: _Rows, begin_ns: int, end_ns: int) -> Measured | None:
-    """Return the measurements of a topic between two times; None if there are no samples."""
+    """Return the measurements of a topic between two times, or None if there are no samples."""
     stamps_ns, values = rows.between(begin_ns, end_ns)
     if not len(stamps_ns):
         return None

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The noise of a channel: the size on each axis, and how long the noise persists."""
+"""The noise of a channel: the size of the noise on each axis, and how long the noise persists."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Probability that a test raises a false alarm.
+#: Probability of a false alarm in each test.
 ALARM = 1e-4
 #: Minimum number of samples in a batch, and minimum number of outliers that can form clusters.
 FEWEST = 10
-#: Maximum number of previous samples on which a sample depends.
+#: Maximum number of previous samples that a sample may depend on.
 _ORDER = 3
-#: Largest `Noise.lasting` of a sensor: the value for an autoregression with the single coefficient
-#: 0.92.
+#: Largest `Noise.lasting` that a sensor may have. An autoregression with the single coefficient
+#: 0.92 has this value.
 LONGEST = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
     """
-    Noise in which each sample depends on a few samples before it.
+    Noise in which each sample depends on a few of the previous samples.
 
     Attributes
     ----------
     sizes : array, shape (3,)
-        Standard deviation of each axis.
+        Standard deviation on each axis.
     coefficients : array, shape (p,)
-        x[t] = c[0] x[t-1] + ... + c[p-1] x[t-p] + innovation.
+        The coefficients c in x[t] = c[0] x[t-1] + ... + c[p-1] x[t-p] + innovation.
     lasting : float
-        Ratio of the standard deviation of the mean of many samples to the same standard deviation
-        for independent samples. It is the square root of the ratio of the long-run variance to the
-        variance, at least 1 and at most `LONGEST`.
+        How many times larger the standard deviation of the mean of many samples is than it would
+        be for independent samples. This is the square root of the long-run variance divided by the
+        variance, limited to the range from 1 to `LONGEST`.
     overlap : float
-        Ratio of the variance of the mean of squares to the same variance for independent samples.
-        It is 1 plus twice the sum of the squared correlations.
+        How many times larger the variance of the mean square is than it would be for independent
+        samples. This is 1 plus twice the sum of the squared correlations.
 
     """
 
@@ -62,9 +62,10 @@ class Noise:
 
     def innovations(self, errors: Floats) -> Floats:
         """
-        Return errors of consecutive samples, shape (n, 3), minus predictions from earlier errors.
+        Return the part of each error that cannot be predicted from the previous errors.
 
-        If `lasting` equals `LONGEST`, return the errors divided by `LONGEST` instead.
+        The errors, shape (n, 3), must be those of consecutive samples. If `lasting` equals
+        `LONGEST`, the method returns the errors divided by `LONGEST` instead.
         """
         if self.lasting >= LONGEST:
             return errors / LONGEST
@@ -76,7 +77,12 @@ class Noise:
 
 
 def batches_of(left: Floats, size: int) -> Floats:
-    """Return the squared sum and the sum of squares of each batch, both per finite sample."""
+    """
+    Divide errors into n batches, and return two statistics of each batch, shape (2, n, 3).
+
+    The statistics are the square of the sum of the errors, and the sum of their squares. Both are
+    divided by the number of finite samples in the batch.
+    """
     count = len(left) // size
     batches = left[:count * size].reshape(count, size, 3)
     known = np.maximum(np.isfinite(batches).sum(axis=1), 1)
@@ -86,7 +92,7 @@ def batches_of(left: Floats, size: int) -> Floats:
 
 def chance(noise: Noise, batches: Floats) -> float:
     """
-    Return the probability that batches of independent innovations scatter at least this much.
+    Return the probability that independent innovations scatter at least as much as `batches`.
 
     Parameters
     ----------
@@ -98,7 +104,7 @@ def chance(noise: Noise, batches: Floats) -> float:
     Returns
     -------
     float
-        The smallest of the probabilities of the three axes.
+        The smallest of the probabilities for the three axes.
 
     """
     from scipy.special import chdtrc
@@ -108,12 +114,16 @@ def chance(noise: Noise, batches: Floats) -> float:
 
 
 def come_together(bad: NDArray[np.bool_]) -> bool:
-    """Return whether outliers cluster, which means that there are too few runs of outliers."""
+    """
+    Return whether outliers cluster.
+
+    Outliers cluster if they form fewer runs of adjacent samples than chance can explain.
+    """
     from scipy.special import ndtr
     count, share = int(bad.sum()), float(np.mean(bad))
     if count < FEWEST:
         return False
-    # This is the runs test of Wald and Wolfowitz (1940).
+    # Use the runs test of Wald and Wolfowitz (1940).
     runs = int(bad[0]) + int(np.sum(bad[1:] & ~bad[:-1]))
     mean = count * (1.0 - share)
     spread = max(np.sqrt(mean * share * (1.0 - share)), 1e-9)
@@ -122,12 +132,14 @@ def come_together(bad: NDArray[np.bool_]) -> bool:
 
 def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     """
-    Return the noise of a channel: the autoregression with the best information criterion.
+    Estimate the noise of a channel with an autoregression.
+
+    The order of the autoregression is the one with the best information criterion.
 
     Parameters
     ----------
     parts : sequence of array, shape (n, 3)
-        Errors of consecutive samples; NaN for samples that are ignored.
+        Errors of consecutive samples, with NaN for samples to ignore.
     share : float
         Number of errors divided by the number of degrees of freedom, at least 1.
 
@@ -164,6 +176,6 @@ def _with_memory(sizes: Floats, coefficients: Floats, correlations: Floats) -> N
 
 
 def _lagged(parts: Sequence[Floats], lag: int) -> float:
-    """Return the mean product of samples that are `lag` samples apart."""
+    """Return the mean product of two samples that are `lag` samples apart."""
     products = [part[lag:] * part[:len(part) - lag] for part in parts if len(part) > lag]
     return float(np.nanmean(np.concatenate(products))) if products else 0.0

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Angular velocities measured by a sensor, or computed from its attitudes."""
+"""Get angular velocities from a sensor, either measured or computed from its attitudes."""
 
 from __future__ import annotations
 
@@ -25,9 +25,12 @@ from rigid_body_ros.sensing.measured import Measured
 
 def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
     """
-    Return the angular velocities of a sensor: measured or, if missing, computed from attitudes.
+    Return the angular velocities of a sensor.
 
-    A computed angular velocity is the mean between two samples, at the middle of their stamps.
+    If the sensor does not measure angular velocities, they are computed from its attitudes.
+
+    Each computed value is the mean angular velocity between two adjacent samples, and its time is
+    halfway between their stamps.
 
     Returns
     -------

@@ -34,12 +34,12 @@ from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import FEWEST, Measured
 from rigid_body_ros.sensing.text_files import is_text_file, read_text_file
 
-#: A value with at least this variance, rad^2 or rad^2/s^2, counts as not measured.
+#: A value whose variance is at least this large, rad^2 or rad^2/s^2, counts as not measured.
 _MEANINGLESS = 1e3
 
 
 class _Values(NamedTuple):
-    """The positions of the values and the covariances among the doubles of a message."""
+    """Where the values and their covariances are among the doubles of a message."""
 
     attitude: slice | None = None
     attitude_covariance: slice | None = None
@@ -58,11 +58,11 @@ _LAYOUTS: dict[MessageType, _Values] = {
     messages.IMU: _Values(slice(0, 4), slice(4, 13), slice(13, 16), slice(16, 25)),
     messages.VECTOR3: _Values(rate=slice(0, 3)),
 }
-#: The message types of measured topics.
+#: Message types that a measured topic can have.
 KINDS = tuple(_LAYOUTS)
-#: Types that always contain a measured attitude or angular velocity.
+#: Message types that always contain a measured attitude or angular velocity.
 _CERTAIN = tuple(kind for kind in KINDS if kind is not messages.VECTOR3)
-#: Types whose frames can be chosen.
+#: Message types whose frames can be chosen.
 _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 
 
@@ -74,9 +74,9 @@ def read_measured(path: str | Path, topic: str | None = None, *,
     Read a measured topic: attitudes, angular velocities, or both.
 
     A message is rejected if its quaternion is zero or not finite, or if its angular velocity is
-    not finite or above 1e9 rad/s. A value counts as not measured if its covariance in an Imu
-    begins with -1, or if one of its variances is 1000 rad^2 or rad^2/s^2 or more. A covariance
-    that is zero or not positive definite counts as unknown.
+    not finite or above 1e9 rad/s. A value is treated as not measured if its covariance in an Imu
+    message begins with -1, or if one of its variances is at least 1000 rad^2 or 1000 rad^2/s^2. A
+    covariance that is zero or not positive definite is treated as unknown.
 
     Parameters
     ----------
@@ -84,34 +84,34 @@ def read_measured(path: str | Path, topic: str | None = None, *,
         A recording, as for `recording.read`.
     topic : str, optional
         A topic of type QuaternionStamped, PoseStamped, PoseWithCovarianceStamped,
-        TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped (an angular velocity). If
-        `topic` is not given, the recording must contain exactly one topic of these types, not
-        counting Vector3Stamped.
+        TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped (an angular velocity). If no
+        topic is given, the recording must contain exactly one topic of these types, not counting
+        Vector3Stamped.
     frames : tuple of str, optional
-        The parent frame and the child frame of the messages to read, for a topic of transforms or
-        Odometry. By default, the transforms of a TFMessage from the space frame to the body frame
-        are read. Without `frames`, all messages of a TransformStamped or Odometry topic must have
-        the same pair of frames.
+        The parent frame and the child frame of the messages to read, if the topic contains
+        transforms or Odometry messages. The default for a TFMessage topic is to read the
+        transforms from the space frame to the body frame. The default for a TransformStamped or
+        Odometry topic is to read all messages, which must have the same pair of frames.
     body_frame, space_frame : str
         The frames of the scene.
     time_source : str
-        The source of the stamps: 'header', 'log' (time of recording) or 'publish' (time of
-        publishing).
+        Where the stamps come from: 'header', 'log' (the time of recording) or 'publish' (the time
+        of publishing).
     track : callable, optional
-        Wraps the iteration over blocks of messages, to show progress.
+        A function that wraps the iteration over blocks of messages, to show progress.
 
     Returns
     -------
     Measured
-        The samples, sorted by stamp. Of several messages with the same stamp, the last message in
-        the recording is used.
+        The samples, sorted by stamp. If several messages have the same stamp, the last one in the
+        recording is used.
 
     Raises
     ------
     InputError
-        The recording cannot be read; the topic is missing, ambiguous or of another type; the
-        messages have several pairs of frames, or lack the requested pair; or the topic contains
-        fewer than four usable messages with different stamps.
+        The recording cannot be read; the topic is missing, ambiguous or of an unsupported type;
+        the messages have several pairs of frames, or none has the requested pair; or the topic
+        contains fewer than four usable messages with different stamps.
 
     """
     topic = topic or _only_topic(path)
@@ -137,7 +137,7 @@ def read_measured(path: str | Path, topic: str | None = None, *,
 
 def samples(kind: MessageType, values: Floats) -> tuple[Floats, Floats]:
     """
-    Return the attitudes and angular velocities in messages; values that are not measured are NaN.
+    Extract attitudes and angular velocities from messages, with NaN for unmeasured values.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def samples(kind: MessageType, values: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     attitude : array, shape (n, 4)
-        Unit quaternions x y z w.
+        Unit quaternions x, y, z, w.
     angular_velocity : array, shape (n, 3), rad/s
 
     """
@@ -191,7 +191,11 @@ def _check_axes(where: str, recorded: Messages, space_frame: str) -> None:
 
 def _other_frames(where: str, recorded: Messages, kind: MessageType,
                   expected: tuple[str, str]) -> str:
-    """Return a text about frames other than the space and body frames; empty if there are none."""
+    """
+    Describe the frames of messages that differ from the space and body frames of the scene.
+
+    Return an empty string if there are no such frames.
+    """
     if kind.has_child_frame:
         pairs = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
         if len(pairs) > 1:
@@ -207,7 +211,7 @@ def _other_frames(where: str, recorded: Messages, kind: MessageType,
 
 
 def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
-    """Return the usable samples of messages, sorted."""
+    """Return the usable samples of messages, sorted by stamp."""
     layout, values = _LAYOUTS[kind], recorded.values
     attitude = _given(values, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
     rate = _given(values, layout.rate, layout.rate_covariance, kind, _is_slow)
@@ -234,7 +238,11 @@ def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
 
 def _given(values: Floats, where: slice | None, covariance: slice | None, kind: MessageType,
            usable: Callable[[Floats], NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-    """Return a mask of the messages with a usable value; None if the type lacks this value."""
+    """
+    Return a mask of the messages that contain a usable value.
+
+    Return None if the message type has no field for this value.
+    """
     if where is None:
         return None
     found = values[:, where]
@@ -248,14 +256,14 @@ def _given(values: Floats, where: slice | None, covariance: slice | None, kind: 
 
 
 def _block(covariances: Floats) -> Floats:
-    """Return the rotational part of each covariance, shape (n, 3, 3), from rows of 9 or 36."""
+    """Return the rotational (n, 3, 3) parts of covariances with 9 or 36 entries each."""
     size = 3 if covariances.shape[1] == 9 else 6
     return covariances.reshape(-1, size, size)[:, size - 3:, size - 3:]
 
 
 def _covariance(values: Floats, where: slice | None, to_body: Floats | None = None
                 ) -> Floats | None:
-    """Return covariances in body axes; None if any is unknown or not positive definite."""
+    """Return covariances in body axes, or None if any is unknown or not positive definite."""
     if where is None:
         return None
     found = _block(values[:, where])
@@ -269,7 +277,7 @@ def _covariance(values: Floats, where: slice | None, to_body: Floats | None = No
 
 
 def _ordered(where: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the rows sorted by stamp; of rows with equal stamps, keep only the last row."""
+    """Sort rows by stamp, keeping only the last of several rows with the same stamp."""
     without = int(np.sum(stamps_ns[rows] == 0))
     if without > 1:
         raise InputError(f'{where}: expected stamps in the headers, found 0 in {without} of '
@@ -285,14 +293,14 @@ def _ordered(where: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.intp]) -
 
 def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Measured]:
     """
-    Read measured topics, with the options of `read_measured`.
+    Read several measured topics, with the options of `read_measured`.
 
-    If a topic is the name of a text file, `read_text_file` reads this file.
+    A topic can also be the name of a text file, which is then read with `read_text_file`.
 
     Raises
     ------
     InputError
-        `read_measured` or `read_text_file` raises this error, or a topic is given twice.
+        `read_measured` or `read_text_file` raised this error, or a topic was given twice.
 
     """
     frames: tuple[str, str] | None = options.pop('frames', None)
@@ -300,8 +308,8 @@ def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Me
     for name in names:
         if names.count(name) > 1:
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
-    # The frames apply to the given topics whose types have two frames, or to all topics if no
-    # given topic has such a type.
+    # The frames apply only to those of the given topics whose message type has two frames. If no
+    # given topic has such a type, the frames apply to all topics.
     chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if frames else set()
     return [read_text_file(name) if name and is_text_file(name) else
             read_measured(path, name, frames=frames if name in chosen or not chosen else None,

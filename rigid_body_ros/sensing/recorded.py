@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the torques of a recording, and the measurements during the motion."""
+"""Read the torques of a recording, and the measurements taken during the motion."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ _TOPICS_OF_SCENE = Topics()
 @dataclass(frozen=True)
 class Reading:
     """
-    Topics and options for reading a recording.
+    What to read from a recording, and how.
 
     Attributes
     ----------
     measured : tuple of str
-        Measured topics. May be empty if the recording has only one measured topic, which
-        `read_measured` then finds.
+        The measured topics. The tuple can be empty if the recording has only one measured topic,
+        because `read_measured` finds this topic.
     topics : Topics
-        The topics of the torques.
+        The torque topics.
     interpolation : str, optional
-        Interpolation of the torques between samples; by default, as in the scene.
+        How to interpolate the torques between samples. By default, the scene decides.
     time_source : str
-        The source of stamps of torques and measurements, as for `recording.read`.
+        Where the stamps of torques and measurements come from, as for `recording.read`.
     frames : tuple of str, optional
         The parent frame and the child frame to read, as for `read_measured`.
     track : callable
-        Wraps the iteration over blocks of messages, to show progress.
+        A function that wraps the iteration over blocks of messages, to show progress.
 
     """
 
@@ -64,7 +64,7 @@ class Reading:
     track: Track = no_progress
 
     def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
-        """Read the measurements; raise the same errors as `read_all`."""
+        """Read the measurements, raising the same errors as `read_all`."""
         return read_all(path, self.measured, frames=self.frames, body_frame=scene.body_frame,
                         space_frame=scene.space_frame, time_source=self.time_source,
                         track=self.track)
@@ -73,14 +73,14 @@ class Reading:
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """
-    The measurements during a motion.
+    The measurements taken during a motion.
 
     Attributes
     ----------
     sensors : list of Measured
-        The measurements, with all samples of the recording.
+        The measurements, including all samples of the recording.
     end_ns : int
-        The time at which the motion ends because the next epoch of the node begins.
+        The time at which the motion ends because the node begins another epoch.
 
     """
 
@@ -89,15 +89,16 @@ class Measurements:
 
     @property
     def is_followed(self) -> bool:
-        """Return whether another epoch follows."""
+        """Return whether another epoch of the node follows this motion."""
         return self.end_ns < Measurements.end_ns
 
     def until_end(self, offsets: Sequence[float] = ()) -> list[Measured]:
         """
-        Return the samples before the end of the motion.
+        Return the samples taken before the end of the motion.
 
-        If `offsets` are given, the offset of each sensor, s, is added to the stamps before the
-        comparison with the end. The returned stamps are without the offsets.
+        `offsets` may contain one offset, in seconds, for each sensor. The offset is added to the
+        sensor's stamps before they are compared with the end of the motion. The returned stamps do
+        not include the offsets.
 
         Raises
         ------
@@ -119,24 +120,24 @@ class Measurements:
 def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offset: float = 0.0,
                   may_command: bool = False) -> tuple[Problem, Measurements]:
     """
-    Read the torques of a recording, and the measurements during the motion.
+    Read the torques of a recording, and the measurements taken during the motion.
 
-    If the recording contains no torques, the body is free. If the recording contains several
-    epochs of a node, the start_time of the scene selects an epoch.
+    If the recording contains no torques, no torques are applied to the body. If the recording
+    contains several epochs of a node, the scene's start_time selects one of these epochs.
 
     Parameters
     ----------
     path : str or Path
         The recording.
     scene : Scene
-        The scene. If the start_time of the scene is 0, the motion starts at the earliest stamp of
-        the torques or, without torques, of the measurements.
+        The scene. If the start_time of the scene is 0, the motion starts at the earliest torque
+        stamp or, if there are no torques, at the earliest stamp of the measurements.
     reading : Reading
-        What to read.
+        What to read, and how.
     largest_offset : float, s
-        Largest possible offset between the clocks of torques and measurements.
+        Largest possible offset between the torque clock and the measurement clock.
     may_command : bool
-        Whether a scene with named wheels is accepted, as for `recording.chosen`.
+        Whether to accept a scene with named wheels, as for `recording.chosen`.
 
     Raises
     ------

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-The torque that must have acted in addition to the torques of the model.
+Compute the residual torque, which must have acted in addition to the torques of the model.
 
-The measured change of the angular momentum, minus the impulse of all torques in the model, is the
-impulse of torques that the model lacks. The slope of this impulse over a short window is the
-residual torque. The impulses of logged torques are exact, so a step of the torque between two
-measurements causes no error.
+Subtracting the impulse of all modelled torques from the measured change in angular momentum leaves
+the impulse of the torques that the model lacks. The residual torque is the slope of this impulse
+over a short window. The impulses of logged torques are computed exactly, so a torque step between
+two measurements causes no error.
 """
 
 from __future__ import annotations
@@ -39,21 +39,25 @@ from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: Length of a window, s, and minimum number of samples in a window. If the samples of a window
-#: span more than twice the usual time, the window contains a gap and is skipped.
+#: Length of a window, s, and minimum number of samples in it. If the samples of a window span more
+#: than twice the usual time, the window contains a gap and is skipped.
 WINDOW, FEWEST = 0.25, 11
-#: The nodes of two-point Gauss quadrature, which is exact for a cubic.
+#: Nodes of two-point Gauss quadrature, which is exact for cubics.
 _NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
 _BLOCK = 2 ** 15
-#: A sample is an outlier only if its distance from the median of five samples exceeds this factor
-#: times the usual distance.
+#: A sample can be an outlier only if its distance from the median of five samples exceeds the
+#: usual distance by this factor.
 _OUTLIER = 10.0
-#: Six symmetric tensors: in each, one of ixx, iyy, izz, ixy, ixz and iyz is 1, the others are 0.
+#: Six symmetric tensors. In each, one of ixx, iyy, izz, ixy, ixz and iyz is 1 and the rest are 0.
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
 
 
 class Slopes(NamedTuple):
-    """The slope in each window, its standard deviation, and the row of the middle sample."""
+    """
+    The slope in each window.
+
+    Each slope comes with its standard deviation and with the row of the window's middle sample.
+    """
 
     rows: NDArray[np.intp]
     values: Floats
@@ -78,7 +82,7 @@ class ResidualTorque:
     logged : array, shape (n, 3), N m, body axes
         The logged torque, averaged over each window.
     of_inertia : array, shape (n, 3, 6)
-        Torque that the measured motion requires per unit of ixx, iyy, izz, ixy, ixz and iyz.
+        Torque that the measured motion would require per unit of ixx, iyy, izz, ixy, ixz and iyz.
 
     """
 
@@ -90,7 +94,11 @@ class ResidualTorque:
     of_inertia: Floats
 
     def in_space(self, sensor: Measured) -> tuple[Floats, Floats]:
-        """Convert torques and noise to space axes, shape (n, 3), with attitudes of a sensor."""
+        """
+        Convert the torques and the noise to space axes, using the attitudes of a sensor.
+
+        Both results have shape (n, 3).
+        """
         assert sensor.attitude is not None
         attitude = interpolated(sensor.stamps_ns, sensor.attitude, self.times_ns)
         axes = so3.rotate(attitude[:, None], np.eye(3))
@@ -100,7 +108,7 @@ class ResidualTorque:
 
 def with_attitude(rates: Measured, attitudes: Measured) -> Measured:
     """
-    Return the angular velocities of one sensor, with attitudes interpolated from another sensor.
+    Combine the angular velocities of one sensor with interpolated attitudes of another sensor.
 
     The result contains only the samples between the first and the last attitude.
     """
@@ -115,16 +123,16 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
     """
     Return the torque that must have acted in addition to the torques of a problem.
 
-    This torque is J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured angular
-    velocity w. Each term is averaged over a window. The torque tau includes the torques of the
-    fields at the measured attitude.
+    The residual torque is J dw/dt - (J w + h) x w + D w + tau_wheel - tau, where w is the measured
+    angular velocity. Each term is averaged over a window. The torque tau includes the field
+    torques at the measured attitude.
 
     Parameters
     ----------
     problem : Problem
         The model with the known torques.
     sensor : Measured
-        The measurements, converted to the clock and the axes of the problem.
+        The measurements, already converted to the clock and the axes of the problem.
 
     Returns
     -------
@@ -162,7 +170,12 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
 
 def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
                sensor: Measured) -> tuple[Floats, Floats]:
-    """Return the torque of uniform fields, and that of gravity gradients per unit of inertia."""
+    """
+    Return the torques of the fields at the given stamps, in two parts.
+
+    The first part is the torque of the uniform fields. The second part is the gravity-gradient
+    torque per unit inertia.
+    """
     uniform, gradients = np.zeros((len(stamps_ns), 3)), np.zeros((6, len(stamps_ns), 3))
     if not problem.fields:
         return uniform, gradients
@@ -178,10 +191,10 @@ def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
 
 def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -> Floats:
     """
-    Return the impulses of the logged torques from the first of the given times to each time.
+    Return the impulses of the logged torques from the first stamp to each stamp.
 
-    Torques in space axes are converted to body axes with the measured attitude or, if there is
-    none, with the computed attitude.
+    Torques in space axes are converted to body axes, using the measured attitude or, if there is
+    none, the computed attitude.
 
     Returns
     -------
@@ -205,7 +218,7 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
 
 def _lag_impulses(problem: Problem, lagging: LaggingSources, stamps_ns: NDArray[np.int64],
                   sensor: Measured) -> Floats:
-    """Return the impulses of actuators with lags; `impulses` adds them to the other impulses."""
+    """Return the difference that actuator lags make to the impulses of the commanded torques."""
     changes = np.concatenate([lagging.marks_ns, *(
         log.segments(problem.options.timeout_ns)[0] for log in problem.acting_logs)])
     ends = np.union1d(stamps_ns, changes[(changes > stamps_ns[0]) & (changes < stamps_ns[-1])])
@@ -228,7 +241,11 @@ def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
 
 
 def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -> Floats:
-    """Return attitudes at times: measured or, if the sensor measures no attitudes, computed."""
+    """
+    Return the attitudes at given times.
+
+    If the sensor does not measure attitudes, the attitudes come from a computed motion.
+    """
     if sensor.attitude is None:
         return problem.propagate(at=times_ns).attitude
     return interpolated(sensor.stamps_ns, sensor.attitude, times_ns)
@@ -236,7 +253,11 @@ def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -
 
 def interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
                  times_ns: NDArray[np.int64]) -> Floats:
-    """Interpolate attitudes, shape (n, 4), at ascending stamps, to shape (m, 4) at `times_ns`."""
+    """
+    Return attitudes at the times `times_ns`, shape (m, 4).
+
+    The attitudes are interpolated from those at ascending stamps, shape (n, 4).
+    """
     rows = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0, len(stamps_ns) - 2)
     part = (times_ns - stamps_ns[rows]) / np.diff(stamps_ns)[rows]
     step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))
@@ -246,19 +267,19 @@ def interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
 def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
                      ) -> tuple[NDArray[np.int64], Floats]:
     """
-    Return angular velocities without gross outliers.
+    Remove gross outliers from angular velocities.
 
-    An outlier is a jump to a value and back, which is impossible for a body. For each sample, the
-    function computes the distance from the median of five samples: the sample and two neighbours
-    on each side. The sample is an outlier if this distance exceeds ten times the usual distance
-    plus three times the usual change from one sample to the next.
+    At an outlier, the angular velocity jumps to some value and back, which is impossible for a
+    body. Each sample is compared with the median of five samples: itself and two neighbours on
+    each side. A sample is an outlier if its distance from the median exceeds ten times the usual
+    distance plus three times the usual change from one sample to the next.
 
     Parameters
     ----------
     stamps_ns : array of int64, shape (n,), ns
         Ascending stamps.
     rates : array, shape (n, 3), rad/s
-        Angular velocities in any axes.
+        Angular velocities, in any axes.
 
     """
     from scipy.ndimage import median_filter
@@ -269,7 +290,11 @@ def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
 
 
 def _integral(seconds: Floats, values: Floats) -> Floats:
-    """Return the integrals of a cubic spline through samples, from the first to each sample."""
+    """
+    Return the integrals of the samples from the first sample to each sample.
+
+    The integrals are those of a cubic spline through the samples.
+    """
     from scipy.interpolate import CubicSpline  # slow to import
     return np.asarray(CubicSpline(seconds, values).antiderivative()(seconds))
 
@@ -280,7 +305,7 @@ def _half_window(seconds: Floats) -> int:
 
 
 def _slopes(seconds: Floats, values: Floats, half: int) -> Slopes:
-    """Fit a line to the samples in each window without a gap, and return the slopes."""
+    """Fit a line to the samples in each window that has no gap, and return the slopes."""
     size = 2 * half + 1
     middles = np.arange(half, len(seconds) - half)
     usual = float(np.median(np.diff(seconds)))

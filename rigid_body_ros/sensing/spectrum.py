@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The spectrum of a residual torque."""
+"""Compute the amplitude spectrum of a residual torque."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
-#: s; a residual torque that lasts longer is divided into segments of this length. Adjacent
-#: segments overlap by half their length.
+#: A residual torque that lasts longer than this, in seconds, is divided into segments of this
+#: length. Adjacent segments overlap by half their length.
 SEGMENT = 60.0
-#: Probability that white noise exceeds the limit of a spectrum at one frequency.
+#: Probability that white noise exceeds the limit of the spectrum at any one frequency.
 _EXCEEDS = 0.01
-#: Value of pi f T, rad, at which a window of length T halves the amplitude at the frequency f.
+#: Value of pi f T, rad, at which a window of length T halves the amplitude at frequency f.
 _FLATTENED = 2.5
-#: The spectrum contains this many times more frequencies than a segment has cycles, so that the
-#: frequency of any sine is close to one of these frequencies.
+#: The spacing of the frequencies is one cycle per segment, divided by this number. With this
+#: spacing, the spectrum has a frequency close to that of any sine.
 _FINER = 4
-#: Minimum number of samples from which a spectrum is computed.
+#: Minimum number of samples needed to compute a spectrum.
 _FEWEST = 16
 
 
 class Spectrum(NamedTuple):
     """
-    Amplitudes of the residual torque by frequency.
+    Amplitudes of the residual torque at a series of frequencies.
 
     Attributes
     ----------
     hertz : array, shape (m,)
     amplitudes, limits : array, shape (m, 3), N m, body axes
-        The amplitude of a sine at each frequency, and a limit for this amplitude. White noise of
-        the angular velocity exceeds the limit at one frequency in a hundred.
+        The amplitude of a sine at each frequency, and a limit for this amplitude. White noise in
+        the angular velocity exceeds the limit at about one frequency in a hundred.
 
     """
 
@@ -56,12 +56,12 @@ class Spectrum(NamedTuple):
 
 def spectrum(torque: ResidualTorque) -> Spectrum | None:
     """
-    Return the spectrum of a residual torque; None if the residual torque is too short.
+    Return the spectrum of a residual torque, or None if the residual torque is too short.
 
-    The residual torque is the slope of an angular momentum over a window of T seconds. With dense
-    samples, taking the slope multiplies amplitudes at the frequency f by the factor
-    3 (sin x - x cos x) / x^3 with x = pi f T. The spectrum is divided by this factor, and ends at
-    the frequency at which the factor is one half.
+    The residual torque is the slope of an angular momentum over a window of T seconds. If the
+    samples are dense, taking this slope multiplies the amplitude at frequency f by
+    3 (sin x - x cos x) / x^3, where x = pi f T. The spectrum is divided by this factor to undo its
+    effect, and ends at the frequency where the factor has dropped to one half.
     """
     seconds = 1e-9 * (torque.times_ns - torque.times_ns[0])
     if len(seconds) < _FEWEST:
@@ -82,12 +82,13 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
     smoothed = np.sin(np.outer(turn, times)) @ times / turn / np.sum(times ** 2)
     amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
-    # The limit applies to the slope of a line that is fitted to a momentum with white noise.
+    # Assume white noise in the angular momentum. Each torque is the slope of a line that is fitted
+    # to the angular momentum in a window.
     noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
     return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
 
 
 def _exceeded(count: int) -> float:
-    """Return the limit of the noise, divided by its rms, for an average of `count` segments."""
+    """Return the noise limit divided by the rms noise, for an average of `count` segments."""
     from scipy.special import chdtri
     return float(np.sqrt(chdtri(2 * count, _EXCEEDS) / (2 * count)))

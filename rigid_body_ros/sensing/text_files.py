@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read measured attitudes and angular velocities from text: CSV files and TUM trajectories."""
+"""Read measured attitudes and angular velocities from CSV files and TUM trajectories."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ from rigid_body_ros.recording.csv_columns import splits, time_scale
 from rigid_body_ros.runtime.limits import open_file
 from rigid_body_ros.sensing.measured import FEWEST, Measured
 
-#: Suffixes of CSV files, and suffixes of TUM trajectories.
+#: Suffixes of CSV files and of TUM trajectories.
 _CSV, _TUM = ('.csv',), ('.tum', '.txt')
-#: Column names without the unit, such as qx, orientation.x or angular_velocity/x, and the names in
-#: EuRoC files.
+#: Column names without units, such as qx, orientation.x or angular_velocity/x. The names used in
+#: EuRoC files are included.
 _ATTITUDE = re.compile(r'(?:.*[/.])?(?:q|quat|quaternion|orientation|attitude|q_rs)[/._ ]?'
                        r'([xyzw])')
 _RATE = re.compile(r'(?:.*[/.])?(?:w|omega|gyro|angular_velocity|w_rs_s)[/._ ]?([xyz])')
-#: Units of angular velocity, and the size of each unit in rad/s.
+#: The size of each unit of angular velocity in rad/s, keyed by the unit.
 _RATE_UNITS = {**dict.fromkeys(('', 'rad/s', 'rad s^-1', 'rads'), 1.0),
                **dict.fromkeys(('deg/s', 'deg s^-1', 'degs'), math.radians(1.0))}
 _QUANTITIES = tuple(f'q{axis}' for axis in 'xyzw'), tuple(f'w{axis}' for axis in 'xyz')
@@ -52,7 +52,7 @@ _ACCEPTED = ('expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (rad/s,
 _LONGEST = 2 ** 16
 
 
-#: For each quantity, keyed by its name: its position in a line, and the factor of its unit.
+#: For each quantity, keyed by its name: the position in a line, and the factor of the unit.
 _Columns = dict[str, tuple[int, float]]
 _TRAJECTORY: _Columns = {'time': (0, 1e9),
                          **{name: (4 + k, 1.0) for k, name in enumerate(_QUANTITIES[0])}}
@@ -70,16 +70,16 @@ def read_text_file(path: str) -> Measured:
     Parameters
     ----------
     path : str
-        A CSV file or a trajectory. The first line of a CSV file contains the names of the columns.
-        Each line of a trajectory (.tum, .txt) contains time (s), x, y, z, qx, qy, qz and qw,
-        separated by spaces. All other lines that begin with # are ignored. Angular velocities are
-        in body axes.
+        A CSV file or a trajectory. The first line of a CSV file contains the column names and may
+        begin with #. Each line of a trajectory (.tum, .txt) contains the time (s), x, y, z, qx,
+        qy, qz and qw, separated by spaces. Apart from the column names, lines that begin with #
+        are ignored. Angular velocities must be in body axes.
 
     Returns
     -------
     Measured
-        The samples, sorted by stamp. Of several samples with the same stamp, the last sample is
-        used. The topic is the name of the file.
+        The samples, sorted by stamp. If several samples have the same stamp, the last one is used.
+        The topic is the name of the file.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def _sorted(path: str, stamps_ns: NDArray[np.int64], values: Floats,
 
 def _stamp_ns(line: Sequence[str], found: _Columns) -> int:
     position, scale = found['time']
-    # Use Decimal, because a double does not resolve nanoseconds in a time since 1970.
+    # Use Decimal, because a double cannot resolve nanoseconds in a time since 1970.
     time_ns = (Decimal(line[position]) * int(scale)).to_integral_value()
     if not 0 <= time_ns <= messages.LAST_NS:
         raise ValueError
@@ -148,7 +148,7 @@ def _stamp_ns(line: Sequence[str], found: _Columns) -> int:
 
 
 def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
-    """Generate the numbers and the columns of all lines that are not empty."""
+    """Generate the line number and the columns of each line that is not empty."""
     is_csv = Path(path).suffix.lower() in _CSV
     for number, line in enumerate(iter(lambda: text.readline(_LONGEST), ''), 1):
         if len(line) == _LONGEST:
@@ -160,7 +160,7 @@ def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
 
 
 def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
-    """Return the columns of a heading that have known names; ignore other columns."""
+    """Find the columns with known names in a heading, and ignore all others."""
     found: _Columns = {}
     for position, text in enumerate(heading):
         name, scale = _meaning(where, text.lstrip('#').strip())
@@ -179,7 +179,11 @@ def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
 
 
 def _meaning(where: str, text: str) -> tuple[str, float]:
-    """Return the quantity in a column ('' if unknown), and the factor of the unit."""
+    """
+    Return the quantity that a column contains, and the factor of the column's unit.
+
+    The quantity is an empty string if the column name is unknown.
+    """
     for name, unit in splits(text.replace('[]', '').strip()):
         attitude, rate = _ATTITUDE.fullmatch(name.lower()), _RATE.fullmatch(name.lower())
         if attitude and not unit:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Panels of a residual torque: in body axes and in space axes, and its spectrum."""
+"""Panels that plot a residual torque in body axes, in space axes, and as a spectrum."""
 
 from __future__ import annotations
 
@@ -30,16 +30,17 @@ from rigid_body_ros.sensing.spectrum import spectrum
 def residual_panels(torque: ResidualTorque, sensors: Sequence[Measured],
                     start_ns: int) -> Iterator[Panel]:
     """
-    Generate the panels of a residual torque.
+    Generate the panels that plot a residual torque.
 
     Parameters
     ----------
     torque : ResidualTorque
         The residual torque with its noise.
     sensors : sequence of Measured
-        Measurements in body axes. Without attitudes, there is no panel in space axes.
+        Measurements in body axes. The panel in space axes is drawn only if the measurements
+        include attitudes.
     start_ns : int
-        The time at which the time axis begins.
+        The time at which the time axis of the panels begins.
 
     """
     noise = np.stack([torque.noise, torque.noise])

@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-The error of a model over a window: the measured minus the predicted state at the window's end.
+Compute the error of a model over a window: the measured minus the predicted final state.
 
-The state at the beginning of the window is estimated from the samples in the first fifth of the
-window, and propagated under the logged torques. The samples in the last fifth correct the
-predicted state. The correction at the end of the window is the error. The covariance of the error
-includes the covariances of the estimated state and of the correction. The constant torque that
-explains the error best is the residual torque.
+The samples in the first fifth of the window are used to estimate the initial state, which is then
+propagated under the logged torques. The samples in the last fifth are used to correct the
+predicted state. This correction, taken at the end of the window, is the error. The covariance of
+the error accounts for the uncertainty of the initial state and of the correction. The residual
+torque is the constant torque that best explains the error.
 """
 
 from __future__ import annotations
@@ -37,27 +37,28 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: A state is estimated from one fifth of a window, with at least this many samples of a sensor.
+#: A state is estimated from one fifth of a window, which must contain at least `FEWEST` samples
+#: from one sensor.
 _PART, FEWEST = 5, 3
-#: A sample is an outlier if its error exceeds both of two limits: the first number times the
-#: standard deviation, and the second number times the median error.
+#: A sample is an outlier if its error exceeds both `_OUTLIER` standard deviations and `_UNUSUAL`
+#: times the median error.
 _OUTLIER, _UNUSUAL = 6.0, 4.0
-#: Maximum number of corrections of an estimated state, and the chi-square of a correction below
-#: which the corrections end.
+#: An estimated state is corrected at most `_CORRECTIONS` times. The corrections stop earlier if
+#: the chi-square of a correction is below `_NEGLIGIBLE`.
 _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
-#: Number of samples from which the rates are guessed.
+#: Number of samples used to guess the rates.
 _GUESSED = 5
-#: Change of an initial value, for finite differences, rad or rad/s.
+#: Finite-difference step of an initial value, rad or rad/s.
 _CHANGE = 1e-6
 
 
 class SensorNoise(NamedTuple):
-    """The noise of a sensor: standard deviation of each component, and effect of correlation."""
+    """Noise of a sensor: standard deviations, and factors that describe the correlation."""
 
-    #: Standard deviations: of the attitude as a rotation vector, rad, and of the rate, rad/s.
+    #: Standard deviations of the attitude as a rotation vector (rad) and of the rate (rad/s).
     attitude: float
     rate: float
-    #: Factors by which correlation multiplies the variance of a mean.
+    #: Factors by which the correlation multiplies the variance of a mean.
     attitude_factor: float = 1.0
     rate_factor: float = 1.0
 
@@ -65,23 +66,23 @@ class SensorNoise(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class WindowError:
     """
-    The error of a prediction over a window: measured minus computed.
+    The error of a prediction over a window, measured minus computed.
 
     Attributes
     ----------
     begin_ns, end_ns : int
     attitude : array, shape (3,), rad, body axes
-        Rotation vector from the computed to the measured attitude at the end of the window; NaN if
+        Rotation vector from the computed to the measured attitude at the end of the window. NaN if
         no attitude is measured.
     rate : array, shape (3,), rad/s, body axes
         Measured minus computed angular velocity at the end of the window.
     covariance : array, shape (6, 6)
         Covariance of `attitude` and `rate`, in this order.
     torque : array, shape (3,), N m, body axes
-        The torque, constant over the window, that explains the error best.
+        The constant torque that best explains the error.
     torque_covariance : array, shape (3, 3), N^2 m^2
     outliers : int
-        Number of samples that were ignored as outliers.
+        Number of samples ignored as outliers.
     residuals : tuple of (array or None, array or None)
         For each sensor, measured minus computed attitudes and angular velocities in the window.
 
@@ -99,47 +100,51 @@ class WindowError:
 
 
 class _Motions(NamedTuple):
-    """A motion, and its derivatives with respect to the initial attitude and rates, body axes."""
+    """
+    A motion with its derivatives.
+
+    The derivatives are with respect to the initial attitude and initial rates, in body axes.
+    """
 
     attitude: Floats
     rates: Floats
-    #: Shape (m, 6, p). For each time, there is a row for each component of the rotation vector and
-    #: the rates, and a column for each of the p initial values.
+    #: Shape (m, 6, p). At each of the m times, there is one row for each component of the rotation
+    #: vector and the rates, and one column for each of the p initial values.
     derivatives: Floats
 
     def change_to(self, attitude: Floats, rates: Floats) -> Floats:
-        """Return the differences from this motion to other states, shape (m, 6)."""
+        """Return the given states minus the states of this motion, shape (m, 6)."""
         turned = so3.log(so3.multiply(so3.conjugate(self.attitude), attitude))
         return np.concatenate([turned, rates - self.rates], axis=1)
 
 
 class _Estimate(NamedTuple):
-    """A correction of a start state, its covariance, and the number of outliers."""
+    """A correction of a start state, with its covariance and the number of outliers."""
 
     change: Floats
     covariance: Floats
     outliers: int
-    #: The times of the samples, ns, shape (m,), and the correction for a unit error at each time,
-    #: shape (p, m, 6).
+    #: Times of the samples, ns, shape (m,). For each time, `gain`, shape (p, m, 6), holds the
+    #: correction that a unit error in each component causes.
     times_ns: NDArray[np.int64]
     gain: Floats
 
     def by(self, errors: Floats) -> Floats:
-        """Return the corrections, shape (p, k), for errors, shape (m, 6, k)."""
+        """Return the corrections, shape (p, k), that errors of shape (m, 6, k) cause."""
         return np.einsum('pmi,mik->pk', self.gain, errors)
 
 
 def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence[SensorNoise],
                  begin_ns: int, end_ns: int) -> WindowError | None:
     """
-    Return the error of the prediction over a window.
+    Compute the error of the model's prediction over a window.
 
     Parameters
     ----------
     problem : Problem
-        The model and the torques. Of the start state, only the momentum of the rotors is used.
+        The model and the torques. Only the rotor momentum of the start state is used.
     sensors : sequence of Measured
-        The measurements, converted to the clock and the axes of the problem.
+        The measurements, already converted to the clock and the axes of the problem.
     noises : sequence of SensorNoise
         The noise of each sensor.
     begin_ns, end_ns : int
@@ -148,7 +153,7 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     Returns
     -------
     WindowError or None
-        None if there are too few samples in the first or the last fifth of the window.
+        None if the first or the last fifth of the window contains too few samples.
 
     """
     turn_ns = end_ns - (end_ns - begin_ns) // _PART
@@ -185,7 +190,7 @@ def _momentum(problem: Problem, time_ns: int) -> Floats:
 
 
 def _count(sensors: Sequence[Measured], name: str) -> int:
-    """Return the largest number of samples of any sensor that measures the named quantity."""
+    """Return the number of samples of the sensor with the most samples of the named quantity."""
     return max((len(sensor) for sensor in sensors if getattr(sensor, name) is not None), default=0)
 
 
@@ -196,7 +201,7 @@ def _needs_attitude(problem: Problem) -> bool:
 
 def _guess(sensors: Sequence[Measured], begin_ns: int,
            has_attitude: bool) -> tuple[Floats, Floats]:
-    """Return an approximate attitude and angular velocity at `begin_ns`."""
+    """Guess the attitude and the angular velocity at `begin_ns`."""
     name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
     rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
     if not has_attitude:
@@ -219,7 +224,7 @@ def _corrected(start: State, change: Floats) -> State:
 
 
 def _motions(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _Motions:
-    """Return a motion and its derivatives with respect to the estimated initial values."""
+    """Compute a motion and its derivatives with respect to the estimated initial values."""
     changes = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
     starts = [problem.start, *(_corrected(problem.start, change) for change in changes)]
     found = [problem.replaced(start=start).propagate(at=times_ns) for start in starts]
@@ -241,16 +246,20 @@ def _residuals(sensor: Measured, motions: _Motions, rows: NDArray[np.intp]
 
 
 class _Samples(NamedTuple):
-    """Samples from which a state is estimated, and the noise of each sensor."""
+    """Samples from which a state is estimated, with the noise of each sensor."""
 
     sensors: Sequence[Measured]
     noises: Sequence[SensorNoise]
-    #: Whether the attitude is estimated, in addition to the angular velocity.
+    #: Whether to estimate the attitude in addition to the angular velocity.
     has_attitude: bool
 
     def estimated(self, problem: Problem, start: State,
                   until_ns: int) -> tuple[State, _Estimate, _Motions]:
-        """Return the best start state, the last correction, and the motion before it."""
+        """
+        Correct the start state until the motion fits the samples.
+
+        Return the new start state, the last correction, and the motion before that correction.
+        """
         times_ns = np.unique(np.concatenate(
             [*(sensor.stamps_ns for sensor in self.sensors), [until_ns]]))
         for _ in range(_CORRECTIONS):
@@ -296,22 +305,30 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
 
 def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
                first: _Estimate, last: _Estimate) -> Floats:
-    """Return the change of the last estimate per N m of constant torque, shape (p, 3)."""
-    # Use a torque that changes the angular velocity by about _CHANGE.
+    """
+    Return how much a constant torque changes the last estimate, per N m, shape (p, 3).
+
+    The last estimate is the one at the end of the window.
+    """
+    # Choose a torque that changes the angular velocity by about _CHANGE.
     end_ns = int(times_ns[-1])
     seconds = 1e-9 * (end_ns - problem.start.time_ns)
     size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds
     others = [problem.biased(torque, end_ns).propagate(at=times_ns) for torque in size * np.eye(3)]
     moved = np.stack([motions.change_to(other.attitude, other.angular_velocity)
                       for other in others], axis=-1) / size
-    # The torque also changes the first estimate and, as a consequence, the prediction.
+    # The torque also changes the first estimate, and thereby the prediction.
     moved -= motions.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
     return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 
 
 def _explained(change: Floats, covariance: Floats, by_torque: Floats, has_attitude: bool
                ) -> tuple[Floats, Floats]:
-    """Return the torque that best explains a change of the final state, and its covariance."""
+    """
+    Return the torque that best explains a change of the final state.
+
+    The second result is the covariance of this torque.
+    """
     first = 0 if has_attitude else 3
     weight = np.linalg.solve(covariance[first:, first:], by_torque[first:])
     spread = np.linalg.inv(by_torque[first:].T @ weight)
