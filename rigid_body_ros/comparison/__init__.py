@@ -15,16 +15,18 @@
 """
 Compare measured motions with a propagated or recorded motion.
 
-`motion` defines the motion to compare with. `align` starts from the guess of `coarse`, and fits
-clock offsets, mountings and the start of the motion. `comparison` computes the errors. `horizons`
-computes the errors after restarts. `predictable` computes the time over which errors are
-meaningful.
+`motion` defines the motions that measurements can be compared with. `align` takes an initial
+guess from `coarse` and fits the clock offsets, the mountings and the start of the motion. Then
+`comparison` computes the errors of the measurements, and `horizons` computes how far the motion
+drifts after a restart from measured states. `predictable` estimates how long a motion can be
+predicted at all. Errors after this time say nothing about the model.
 
-`causes` looks for likely causes of the errors among the `sensor_faults` and the `torque_faults`.
-It undoes each possible cause, and judges the cause by the errors that remain in the `channels`.
+`causes` looks for likely causes of the errors. This module takes one possible fault at a time from
+`sensor_faults` and `torque_faults`, removes the effect of the fault, and checks whether the errors
+that remain look like noise. `channels` describes the errors and their noise.
 
-The command `attitude_compare` reads its files with `recorded`, and writes files with `outputs`.
-`result` generates the text that the command prints.
+The command `attitude_compare` reads recordings with `recorded` and writes recordings with
+`outputs`. The text that it prints comes from `result`.
 """
 
 from rigid_body_ros.comparison.align import ALIGNMENTS

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Fit clock offsets, mountings and the start, so that measurements and motion can be compared."""
+"""Align measurements with a motion: fit clock offsets, mountings and the start of the motion."""
 
 from __future__ import annotations
 
@@ -35,45 +35,49 @@ from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
-#: Parameters that can be fitted.
+#: The names of the alignments that can be fitted.
 ALIGNMENTS = (START, CLOCK, MOUNT)
-#: Finite-difference steps for the Jacobian: the step in rotations and rates (rad, rad/s), and the
-#: step in clock offsets (s).
+#: Finite-difference steps for the Jacobian. The first is used for rotations, rad, and for angular
+#: velocities, rad/s. The second is used for clock offsets, s.
 _STEP, _CLOCK_STEP = 1e-6, 1e-5
-#: A fit of the start begins with stages. Each stage uses at most `_STAGE` samples of a sensor, and
-#: at most `_EARLY` steps. Every other fit uses at most `_MOST` steps.
+#: The start of the motion is first fitted in stages that cover more and more of the measurement.
+#: Each stage uses at most `_STAGE` samples per sensor and at most `_EARLY` solver steps. All other
+#: fits take at most `_MOST` solver steps.
 _STAGE, _EARLY, _MOST = 400, 6, 20
-#: Maximum number of samples of each sensor in all fits except the last.
+#: All fits except the last use at most this many samples of each sensor.
 _PART = 2000
-#: A fit ends when a step changes the cost by less than this fraction.
+#: A fit has converged when a step changes the cost by less than this fraction.
 _TOLERANCE = 1e-6
-#: Limits of residuals, in standard deviations. Above `_HUBER`, the loss grows linearly. The last
-#: fit ignores residuals above `_OUTLIER`.
+#: Limits on the residuals, in standard deviations. The robust loss grows only linearly above
+#: `_HUBER`. The last fit ignores all residuals above `_OUTLIER`.
 _HUBER, _OUTLIER = 2.0, 5.0
-#: Number of cached motions: the latest motion, and the motion before it. The Jacobian is computed
-#: from the difference of two motions.
+#: Number of motions to cache. Two are enough for a finite difference: the motion at the current
+#: point and the motion after a small change.
 _KEPT = 2
-#: The data does not determine a direction in parameter space if its singular value, relative to
-#: the largest, is below this number.
+#: A combination of parameters counts as undetermined by the data if its singular value is smaller
+#: than this fraction of the largest singular value.
 _SINGULAR = 1e-7
 
 
 def align(motion: Motion, sensors: Sequence[Measured],
           names: Collection[str], most: int | None = None) -> tuple[Alignment, ...]:
     """
-    Fit the requested parameters by robust least squares.
+    Align measurements with a motion by a robust least-squares fit.
 
     Parameters
     ----------
     motion : Problem or Recorded
-        The motion with which the sensors are aligned.
+        The motion to align the sensors with.
     sensors : sequence of Measured
-        Each sensor has a separate clock and mounting. All sensors share one start, and one
-        rotation between the space axes of the measurements and those of the motion.
+        The measurements. Each sensor has its own clock and its own mounting. All sensors share the
+        same start of the motion, and the same rotation between the space axes of the measurements
+        and those of the motion.
     names : collection of str
-        What to fit: names in `ALIGNMENTS`. 'clock@TOPIC' and 'mount@TOPIC' fit one sensor only.
+        What to fit: names in `ALIGNMENTS`. Use 'clock@TOPIC' or 'mount@TOPIC' to fit the clock or
+        the mounting of a single sensor.
     most : int, optional
-        Fit at most this many samples of each sensor, evenly spread.
+        Use at most this many samples of each sensor, evenly spaced. All samples are used by
+        default.
 
     Returns
     -------
@@ -83,7 +87,7 @@ def align(motion: Motion, sensors: Sequence[Measured],
     Raises
     ------
     InputError
-        A name is unknown, or no sample lies within the motion.
+        A name is unknown, or no sample lies within the time span of the motion.
 
     """
     check_names(names, [sensor.topic for sensor in sensors])
@@ -102,7 +106,7 @@ def align(motion: Motion, sensors: Sequence[Measured],
 
 
 def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> None:
-    """Raise InputError if a name is not an alignment, or if its topic is not among `topics`."""
+    """Raise InputError if a name is not a known alignment, or if its topic is not in `topics`."""
     for name in names:
         kind, at, topic = name.partition('@')
         if kind not in ALIGNMENTS or (at and (kind == START or not topic)):
@@ -114,12 +118,16 @@ def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> 
 
 
 def is_asked(names: Collection[str], kind: str, topic: str) -> bool:
-    """Return whether `names` request a fit of a `kind`, 'clock' or 'mount', for a topic."""
+    """Return whether `names` request the alignment `kind`, 'clock' or 'mount', for a topic."""
     return kind in names or f'{kind}@{topic}' in names
 
 
 class _Column(NamedTuple):
-    """A fitted quantity: its name, its sensor (-1 for all), and its number of components."""
+    """
+    A fitted quantity, and the index of the sensor to which the quantity belongs.
+
+    The index is -1 if all sensors share the quantity.
+    """
 
     name: str
     sensor: int = -1
@@ -134,7 +142,7 @@ _RATE = _Column('initial_angular_velocity_rad_s')
 
 
 class _Fit:
-    """The least squares problem of an alignment."""
+    """The least-squares problem that `align` solves."""
 
     def __init__(self, motion: Motion, sensors: Sequence[Measured], names: Collection[str],
                  first: Sequence[Alignment], most: int | None) -> None:
@@ -142,8 +150,8 @@ class _Fit:
         self._value = [replace(one, start=motion.start) for one in first] \
             if isinstance(motion, Problem) and START in names else [*first]
         self._columns = _columns(sensors, names)
-        #: The latest motions. The keys contain the start and the stamps, but no mounting, because
-        #: motions do not depend on the mounting.
+        #: A cache of the most recent motions, keyed by their start and stamps. The mountings are
+        #: not part of the key, because a motion does not depend on how a sensor is mounted.
         self._kept: dict[bytes, States] = {}
         self._use([_thinned(self._inside(k), most) for k in range(len(sensors))])
         if not any(len(rows) for rows in self._rows):
@@ -161,7 +169,11 @@ class _Fit:
         return np.flatnonzero(inside(self._motion, stamps_ns, margin))
 
     def grow(self) -> None:
-        """Fit the start to the first samples of the measurement, then to more and more samples."""
+        """
+        Fit the start of the motion in stages.
+
+        The first stage uses the first few samples. Each further stage also uses later samples.
+        """
         every = self._rows
         since = [sensor.stamps_ns[rows] + round(1e9 * one.clock_offset_s)
                  - self._motion.start.time_ns
@@ -178,7 +190,8 @@ class _Fit:
         self._use(every)
 
     def _from_first_samples(self) -> None:
-        # Use the measured start, unless the start of the scene fits the first samples better.
+        # Take the start from the first measurements if this start fits the measurements better
+        # than the start given in the scene.
         start = self._value[0].start
         assert start is not None
         every = self._rows
@@ -220,16 +233,17 @@ class _Fit:
             for k, one in enumerate(self._value))
 
     def _named(self, values: Floats) -> dict[_Column, Floats]:
-        """Split a vector of all fitted parameters into one part for each fitted quantity."""
+        """Split a vector of all parameters into one part for each fitted quantity."""
         ends = np.cumsum([column.size for column in self._columns])[:-1]
         return dict(zip(self._columns, np.split(values, ends)))
 
     def _correlation(self) -> float:
         """
-        Return the factor by which correlated errors enlarge the standard deviations.
+        Return the factor by which correlated errors increase the standard deviations.
 
-        Errors of the model persist over many samples. If neighbouring samples have the correlation
-        r, n samples count as n (1 - r) / (1 + r) independent samples.
+        Model errors persist over many samples, so the samples are not independent. If neighbouring
+        samples have correlation r, then n samples carry only as much information as
+        n (1 - r) / (1 + r) independent samples.
         """
         correlations = [0.0]
         for _, _, errors in self._blocks():
@@ -247,7 +261,16 @@ class _Fit:
         self._scales = np.maximum(self._scales, 1e-13)
 
     def _blocks(self) -> Iterator[tuple[int, int, Floats]]:
-        """Generate sensor number, quantity (0: attitude, 1: rate), and residuals, shape (n, 3)."""
+        """
+        Generate the residuals of each sensor and quantity.
+
+        Yields
+        ------
+        tuple
+            The index of the sensor; the quantity, which is 0 for the attitude and 1 for the
+            angular velocity; and the residuals, shape (n, 3).
+
+        """
         residuals, first = self._residuals(self._value), 0
         for number, sensor in enumerate(self._samples):
             for quantity, values in enumerate((sensor.attitude, sensor.angular_velocity)):
@@ -258,7 +281,12 @@ class _Fit:
 
     def _fit(self, tolerance: float, kept: NDArray[np.bool_] | None = None,
              most: int = _MOST) -> Floats:
-        """Improve the alignments, with a robust loss if `kept` is None; return the Jacobian."""
+        """
+        Improve the alignments, and return the Jacobian at the solution.
+
+        If `kept` is given, only the residuals that it selects are fitted, with a quadratic loss.
+        Otherwise, all residuals are fitted with a robust loss.
+        """
         from scipy.optimize import least_squares  # slow to import
         base = self._value
         rows = slice(None) if kept is None else kept
@@ -279,7 +307,7 @@ class _Fit:
         return np.asarray(result.jac)
 
     def _moved(self, base: Sequence[Alignment], step: Floats) -> list[Alignment]:
-        """Return the alignments of `base`, changed by a small step."""
+        """Return the alignments in `base` after a small step in the fitted parameters."""
         changes, (first, *_) = self._named(step), base
         none, start, space = np.zeros(3), first.start, first.space
         if start is not None and _RATE in changes:
@@ -298,10 +326,11 @@ class _Fit:
 
     def _residuals(self, value: Sequence[Alignment]) -> Floats:
         """
-        Return the errors of all samples of all sensors, in standard deviations.
+        Return the errors of all samples of all sensors, divided by their standard deviations.
 
-        The errors are in the axes of the sensors, where a change of the mounting does not rotate
-        the noise. In other axes, the noise could make an undetermined direction look determined.
+        The errors of a sensor are computed in the axes of this sensor, so that a change of the
+        mounting does not rotate the noise. If the noise were rotated, the fit could seem to
+        determine a direction about which the data says nothing.
         """
         interrupts.check()
         stamps_ns = np.concatenate([sensor.stamps_ns + round(1e9 * one.clock_offset_s)
@@ -323,18 +352,19 @@ class _Fit:
         if key not in self._kept:
             if len(self._kept) == _KEPT:
                 del self._kept[next(iter(self._kept))]
-            # A step towards a wrong clock offset may move stamps beyond the ends of the motion.
+            # A trial step can shift the clock so far that some stamps fall outside the motion.
             self._kept[key] = moved.propagate(at=np.clip(stamps_ns, *span_of(moved)))
         return self._kept[key]
 
 
 def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Column]:
-    """Return the fitted quantities; those that do not change the motion come first."""
+    """Return the fitted quantities, beginning with those that do not change the motion."""
     mounted = [k for k, sensor in enumerate(sensors) if is_asked(names, MOUNT, sensor.topic)]
     with_attitude = [k for k, sensor in enumerate(sensors) if sensor.attitude is not None]
     is_turned = bool({*mounted} & {*with_attitude})
-    # The mounting of an attitude sensor is fitted together with a rotation of the space axes. This
-    # rotation has the same effect as a rotation of the initial attitude.
+    # To fit the mounting of an attitude sensor, we also fit a rotation of the space axes. Rotating
+    # the space axes has the same effect as rotating the initial attitude, so the initial attitude
+    # is not fitted as well.
     starts = [_RATE, *([_ATTITUDE] if with_attitude and not is_turned else [])]
     return [*(_Column('mount_rad', k) for k in mounted), *([_SPACE] if is_turned else []),
             *(_Column('clock_offset_s', k) for k, sensor in enumerate(sensors)
@@ -343,7 +373,7 @@ def _columns(sensors: Sequence[Measured], names: Collection[str]) -> list[_Colum
 
 def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
     """
-    Return the errors of a sensor: its measurements relative to a motion at the same times.
+    Return how far the measurements of a sensor are from a motion at the same times.
 
     Returns
     -------
@@ -362,7 +392,7 @@ def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats |
 
 
 def apart(motion: Motion, sensors: Sequence[Measured]) -> InputError:
-    """Return the error to raise if measurements and motion do not overlap in time."""
+    """Return the error to raise if the measurements and the motion do not overlap in time."""
     stamps_ns = sensors[0].stamps_ns
     return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '
                       f'at {motion.start.time_ns} ns, found them from {stamps_ns[0]} ns to '
@@ -374,10 +404,11 @@ def _thinned(rows: NDArray[np.intp], most: int | None) -> NDArray[np.intp]:
 
 
 def _deviations(jacobian: Floats) -> Floats:
-    """Return standard deviations; undetermined values have infinite standard deviations."""
+    """Return the standard deviations of the parameters, with infinity for undetermined ones."""
     norms = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian / np.where(norms > 0.0, norms, 1.0)
-    # The factor R of the QR decomposition has the singular values of the Jacobian, but fewer rows.
+    # The factor R of a QR decomposition has the same singular values as the Jacobian, but far
+    # fewer rows.
     _, singular, turn = np.linalg.svd(np.linalg.qr(scaled, mode='r'), full_matrices=False)
     small = singular < _SINGULAR * singular.max(initial=1e-300)
     variances = np.sum((turn / np.where(small, 1.0, singular)[:, None]) ** 2, axis=0)

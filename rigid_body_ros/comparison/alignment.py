@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Convert measurements to the clock and axes of a motion, and states to the axes of a sensor."""
+"""Convert between the clock and axes of a sensor and the clock and axes of a motion."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ def _identity() -> Floats:
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """
-    The clock offset and the rotations between the measurements of a sensor and a motion.
+    The clock offset and the rotations that relate the measurements of a sensor to a motion.
 
-    Measured attitude = `space` * attitude of the motion * `mount`.
+    The measured attitude equals `space` * (attitude of the motion) * `mount`.
 
     Attributes
     ----------
     clock_offset_s : float, s
-        The time to add to the measured stamps.
+        The time to add to the measured stamps to convert them to the clock of the motion.
     mount, space : array, shape (4,)
-        Quaternions x y z w. `mount` maps vectors from the axes of the sensor to the body axes.
-        `space` maps vectors from the space axes of the motion to the space axes of the
-        measurements, and is the same for all sensors.
+        Quaternions x y z w. `mount` rotates vectors from the axes of the sensor to the body axes.
+        `space` rotates vectors from the space axes of the motion to the space axes of the
+        measurements. All sensors share the same `space`.
     start : State, optional
         The fitted start; None if the start was not fitted.
     sigma : dict, optional
         Standard deviations of the fitted values. A standard deviation is infinite if the
-        measurement does not determine the value. The entry 'clock_offset_s' is a number, s. All
-        other entries are arrays of shape (3,): 'mount_rad' about the axes of the sensor,
-        'space_rad' about the space axes of the measurements, 'initial_attitude_rad' about the body
-        axes, and 'initial_angular_velocity_rad_s'.
+        measurement does not determine the value. The entry 'clock_offset_s' is a number, s. The
+        other entries are arrays of shape (3,): 'mount_rad', about the axes of the sensor;
+        'space_rad', about the space axes of the measurements; 'initial_attitude_rad', about the
+        body axes; and 'initial_angular_velocity_rad_s'.
 
     """
 
@@ -68,7 +68,7 @@ class Alignment:
         return {'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist()}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the alignment as JSON types; an infinite standard deviation becomes None."""
+        """Return the alignment as JSON types, with None for infinite standard deviations."""
         found: dict[str, Any] = {
             **self.of_sensor(), 'space_xyzw': _upper(self.space).tolist(),
             'start': 'fitted' if self.start else 'scene'}
@@ -80,7 +80,7 @@ class Alignment:
         return found
 
     def expected(self, states: Poses) -> Poses:
-        """Return what a sensor without errors would measure, in the axes of the sensor."""
+        """Return what a perfect sensor would measure, in the axes of the sensor."""
         attitude = so3.multiply(so3.multiply(self.space, states.attitude), self.mount)
         return Poses(attitude, so3.rotate(so3.conjugate(self.mount), states.angular_velocity))
 

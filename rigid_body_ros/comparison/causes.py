@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Likely causes of the errors of a comparison.
+Find likely causes of the errors in a comparison.
 
-Each possible cause is undone, and the error that remains is compared with the noise of the
-measurement. If only noise remains, the cause explains the errors. Otherwise, the cause at most
-reduces the errors.
+The search removes the effect of each possible cause and compares the error that remains with the
+measurement noise. If only noise remains, the cause explains the errors. If the error becomes
+smaller but still exceeds the noise, the cause is at best part of the explanation.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 
-#: A cause that reduces the error, but does not explain it, is reported if less than this fraction
-#: of the error remains.
+#: A cause that reduces the error but does not fully explain the error is reported only if less
+#: than this fraction of the error remains.
 _LEFT = 0.5
-#: Remaining errors that differ by less than this factor count as equal.
+#: Two causes are equally good if the errors that they leave differ by less than this factor.
 _ABOUT = 1.5
-#: Maximum number of samples of each sensor in the alignment after a cause is undone.
+#: After a cause is removed, the alignment is fitted again to at most this many samples per sensor.
 _SAMPLES = 2000
 
 
@@ -56,21 +56,22 @@ class Cause:
     Attributes
     ----------
     name : str
-        The name of a fault. A fault of a sensor is 'quaternion_order', 'inverse_quaternion',
+        The name of the fault. Sensor faults are 'quaternion_order', 'inverse_quaternion',
         'degrees', 'clock_offset', 'constant_rotation', 'gyro_bias', 'gyro_scale',
-        'gyro_saturation', 'frozen_attitude' or 'flipped_attitude'. A fault of the model is
-        'start', 'torque_axes', 'torque_scale', 'torque_gains', 'torque_bias', 'weight',
-        'rotor_momentum', 'damping', 'inertia' or 'inertia_change'.
+        'gyro_saturation', 'frozen_attitude' and 'flipped_attitude'. Model faults are 'start',
+        'torque_axes', 'torque_scale', 'torque_gains', 'torque_bias', 'weight', 'rotor_momentum',
+        'damping', 'inertia' and 'inertia_change'.
     text : str
-        The cause in words.
+        A description of the cause.
     before, after : float
-        Median error with the cause, and with the cause undone, in `unit`.
+        The median error before and after the effect of the cause is removed, in `unit`.
     unit : str
-        'rad' for the attitude, 'rad/s' for the angular velocity, 'N m' for the residual torque.
+        The unit of the error: 'rad' for the attitude, 'rad/s' for the angular velocity, or 'N m'
+        for the residual torque.
     topic : str
-        The topic of the sensor; empty for a fault of the model.
+        The topic of the sensor; empty for a model fault.
     explains : bool
-        Whether the remaining error is compatible with the noise.
+        Whether noise alone can explain the error that remains.
 
     """
 
@@ -84,21 +85,26 @@ class Cause:
 
     @property
     def evidence(self) -> str:
-        """Return text that says by how much the error falls if the cause is undone."""
+        """Return a text that tells how much the error drops when the cause is removed."""
         what = 'residual torque' if self.unit == 'N m' else 'error'
         rest = 'which is its noise' if self.explains else 'more than its noise'
         return f'without it the median {what} is {self.after:.2g} {self.unit}, {rest}, not ' \
                f'{self.before:.2g} {self.unit}'
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the cause as JSON types."""
+        """Return the cause as values that can be written to a JSON file."""
         return {'cause': self.name, 'topic': self.topic, 'explains': self.explains,
                 'text': self.text, 'evidence': self.evidence, 'median_error': self.before,
                 'median_error_without_it': self.after, 'unit': self.unit}
 
 
 class _Tried(NamedTuple):
-    """A cause, the keys of the channels it affects, and the fraction of the error that remains."""
+    """
+    A cause that was tried.
+
+    The fields also hold the channels that the cause affects, and the fraction of the error that
+    remains when the effect of the cause is removed.
+    """
 
     cause: Cause
     keys: frozenset[tuple[str, str]]
@@ -110,19 +116,19 @@ def find_causes(motion: Motion, comparison: Comparison, align: Collection[str],
     """
     Return the likely causes of the errors.
 
-    The result contains at most one cause for each quantity of each sensor, and at most one cause
-    in the model.
+    At most one cause is returned for each quantity of each sensor, plus at most one for the model.
 
     Parameters
     ----------
     motion : Problem or Recorded
-        The motion before alignment, which begins with the start of the scene.
+        The motion before alignment. It begins with the initial state given in the scene.
     comparison : Comparison
-        The errors and the residual torque. Errors after `predictable_s` are ignored.
+        The comparison whose errors and residual torque are to be explained. Errors later than its
+        `predictable_s` are ignored.
     align : collection of str
         The names of the alignments that were fitted for `comparison`.
     track : callable, optional
-        Wraps the iteration over possible causes, to show progress.
+        Wraps the loop over the possible causes to show progress.
 
     """
     seconds = comparison.predictable_s
@@ -147,7 +153,11 @@ def find_causes(motion: Motion, comparison: Comparison, align: Collection[str],
 
 
 def _reducing(tried: Sequence[_Tried], open_keys: set[tuple[str, str]]) -> Iterator[Cause]:
-    """Generate the causes that leave the smallest errors; of similar causes, the simplest."""
+    """
+    Generate the causes that leave the smallest errors when they are removed.
+
+    If several causes leave about the same error, the simplest of these causes is preferred.
+    """
     while open_keys:
         good = [one for one in tried if one.left < _LEFT and one.keys <= open_keys]
         if not good:
@@ -169,13 +179,15 @@ def _of_sensors(motion: Motion, comparison: Comparison, align: Collection[str], 
     for sensor, fault in track(jobs, len(jobs)):
         names = [name for name in align if name.partition('@')[2] in ('', sensor.topic)]
         base = comparison.motion if fault.is_aligned else motion
-        with suppress(InputError, ValueError):  # no overlap in time, or the spin is too fast
+        # Skip a fault if its removal leaves no overlap between measurements and motion, or makes
+        # the body spin too fast.
+        with suppress(InputError, ValueError):
             undone = compared(base, [fault.measured], {*names, *fault.align}, _SAMPLES)
             yield from _judged(fault, undone, until_ns, wrong)
 
 
 def _narrowed(sensor: Measured, channels: Sequence[Channel]) -> Measured:
-    """Return a sensor that measures only the quantities of the given channels."""
+    """Return a sensor without the quantities that are not in the given channels."""
     kinds = {channel.kind for channel in channels}
     return replace(sensor, attitude=sensor.attitude if ATTITUDE in kinds else None,
                    angular_velocity=sensor.angular_velocity if RATE in kinds else None)
@@ -183,7 +195,7 @@ def _narrowed(sensor: Measured, channels: Sequence[Channel]) -> Measured:
 
 def _judged(fault: Fault, undone: Comparison, until_ns: int,
             wrong: dict[tuple[str, str], Channel]) -> Iterator[_Tried]:
-    """Generate a fault as a cause if a quantity that the fault affects can still be compared."""
+    """Generate a cause from a fault if any quantity that the fault affects can be compared."""
     after = [*channels_of(undone, until_ns)]
     text = f'{fault.measured.topic}: {fault.described(undone.alignments[0])}'
     changed = [one for one in after if _is_of(fault, one)]
@@ -194,13 +206,14 @@ def _judged(fault: Fault, undone: Comparison, until_ns: int,
     before = wrong[worst.key]
     cause = Cause(fault.name, text, before.median, worst.median, UNITS[worst.kind], worst.topic,
                   is_noise)
-    # Compare the ratio and the median, because undoing a scale factor changes the noise as well.
+    # Compare the median errors as well as the ratios of error to noise, because removing a scale
+    # factor also scales the noise.
     left = max(worst.ratio / before.ratio, worst.median / before.median)
     yield _Tried(cause, frozenset(one.key for one in changed), left)
 
 
 def _is_of(fault: Fault, channel: Channel) -> bool:
-    """Return whether a fault affects the quantity of a channel."""
+    """Return whether a fault affects the quantity that a channel contains."""
     if fault.name in ('quaternion_order', 'inverse_quaternion'):
         return channel.kind == ATTITUDE
     return fault.name != 'degrees' or channel.kind == RATE
@@ -208,7 +221,7 @@ def _is_of(fault: Fault, channel: Channel) -> bool:
 
 def _of_model(motion: Motion, comparison: Comparison, align: Collection[str], until_ns: int,
               wrong: dict[tuple[str, str], Channel]) -> Iterator[_Tried]:
-    """Generate causes that affect all channels: faults of the start, the torques and the body."""
+    """Generate the causes in the model, such as a wrong start, torque or inertia."""
     if not isinstance(motion, Problem):
         return
     keys, residual = frozenset(wrong), comparison.residual_torque

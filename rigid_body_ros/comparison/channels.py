@@ -13,11 +13,13 @@
 # limitations under the License.
 
 """
-The errors of one quantity of one sensor, compared with the noise of the sensor.
+Compare the errors of one measured quantity with the noise of its sensor.
 
-The spread is the standard deviation of the noise. It is estimated from how errors change from one
-sample to the next, so a wrong model does not enlarge the spread. Errors are compatible with the
-noise if outliers are rare and do not cluster, and if errors persist no longer than sensor noise.
+The spread is the standard deviation of the noise. It is estimated from how much the errors change
+between neighbouring samples. An incorrect model hardly affects this estimate, because the errors
+that it causes change slowly.
+The errors count as noise if outliers are rare and do not come in clusters, and if the errors do
+not persist for longer than sensor noise would.
 """
 
 from __future__ import annotations
@@ -41,16 +43,16 @@ from rigid_body_ros.sensing.noise import (
     noise_of,
 )
 
-#: Ratio of the standard deviation of normal noise to the median magnitude of this noise.
+#: Ratio of the standard deviation of normal noise to its median absolute value.
 _NORMAL = 1.4826
-#: An error above `_OUTLIER` spreads is an outlier. If a sensor has no fault, at most the fraction
-#: `_SCATTERED` of its errors are outliers.
+#: An error is an outlier if it exceeds `_OUTLIER` times the spread. If outliers make up more than
+#: the fraction `_SCATTERED` of the errors, the errors are not just noise.
 _OUTLIER, _SCATTERED = 15.0, 0.3
-#: Errors below this number, rad or rad/s, count as rounding errors.
+#: Errors below this limit, in rad or rad/s, are treated as rounding errors.
 _ROUNDING = 1e-7
-#: Lower limit of the spread of an axis, relative to the largest spread of the three axes.
+#: The spread of an axis is at least this fraction of the largest spread of the three axes.
 _LEAST = 1e-3
-#: Duration of the batches in which errors are compared with noise, s.
+#: Errors are compared with the noise in batches of this duration, s.
 _BATCH = 1.0
 ATTITUDE, RATE = 'rotation_vectors', 'rates'
 UNITS = {ATTITUDE: 'rad', RATE: 'rad/s'}
@@ -79,12 +81,12 @@ class Channel:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Return the topic and the kind, which identify the channel."""
+        """Return the topic and the kind, which together identify the channel."""
         return self.topic, self.kind
 
     @cached_property
     def spread(self) -> Floats:
-        """Estimate the standard deviation of the noise of each axis from adjacent samples."""
+        """Return the standard deviation of the noise on each axis, from neighbouring samples."""
         before, here, after = self.seconds[:-2], self.seconds[1:-1], self.seconds[2:]
         share = ((here - before) / (after - before))[:, None]
         left = np.abs(self._curved(share)) / np.sqrt(1.0 + share ** 2 + (1.0 - share) ** 2)
@@ -92,7 +94,7 @@ class Channel:
         return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))
 
     def _curved(self, share: Floats) -> Floats:
-        """Return how far each error is from the line through the previous and the next error."""
+        """Return the deviation of each error from the line between its two neighbours."""
         if self.kind != ATTITUDE:
             return self.errors[1:-1] - (1.0 - share) * self.errors[:-2] - share * self.errors[2:]
         turns = so3.exp(self.errors)  # rotation vectors are discontinuous at half a turn
@@ -102,7 +104,7 @@ class Channel:
 
     @cached_property
     def outliers(self) -> NDArray[np.bool_]:
-        """Return which errors are outliers: much larger than the spread."""
+        """Return a mask of the outliers: errors that are much larger than the spread."""
         return np.asarray((np.abs(self.errors) > _OUTLIER * self.spread).any(axis=1))
 
     @property
@@ -112,12 +114,12 @@ class Channel:
 
     @property
     def ratio(self) -> float:
-        """Return the median error, divided by the median error of noise with the same spread."""
+        """Return the median error divided by the median error that pure noise would have."""
         return float(np.median(np.abs(self.errors) / self.spread)) * _NORMAL
 
     @cached_property
     def is_noise(self) -> bool:
-        """Return whether the errors are compatible with the noise of a sensor."""
+        """Return whether sensor noise alone can explain the errors."""
         if np.median(np.abs(self.errors)) <= _ROUNDING:
             return True
         if self.outliers.mean() > _SCATTERED or come_together(self.outliers):
@@ -130,7 +132,7 @@ class Channel:
 
 
 def channels_of(comparison: Comparison, until_ns: int = NEVER_NS) -> Iterator[Channel]:
-    """Generate the channels of a comparison; each contains the samples up to a given time."""
+    """Generate the channels of a comparison, with the samples up to the time `until_ns`."""
     for errors in comparison.errors:
         rows = errors.times_ns <= until_ns
         seconds = np.asarray(1e-9 * (errors.times_ns[rows] - comparison.motion.start.time_ns),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Guess the clock offset and the mounting of a sensor without prior knowledge."""
+"""Find a first guess of the clock offset and the mounting of a sensor, from the data alone."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: Largest clock offset that the search can find, s.
+#: The largest clock offset that the search can find, s.
 LARGEST_OFFSET = 10.0
-#: Maximum number of points in the time grid of the search.
+#: The search samples the angular velocities on a grid with at most this many points in time.
 _POINTS = 2 ** 20
-#: At least this fraction of the measurement must lie within the motion.
+#: An offset is considered only if at least this fraction of the measurement overlaps the motion.
 _OVERLAP = 0.5
-#: A local minimum counts as equal to the smallest cost if it exceeds the smallest cost by at most
-#: this fraction of the difference between the median cost and the smallest cost. Of equal minima,
-#: the search chooses the minimum with the smallest absolute offset.
+#: Tolerance for ties between local minima, as a fraction of the difference between the median cost
+#: and the smallest cost. A minimum that exceeds the smallest cost by no more than this is a tie.
+#: Among tied minima, the search chooses the one with the smallest absolute offset.
 _SAME = 0.01
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -42,22 +42,25 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
           mounts: Sequence[bool]) -> list[tuple[float, Floats, Floats]]:
     """
-    Guess the clock offset, s, and the rotations of the mounting and of the space axes.
+    Guess clock offsets and mountings, and the rotation of the space axes.
 
     Parameters
     ----------
     motion : Problem or Recorded
-        The motion that the sensors are aligned with.
+        The motion to align the sensors with.
     sensors : sequence of Measured
-        The sensor with the most attitudes determines the rotation of the space axes.
+        The measurements. The rotation of the space axes is determined from the sensor with the
+        most attitudes.
     clocks, mounts : sequence of bool
-        For each sensor, whether to guess the offset and the rotations. An offset that is not
-        requested is zero. A rotation that is not requested is the identity.
+        For each sensor, whether to guess its clock offset, and whether to guess its rotations.
+        A clock offset that is not requested is zero, and a rotation that is not requested is the
+        identity.
 
     Returns
     -------
     list of tuple
-        For each sensor, the clock offset, the mounting and the rotation of the space axes.
+        For each sensor, the clock offset, s, and two quaternions: the rotation of the mounting and
+        the rotation of the space axes.
 
     """
     space, most, found = _IDENTITY, 0, []
@@ -72,10 +75,10 @@ def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
 
 
 def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:
-    """Return the offset, s, at which measured and computed angular velocities agree best."""
+    """Return the clock offset, s, for which the measured and computed rates agree best."""
     from scipy.ndimage import median_filter
     stamps_ns, rates = measured_rates(sensor)
-    rates = median_filter(rates, (5, 1), mode='nearest')  # removes single outliers
+    rates = median_filter(rates, (5, 1), mode='nearest')  # removes isolated outliers
     first_ns, last_ns = int(stamps_ns[0]), int(stamps_ns[-1])
     step_ns = max(int(np.median(np.diff(stamps_ns))), (last_ns - first_ns) // _POINTS, 1000)
     most = round(1e9 * LARGEST_OFFSET) // step_ns
@@ -93,11 +96,11 @@ def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:
 def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
               mount: bool) -> float:
     """
-    Return the lag, in steps of the grid, at which the mean squared difference is smallest.
+    Return the lag, in grid steps, that minimizes the mean squared difference of the rates.
 
-    If the mounting is unknown, each difference is computed after the rotation that minimizes it:
-    the sum of the singular values of the correlation matrix then replaces the trace of this matrix
-    (Kabsch, 1976).
+    If the mounting is unknown, the measured rates are first rotated, at each lag, so that they
+    agree with the computed rates as well as possible. The sum of the singular values of the
+    correlation matrix then takes the place of the trace of this matrix (Kabsch, 1976).
     """
     from scipy import fft  # slow to import
     count = measured.shape[1]
@@ -137,7 +140,7 @@ def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
 
 def _mounting(motion: Motion, sensor: Measured, offset_ns: int
               ) -> tuple[Floats, Floats]:
-    """Return the rotations of the mounting and of the space axes that fit a sensor best."""
+    """Return the best-fitting rotations for a sensor: of its mounting, and of the space axes."""
     times_ns = sensor.stamps_ns + offset_ns
     within = inside(motion, times_ns)
     if within.sum() < 2:
@@ -158,7 +161,7 @@ def _mounting(motion: Motion, sensor: Measured, offset_ns: int
 
 
 def _stride(attitude: Floats) -> int:
-    """Return the number of samples in which the body turns by about one radian."""
+    """Return the number of samples that the body takes to turn by about one radian."""
     angles = so3.angle_between(attitude[:-1], attitude[1:])
     usual = max(float(np.median(angles)), 1e-9)
     return int(np.clip(1.0 / usual, 1, max(len(attitude) // 4, 1)))
@@ -166,9 +169,9 @@ def _stride(attitude: Floats) -> int:
 
 def kabsch(vectors: Floats, targets: Floats) -> Floats:
     """
-    Return the quaternion x y z w that best turns vectors into targets.
+    Return the rotation that best maps vectors to targets, as a quaternion x y z w.
 
-    Outliers have less weight than the other vectors.
+    Outliers are given less weight.
 
     Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
     """
@@ -184,7 +187,7 @@ def kabsch(vectors: Floats, targets: Floats) -> Floats:
 
 def davenport(attitudes: Floats) -> Floats:
     """
-    Return the mean of attitudes, with less weight on outliers.
+    Return the mean of several attitudes, giving less weight to outliers.
 
     The mean is the eigenvector of the largest eigenvalue of the sum of q q^T (Davenport, 1968;
     Markley et al., "Averaging quaternions", 2007).

@@ -44,7 +44,7 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     """
     Compare a measured motion with the motion computed from torques.
 
-    The motion is computed at the measured stamps, without interpolation.
+    The motion is computed exactly at the stamps of the measurements, so nothing is interpolated.
 
     Parameters
     ----------
@@ -53,23 +53,23 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     measured : Measured or sequence of Measured
         The measurements of one or more sensors.
     align : collection of str
-        What to fit. 'start' fits the initial attitude and angular velocity. 'clock' fits a
-        constant time offset of each sensor, up to 10 s. 'mount' fits two kinds of constant
-        rotations: between the axes of each sensor and the body axes, and between the space axes of
-        the measurements and the space axes of the motion. 'clock@TOPIC' and 'mount@TOPIC' fit one
-        sensor only. If 'mount' fits a sensor with attitudes, 'start' fits only the angular
-        velocity, because a rotation of the space axes has the same effect as a different initial
-        attitude.
+        What to fit before the comparison. 'start' fits the initial attitude and angular velocity.
+        'clock' fits a constant clock offset for each sensor, up to 10 s. 'mount' fits a constant
+        rotation between the axes of each sensor and the body axes, and another between the space
+        axes of the measurements and the space axes of the motion. Use 'clock@TOPIC' or
+        'mount@TOPIC' to fit a single sensor. If 'mount' applies to a sensor with attitudes,
+        'start' fits only the angular velocity, because rotating the space axes has the same effect
+        as changing the initial attitude.
     horizons : sequence of float or None, s
-        For each horizon, restart the motion from the measurement at intervals of this length, and
-        return the error at the end of each interval. None selects the default horizons: 0.1, 1 and
-        10 s, except horizons shorter than the time between two samples or longer than the
+        For each horizon, the motion is restarted from measured states at intervals of this length,
+        and the error at the end of each interval is returned. If None, the horizons are 0.1, 1 and
+        10 s, except those that are shorter than the time between two samples or longer than the
         measurement.
     causes : bool
         Whether to look for likely causes of the errors. The search computes about ten more
         motions.
     others
-        Keyword arguments of `Problem`, such as the wheels and the options of the solver. `changes`
+        Other keyword arguments of `Problem`, such as the wheels or the solver options. `changes`
         is not allowed.
 
     Returns
@@ -79,7 +79,7 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     Raises
     ------
     InputError
-        No sample lies within the motion, or a name in `align` is unknown.
+        No sample lies within the time span of the motion, or a name in `align` is unknown.
     ValueError
         `propagate` or `Measured.check` rejects an argument; a horizon is not positive; or
         `changes` are given.
@@ -92,14 +92,18 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     if problem.changes:
         raise ValueError(f'changes: expected a body that does not change, found '
                          f'{len(problem.changes)} changes, which only `propagate` computes')
-    # A restart begins with the momentum of the rotors, not with the speeds of the wheels.
+    # Replace named wheels by rotors, because restarts set rotor momenta, not wheel speeds.
     return compare_motion(problem.carried(), sensors, align, horizons, causes)
 
 
 def compare_motion(motion: Motion, measured: Sequence[Measured],
                    align: Collection[str] = (), horizons: Sequence[float] | None = (),
                    causes: bool = True, track: Track = no_progress) -> Comparison:
-    """Do the same as `compare` for a problem or a recorded motion, and show progress."""
+    """
+    Compare measurements with a motion that is given as a problem or as a recorded motion.
+
+    The comparison is the same as in `compare`. The function `track` shows the progress.
+    """
     for seconds in horizons or ():
         if not duration_ns(seconds, 'horizons'):
             raise ValueError(f'horizons: expected positive seconds, found {seconds}')

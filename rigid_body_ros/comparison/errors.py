@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors of a measured motion: measured minus computed, after alignment."""
+"""The errors of a measured motion: what was measured minus what was computed."""
 
 from __future__ import annotations
 
@@ -23,25 +23,26 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Quantities that are compared: name, unit, and attribute of `Errors`.
+#: The quantities that are compared. Each has a name, a unit, and an attribute of `Errors`.
 QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')
 
 
 @dataclass(frozen=True, eq=False)
 class Errors:
     """
-    The errors of one sensor: measured minus computed.
+    The errors of one sensor after alignment: measured minus computed values.
 
     Attributes
     ----------
     topic : str
     times_ns : array of int64, shape (n,)
-        The measured stamps plus the clock offset: the times on the clock of the motion.
+        The times of the measurements on the clock of the motion: their stamps plus the clock
+        offset.
     rotation_vectors : array, shape (n, 3), rad, body axes, optional
-        Rotations from the computed to the measured attitude; None if the sensor measures no
+        Rotations from the computed to the measured attitudes; None if the sensor does not measure
         attitudes.
     rates : array, shape (n, 3), rad/s, body axes, optional
-        Errors of the angular velocity; None if the sensor measures no angular velocities.
+        Errors of the angular velocity; None if the sensor does not measure angular velocities.
 
     """
 
@@ -53,12 +54,12 @@ class Errors:
 
 def statistics(vectors: Floats | None, final: bool = False) -> dict[str, Any]:
     """
-    Return statistics of the lengths of vectors, and the rms of each component.
+    Return statistics of the lengths of some vectors, and the rms value of each component.
 
     Parameters
     ----------
     vectors : array, shape (n, 3), optional
-        If there are no vectors (None or no rows), every statistic is None.
+        The vectors. All statistics are None if this array is None or has no rows.
     final : bool
         Whether to include 'final', the length of the last vector.
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors of a motion at a given time after restarts from the measurement."""
+"""Restart a motion from measured states, and compute the error some time after each restart."""
 
 from __future__ import annotations
 
@@ -31,33 +31,35 @@ from rigid_body_ros.sensing.alarms import Judgement
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
-#: Maximum number of samples from which the state at a restart is estimated.
+#: The state at a restart is estimated from at most this many samples.
 _SAMPLES = 11
-#: Default horizons, s, and maximum number of windows per horizon.
+#: The default horizons, s, and the maximum number of windows for each horizon.
 _USUAL, _WINDOWS = (0.1, 1.0, 10.0), 500
-#: Shortest horizon, in intervals between samples. It is less than 1 because the intervals jitter.
+#: The shortest horizon, as a multiple of the time between samples. It is slightly less than 1 to
+#: allow for jitter.
 _SHORTEST = 0.99
-#: The state at a restart is corrected at most `_CORRECTIONS` times. The corrections end when a
-#: correction is below the angle `_CORRECTED`, rad, or the fraction `_NEGLIGIBLE` of the median
-#: error.
+#: The estimate of the state at a restart is corrected at most `_CORRECTIONS` times. The estimate
+#: has converged when a correction is smaller than `_CORRECTED`, rad, or smaller than the fraction
+#: `_NEGLIGIBLE` of the median error.
 _CORRECTIONS, _CORRECTED, _NEGLIGIBLE = 8, 1e-10, 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
     """
-    Errors after a restart from the measurement.
+    The errors that build up within one horizon after each restart from a measured state.
 
     Attributes
     ----------
     seconds : float, s
-        The length of a window. The motion is restarted at the beginning of each window.
+        The horizon, which is the length of a window. The motion is restarted at the beginning of
+        each window.
     angles : array, shape (n,), rad
-        Attitude error at the end of each window.
+        The attitude error at the end of each window.
     judgements : tuple of Judgement
-        The results of a live check (`Monitor`) with windows of this length. Empty for default
-        horizons, and if the scene does not set the noise of the sensors or a live check does not
-        accept the problem.
+        What a live check (`Monitor`) would report with windows of this length. The tuple is empty
+        if the default horizons are used, if the scene does not give the sensor noise, or if the
+        problem is not suitable for a live check.
 
     """
 
@@ -68,10 +70,10 @@ class Horizon:
 
 def usual_horizons(sensors: Sequence[Measured]) -> list[float]:
     """
-    Return the default horizons that suit the first sensor with attitudes.
+    Return those default horizons that suit the first sensor with attitudes.
 
-    They are not shorter than the usual time between two samples, and not longer than the
-    measurement.
+    A suitable horizon is at least as long as the usual time between two samples, and no longer
+    than the measurement.
     """
     stamps_ns = next((one.stamps_ns for one in sensors if one.attitude is not None), np.empty(0))
     if len(stamps_ns) < 2:
@@ -83,24 +85,25 @@ def usual_horizons(sensors: Sequence[Measured]) -> list[float]:
 def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
             track: Track = no_progress) -> Horizon:
     """
-    Restart the motion from the measurement, and return the errors one horizon later.
+    Restart a motion repeatedly from measured states, and return the errors one horizon later.
 
-    The state at a restart is estimated from the samples in the first fifth of the horizon: at
-    least two and at most eleven samples. The motion is propagated from the first of these samples.
-    A straight line over time is fitted to the errors, and corrects the state. Of more than 500
-    restarts, at most 500 are computed, evenly spaced.
+    The state at each restart is estimated from the samples in the first fifth of the horizon, but
+    from at least two and at most eleven samples. The estimate is refined in several steps. Each
+    step propagates the motion from the first of these samples, fits a straight line in time to the
+    errors, and uses the line to correct the state. If the measurement is long enough for more than
+    500 restarts, at most 500 evenly spaced restarts are computed.
 
     Parameters
     ----------
     problem : Problem
         The model to restart.
     sensors : sequence of Measured
-        Measurements, converted to the clock and the axes of the motion. The first sensor with
-        attitudes is used, including any angular velocities that it measures.
+        Measurements, converted to the clock and the axes of the motion. Only the first sensor with
+        attitudes is used, together with any angular velocities that it measures.
     seconds : float, s
         The horizon.
     track : callable, optional
-        Wraps the iteration over windows, to show progress.
+        Wraps the loop over the windows to show progress.
 
     Raises
     ------
@@ -120,7 +123,7 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
         raise InputError(f'{sensor.topic}: expected a horizon of at least '
                          f'{1e-9 * spacing_ns:g} s, the time between two samples, found '
                          f'{seconds:g} s')
-    # A sample may be late by up to half an interval.
+    # Accept samples that are late by up to half the time between samples.
     half_ns = spacing_ns // 2
     _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
     momenta = problem.rotor_momentum(stamps_ns[rows])
@@ -146,7 +149,7 @@ def _error(problem: Problem, sensor: Measured, window: tuple[int, int], step_ns:
 
 
 def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
-    """Fit the motion to a few samples, and return its state at the first sample."""
+    """Fit a motion to a few samples, and return the state of the motion at the first sample."""
     assert samples.attitude is not None
     first_ns, (_, rates) = int(samples.stamps_ns[0]), measured_rates(samples)
     start = State(first_ns, samples.attitude[0], np.median(rates, axis=0), momentum)
@@ -159,7 +162,7 @@ def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
             at=samples.stamps_ns)
         vectors, rate_errors = errors_of(samples, motion)
         assert vectors is not None
-        # Convert to space axes, in which a constant attitude error has constant components.
+        # Work in space axes, where the components of a constant attitude error do not change.
         vectors = so3.rotate(motion.attitude, vectors)
         offset, drift = _line(columns, vectors)
         turn = so3.conjugate(start.attitude)
@@ -175,7 +178,7 @@ def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
 
 
 def _line(columns: Floats, values: Floats) -> Floats:
-    """Return the least-squares coefficients of the columns, with less weight on outliers."""
+    """Fit a linear combination of columns to values, giving less weight to outliers."""
     weights = np.ones((len(values), 1))
     for _ in range(3):
         found = np.linalg.lstsq(weights * columns, weights * values, rcond=None)[0]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Motions to compare with measurements: propagated motions and recorded motions."""
+"""Propagated and recorded motions that measurements can be compared with."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Recorded:
     Parameters
     ----------
     samples : Measured
-        The samples, which must contain attitudes and angular velocities.
+        The samples of the motion. They must contain both attitudes and angular velocities.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Recorded:
         self.end_ns = int(stamps_ns[-1])
 
     def propagate(self, *, at: NDArray[np.int64]) -> Poses:
-        """Return the states at times between samples; see `hermite.between`."""
+        """Return the states at the given times, interpolated by `hermite.between`."""
         stamps_ns, (attitude, rates) = self._stamps_ns, self._poses
         rows = np.clip(np.searchsorted(stamps_ns, at, 'right') - 1, 0, len(stamps_ns) - 2)
         span = np.diff(stamps_ns)[rows] * 1e-9
@@ -65,7 +65,8 @@ class Recorded:
                                       (attitude[rows + 1], rates[rows + 1]), span, part))
 
 
-#: The type of a motion that measurements are compared with, and the type of its states.
+#: `Motion` is the type of a motion that measurements can be compared with. `States` is the type of
+#: the states of the motion.
 Motion = Problem | Recorded
 States = Trajectory | Poses
 
@@ -76,13 +77,22 @@ def span_of(motion: Motion) -> tuple[int, int]:
 
 
 def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> NDArray[np.bool_]:
-    """Return which times lie within a motion, and at least `margin_ns` away from both ends."""
+    """
+    Return a mask of the times that are inside a motion.
+
+    These times are at least `margin_ns` after the start and before the end of the motion.
+    """
     first_ns, last_ns = span_of(motion)
     return (times_ns >= first_ns + margin_ns) & (times_ns <= last_ns - margin_ns)
 
 
 def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
-    """Divide the states at the samples of all sensors into one part for each sensor."""
+    """
+    Divide states among sensors, and return one set of states for each sensor.
+
+    The argument `states` holds the states at the samples of the first sensor, followed by those of
+    the other sensors.
+    """
     ends = np.cumsum([0, *map(len, sensors)]).tolist()
     every = Poses(states.attitude, states.angular_velocity)
     return [every.rows(slice(*part)) for part in pairwise(ends)]

@@ -32,22 +32,23 @@ RESIDUAL_TORQUE = '/residual_torque'
 
 def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
     """
-    Write the errors and the residual torque of a comparison.
+    Write the errors and the residual torque of a comparison to a recording.
 
     Parameters
     ----------
     path : str or Path
-        An MCAP file or, if the name does not end in .mcap, a new rosbag2 folder.
+        The recording to write: an MCAP file if the name ends in .mcap, otherwise a new rosbag2
+        folder.
     comparison : Comparison
-        The comparison. The stamps of the messages are times on the clock of the motion. The errors
-        of all sensors are written to the same topics.
+        The comparison. Messages are stamped with the clock of the motion, and all sensors share
+        the same error topics.
     body_frame : str
         The frame_id of all messages.
 
     Raises
     ------
     InputError
-        The output cannot be written.
+        The recording cannot be written.
 
     """
     with writer_of(path) as writer:

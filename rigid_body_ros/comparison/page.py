@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the page of a comparison."""
+"""Assemble the HTML page that shows a comparison."""
 
 from __future__ import annotations
 
@@ -42,30 +42,31 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.torque_panels import residual_panels
 
-#: The median magnitude of a normal variable, in standard deviations.
+#: Median absolute value of a normal variable with a standard deviation of 1.
 _MEDIAN = 0.6745
 
 
 def page(comparison: Comparison, name: str, scene: Scene, command: str,
          degrees: bool = False, verdict: Sequence[tuple[str, str]] = ()) -> Page:
     """
-    Return the page of a comparison.
+    Return a page that shows a comparison.
 
     Parameters
     ----------
     comparison : Comparison
-        The comparison. The page animates the body if the motion was computed.
+        The comparison. If the motion was computed rather than recorded, the page animates the
+        body.
     name : str
         Name of the recording.
     scene : Scene
         The scene of the motion.
     command : str
-        The command line.
+        The command line that made the comparison.
     degrees : bool
         Whether to show angles in degrees.
     verdict : sequence of (str, str)
-        Names and texts of rows. The rows say whether the model explains the measurements and, if
-        not, why. Empty if the user did not ask for a verdict.
+        Rows of the form (name, text). The rows say whether the model explains the measurements
+        and, if the model does not, why. Empty if the user did not ask for a verdict.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
@@ -82,7 +83,11 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
 
 
 def _size(comparison: Comparison, degrees: bool) -> str:
-    """Return text with the rms attitude error or, without attitudes, the rms rate error."""
+    """
+    Return the rms attitude error as text.
+
+    If there are no attitudes, return the rms rate error instead.
+    """
     label, unit, attribute = next(each for each in QUANTITIES if comparison.of(each[2]))
     factor, unit = scaled(unit, degrees)
     errors = comparison.pooled(attribute)
@@ -107,7 +112,7 @@ def _panels(comparison: Comparison, aligned: Sequence[Measured],
 
 def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
                start_ns: int) -> Iterator[Panel]:
-    """Generate panels with measured and computed curves, and panels with the errors."""
+    """Generate the panels of one sensor: measured and computed curves, and their differences."""
     samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
     states = motion.propagate(at=errors.times_ns)
     for name, unit, measured, computed, (label, error_unit, attribute) in (
@@ -126,10 +131,10 @@ def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
 
 def _noise(errors: Floats) -> float:
     """
-    Return the standard deviation of the noise in errors.
+    Estimate the standard deviation of the noise in some errors.
 
-    The estimate uses the distance of each sample from the mean of the samples before and after it.
-    Errors that change little between samples, such as errors of the model, do not contribute.
+    The estimate is based on how far each sample is from the mean of its two neighbours. Slowly
+    changing errors, such as model errors, therefore hardly contribute.
     """
     if len(errors) < 3:
         return 0.0
@@ -138,7 +143,7 @@ def _noise(errors: Floats) -> float:
 
 
 def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
-    """Generate a panel that shows the attitude error over the time since a restart."""
+    """Generate a panel that shows how the attitude error grows with the time after a restart."""
     horizons = sorted((horizon for horizon in comparison.horizons if len(horizon.angles)),
                       key=lambda horizon: horizon.seconds)
     if not horizons:
@@ -157,7 +162,11 @@ def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
 
 def _body(problem: Problem, aligned: Sequence[Measured],
           stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """Return an animation of the computed motion and, if measured, of the measured attitude."""
+    """
+    Return an animation of the computed motion.
+
+    The animation also shows the measured attitude, if an attitude was measured.
+    """
     body = moving_body.of_motion(problem, stamps_ns)
     for sensor in aligned:
         if sensor.attitude is not None and len(sensor):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Draw a comparison."""
+"""Draw the errors of a comparison into a PNG file."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
     Parameters
     ----------
     path : str or Path
-        The PNG file. Its name may have any suffix, and an existing file is overwritten.
+        The PNG file, with any suffix. An existing file is overwritten.
     comparison : Comparison
-        The comparison. The errors of each quantity are drawn for the first sensor that measures
-        the quantity.
+        The comparison. For each quantity, the figure shows the errors of the first sensor that
+        measures it.
     name : str
         Name of the recording, for the title.
 
@@ -45,7 +45,7 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
         The file cannot be written.
 
     """
-    from rigid_body_ros.report import figures  # matplotlib takes long to load
+    from rigid_body_ros.report import figures  # matplotlib is slow to import
     panels = [figures.Series(label, unit, errors.times_ns, getattr(errors, attribute))
               for label, unit, attribute in QUANTITIES
               for errors in comparison.of(attribute)[:1]]

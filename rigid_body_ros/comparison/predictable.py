@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The time over which a motion can be predicted from a measured start."""
+"""Estimate how long a motion can be predicted from a start that was measured with noise."""
 
 from __future__ import annotations
 
@@ -25,32 +25,34 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 
-#: Standard deviation of the attitude, rad, above which the motion is no longer predictable.
+#: A motion counts as unpredictable when the standard deviation of its attitude exceeds this limit,
+#: rad.
 _LOST = 0.1
-#: The start is estimated from a measurement of this duration, s, with at least this many samples.
+#: The start is assumed to be estimated from `_SPAN` seconds of the measurement, but from at least
+#: `_FEWEST` samples.
 _SPAN, _FEWEST = 1.0, 11
-#: Change of the start for finite differences, rad or rad/s, and number of instants at
-#: which the uncertainty is computed.
+#: `_STEP` is the finite-difference step for changes of the start, rad or rad/s. `_INSTANTS` is the
+#: number of times at which the uncertainty is computed.
 _STEP, _INSTANTS = 1e-7, 1000
 
 
 def predictable_s(problem: Problem, channels: Sequence[Channel]) -> float | None:
     """
-    Return the time after which the uncertainty of the start alone explains an error of 0.1 rad.
+    Return the time after which the uncertainty of the start alone causes an error of 0.1 rad.
 
-    The function assumes that the start was estimated from one second of the measurement.
+    The start is assumed to be estimated from one second of the measurement.
 
     Parameters
     ----------
     problem : Problem
         The model.
     channels : sequence of Channel
-        The errors of the measured quantities, with their noise.
+        The errors of each measured quantity, from which its noise is estimated.
 
     Returns
     -------
     float, s, or None
-        Time since the start; None if the motion can be predicted up to the last sample.
+        The time since the start; None if the motion is predictable up to the last sample.
 
     """
     end = max((float(channel.seconds[-1]) for channel in channels), default=0.0)
@@ -71,7 +73,12 @@ def predictable_s(problem: Problem, channels: Sequence[Channel]) -> float | None
 
 
 def _deviations(channels: Sequence[Channel]) -> Floats:
-    """Return standard deviations of the start, rad and rad/s; 0 for an unmeasured attitude."""
+    """
+    Return the standard deviations of the start.
+
+    The first three values are for the attitude, rad, and the last three for the angular velocity,
+    rad/s. If the attitude is not measured, the first three values are 0.
+    """
     found: Floats = np.full(6, np.inf)
     for channel in channels:
         spacing = float(np.median(np.diff(channel.seconds)))
@@ -79,7 +86,8 @@ def _deviations(channels: Sequence[Channel]) -> Floats:
         mean = channel.spread / np.sqrt(count)
         if channel.kind == ATTITUDE:
             found[:3] = np.minimum(found[:3], mean)
-            # Standard deviation of a rate that is the slope of a line through the samples.
+            # The rate is the slope of a line fitted to the attitudes, so compute the standard
+            # deviation of this slope.
             mean = mean * np.sqrt(12.0) / (count * spacing)
         found[3:] = np.minimum(found[3:], mean)
     if not any(channel.kind == ATTITUDE for channel in channels):

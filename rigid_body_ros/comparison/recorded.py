@@ -44,22 +44,22 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
                       horizons: Sequence[float] | None = None,
                       track: Track = no_progress) -> Comparison:
     """
-    Compare measured topics of a recording with the motion computed from the recorded torques.
+    Compare the measurements in a recording with the motion computed from its torques.
 
     Parameters
     ----------
     path, scene
         The recording and the scene, as for `read_observed`.
     reading : Reading, optional
-        What to read from the recording.
+        Which topics to read from the recording, and how.
     motion : str or Path, optional
-        A recording of the motion to compare with, such as the output of a replay. If None, the
-        motion is computed.
+        A recording of the motion to compare with, such as the output of a replay. By default, the
+        motion is computed from the torques.
     align, horizons
-        What to fit, and the horizons, as for `compare`. If `horizons` is not given, the default
-        horizons are computed.
+        What to fit, and which horizons to use, as for `compare`. If `horizons` is None, the
+        default horizons are used.
     track : callable
-        Wraps the iteration over restarts and possible causes, to show progress.
+        Wraps the loops over restarts and over possible causes to show progress.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     if motion is None:
         searched = LARGEST_OFFSET if moves_clocks else 0.0
         stated, during = read_observed(path, scene, reading, searched, may_command=True)
-        # A restart begins with the momentum of the rotors, not with the speeds of the wheels.
+        # Replace named wheels by rotors, because restarts set rotor momenta, not wheel speeds.
         try:
             moved = stated.carried()
         except ValueError as error:
@@ -87,7 +87,8 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
     try:
         sensors = during.until_end()
-        if moves_clocks and during.is_followed:  # with offsets, samples may be in the next epoch
+        # A clock offset can move the last samples into the next epoch.
+        if moves_clocks and during.is_followed:
             sensors = during.until_end([one.clock_offset_s for one
                                         in aligned_by(moved, sensors, align)])
         found = compare_motion(moved, sensors, align, horizons, track=track)
@@ -98,21 +99,21 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
             moved, sensors, settings_of(scene.values)._replace(window=one.seconds))))
             for one in found.horizons))
     left_out = sum(map(len, during.sensors)) - sum(map(len, sensors))
-    # A file name may contain bytes that are not text.
+    # A file name may contain bytes that cannot be decoded as text.
     return replace(found, recording=Path(path).name.encode(errors='replace').decode(),
                    left_out=found.left_out + left_out)
 
 
 def read_motion(path: str | Path, scene: Scene) -> Recorded:
     """
-    Return a recorded motion: attitudes with angular velocities.
+    Read a motion, with attitudes and angular velocities, from a recording.
 
     Raises
     ------
     InputError
-        The file contains neither the topics of a replay (/attitude and /angular_velocity) nor a
-        single topic with attitudes and angular velocities; or the stamps on the two topics of a
-        replay differ.
+        The recording contains neither the two topics of a replay, /attitude and /angular_velocity,
+        nor a single topic with both attitudes and angular velocities; or the two topics of a
+        replay have different stamps.
 
     """
     found = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The result of a comparison."""
+"""The result of a comparison, and its conversion to text."""
 
 from __future__ import annotations
 
@@ -45,28 +45,30 @@ class Comparison:
     Attributes
     ----------
     measured : tuple of Measured
-        The measurements before alignment.
+        The measurements of each sensor before alignment.
     alignments : tuple of Alignment
-        One alignment for each sensor.
+        The alignment of each sensor.
     errors : tuple of Errors
         The errors of each sensor, after alignment.
     left_out : int
-        Number of samples before the start or after the end of the motion.
+        Number of samples that were left out of the comparison because they are before the start or
+        after the end of the motion.
     horizons : tuple of Horizon
-        Errors after restarts from the measurement.
+        For each horizon, the errors of motions that restart from measured states.
     residual_torque : ResidualTorque, optional
-        The torque that the model lacks. None for a recorded motion, or if the measurement is too
-        short.
+        The torque that is missing from the model. None if the motion was recorded rather than
+        computed, or if the measurement is too short.
     motion : Problem or Recorded
-        The motion that the measurements are compared with. It begins with the fitted start if the
-        start was fitted.
+        The motion that the measurements are compared with. If the start was fitted, the motion
+        begins with the fitted start.
     recording : str
         Name of the recording; empty if there is no recording.
     causes : tuple of Cause
         Likely causes of the errors.
     predictable_s : float, optional
-        Time since the start, s, after which the uncertainty of a measured start alone explains
-        errors of 0.1 rad. None if the last sample is before this time, or for a recorded motion.
+        Time since the start, s, after which the uncertainty of a measured start alone causes
+        errors of 0.1 rad. None if the measurement ends before this time, or if the motion was
+        recorded rather than computed.
 
     """
 
@@ -98,7 +100,7 @@ class Comparison:
 
     @property
     def span_s(self) -> float:
-        """Return the time from the first sample to the last, s."""
+        """Return the time between the first and the last sample, s."""
         times_ns = np.concatenate([errors.times_ns for errors in self.errors])
         return 1e-9 * float(np.ptp(times_ns))
 
@@ -115,9 +117,10 @@ class Comparison:
 
     def pooled(self, name: str) -> Floats | None:
         """
-        Return the 'rotation_vectors' or 'rates' of all sensors, sorted by time.
+        Return the errors of all sensors in one array, sorted by time.
 
-        Return None if no sensor measures this quantity within the motion.
+        The argument `name` is 'rotation_vectors' or 'rates'. The result is None if no sensor
+        measures this quantity during the motion.
         """
         chosen = self.of(name)
         if not chosen:
@@ -127,7 +130,7 @@ class Comparison:
         return np.asarray(values[np.argsort(times_ns, kind='stable')])
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as JSON types; the names include the units."""
+        """Return the result as JSON types, with units in the names of the keys."""
         torque = self.residual_torque
         found: dict[str, Any] = {
             'recording': self.recording, 'measured': [errors.topic for errors in self.errors],
@@ -148,14 +151,18 @@ class Comparison:
         return found
 
     def text(self, degrees: bool = False) -> str:
-        """Return a summary, one line per fact."""
+        """Return a summary as text, with one fact per line."""
         return lines(f'{name:17}{text}' for name, text in self.rows(degrees))
 
     def __str__(self) -> str:
         return self.text()
 
     def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
-        """Generate the facts as names and texts; an empty name continues the previous fact."""
+        """
+        Generate the rows of the summary, each as a name and a text.
+
+        The name is empty in a row that continues the previous row.
+        """
         topics = ', '.join(errors.topic for errors in self.errors)
         yield 'measured', f'{self.samples} samples of {topics}, over {self.span_s:.9g} s'
         rejected = sum(sensor.rejected for sensor in self.measured)
@@ -195,9 +202,9 @@ class Comparison:
 def compared(motion: Motion, measured: Sequence[Measured],
              align: Collection[str], most: int | None = None) -> Comparison:
     """
-    Align measurements with a motion; return a comparison that has only alignments and errors.
+    Align measurements with a motion, and return a comparison with alignments and errors only.
 
-    The alignment uses at most `most` samples of each sensor.
+    The alignment is fitted to at most `most` samples of each sensor.
     """
     alignments = aligned_by(motion, measured, align, most)
     if START in align and isinstance(motion, Problem):
@@ -243,7 +250,7 @@ def _turn(quaternion: Floats, sigma: Floats, degrees: bool) -> str:
 
 
 def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
-    """Generate rows for the space axes and the start, which all sensors share."""
+    """Generate the rows for the space axes and for the start, which all sensors share."""
     sigma = alignment.sigma or {}
     if 'space_rad' in sigma:
         yield 'space axes', _turn(alignment.space, sigma['space_rad'], degrees)
@@ -259,7 +266,11 @@ def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
 
 
 def _vector(values: Floats, sigma: Any, factor: float, unit: str) -> str:
-    """Return text: a vector, rounded to suit its standard deviations, and the largest of these."""
+    """
+    Return a vector as text, followed by the largest of its standard deviations.
+
+    The components of the vector are rounded to suit their standard deviations.
+    """
     spreads = factor * np.broadcast_to(sigma, 3)
     texts = ', '.join(rounded(factor * value, spread) for value, spread in zip(values, spreads))
     return f'({texts}) {unit} ({_known(float(spreads.max()), unit)})'

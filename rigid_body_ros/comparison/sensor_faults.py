@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Possible faults of a sensor, each with the measurements after the fault is undone.
+Generate possible sensor faults, each with measurements from which the fault has been removed.
 
-The error that remains after a fault is undone shows whether this fault is the cause.
+The errors that remain in these corrected measurements show whether the fault is the cause.
 """
 
 from __future__ import annotations
@@ -35,26 +35,27 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.noise import FEWEST
 
-#: A rotation that differs from a swap of axes by less than this angle, rad, is called a swap.
+#: A rotation that is within this angle of a swap of axes, rad, is described as a swap.
 _NEAR = 0.09
-#: Values count as equal if they differ by less than `_SAME` spreads. A frozen attitude is detected
-#: only if it lasts for the time in which the body usually turns by `_MOVES` spreads.
+#: Values that differ by less than `_SAME` times the spread are treated as equal. A frozen attitude
+#: is detected only if the body turns by about `_MOVES` times the spread in the meantime.
 _SAME, _MOVES = 6.0, 30.0
-#: A gyro counts as saturated if more than this fraction of its wrong samples are at one limit.
+#: A gyro counts as saturated if more than this fraction of its incorrect values lie at one limit.
 _AT_LIMIT = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
     """
-    A possible fault, and the measurements with the fault undone.
+    A possible fault of a sensor, and the measurements after the fault has been removed.
 
     Attributes
     ----------
     name, text : str
-        The name and a description. The description is empty if `described` generates it.
+        The name of the fault, and a description. If the description depends on the alignment,
+        `text` is empty, and `described` generates the description.
     measured : Measured
-        The measurements without the fault.
+        The measurements after the fault has been removed.
     align : tuple of str
         The alignments to fit in addition to those that the user asked for.
     is_aligned : bool
@@ -69,7 +70,7 @@ class Fault:
     is_aligned: bool = False
 
     def described(self, alignment: Alignment) -> str:
-        """Describe the fault, given the alignment of the measurements without the fault."""
+        """Describe the fault, given the alignment that was fitted without the fault."""
         if self.align:
             return _clock_text(alignment) if self.name == 'clock_offset' else \
                 _rotation_text(alignment)
@@ -79,17 +80,17 @@ class Fault:
 def faults(sensor: Measured, aligned: Measured, wrong: Sequence[Channel],
            align: Collection[str]) -> Iterator[Fault]:
     """
-    Generate possible faults of a sensor, the simplest first.
+    Generate possible faults of a sensor, beginning with the simplest.
 
     Parameters
     ----------
     sensor : Measured
-        The measurements of the wrong quantities: those whose errors are not noise.
+        The measurements of the incorrect quantities: those whose errors exceed the noise.
     aligned : Measured
-        The same measurements, converted to the clock and the axes of the motion. Samples outside
-        the motion are excluded.
+        The same measurements, converted to the clock and the axes of the motion, without samples
+        outside the time span of the motion.
     wrong : sequence of Channel
-        The errors of the wrong quantities.
+        The errors of the incorrect quantities.
     align : collection of str
         The names of the alignments that the user asked for.
 
@@ -140,8 +141,8 @@ def _of_gyro(aligned: Measured, channel: Channel) -> Iterator[Fault]:
         return
     limit = float(np.median(values))
     if np.mean(np.abs(values - limit) < _SAME * spread) > _AT_LIMIT:
-        # Select by the expected values, because a selection by the measured values would depend on
-        # their noise.
+        # Choose the samples by their expected values, because a choice by measured values would
+        # depend on the noise.
         kept = np.flatnonzero((np.abs(expected) < limit - _SAME * spread).all(axis=1))
         if len(kept) >= FEWEST:
             yield Fault('gyro_saturation', f'the gyro saturates at {limit:.4g} rad/s',
@@ -172,7 +173,7 @@ def _of_attitude(aligned: Measured, channel: Channel) -> Iterator[Fault]:
 
 
 def _still(attitude: Floats, expected: Floats, spread: float) -> NDArray[np.bool_]:
-    """Return in which samples the attitude is constant although the body moves."""
+    """Return a mask of the samples whose attitude is constant although the body moves."""
     steps = so3.angle_between(expected[:-1], expected[1:])
     lag = max(1, math.ceil(_MOVES * spread / max(float(np.median(steps)), 1e-12)))
     still = np.zeros(len(attitude), bool)
@@ -187,7 +188,7 @@ def _still(attitude: Floats, expected: Floats, spread: float) -> NDArray[np.bool
 
 
 def slope(x: Floats, y: Floats) -> float:
-    """Fit y = k x with less weight on outliers, and return k."""
+    """Return the slope k of the line y = k x that fits best, giving less weight to outliers."""
     weights = np.ones(len(x))
     for _ in range(10):
         found = float(np.sum(weights * x * y) / max(np.sum(weights * x * x), 1e-300))
@@ -228,7 +229,7 @@ def _turn_text(quaternion: Floats) -> str:
 
 
 def axes_text(turn: Floats) -> str:
-    """Describe a signed permutation by text such as 'x = -y, y = x, z = z'."""
+    """Describe a signed permutation of axes in text such as 'x = -y, y = x, z = z'."""
     parts = []
     for row, name in zip(turn, 'xyz'):
         column = int(np.argmax(np.abs(row)))

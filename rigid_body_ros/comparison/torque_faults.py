@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Faults of the torques or the body that may explain the residual torque.
+Find faults in the torques or in the model of the body that may explain the residual torque.
 
-The residual torque depends linearly on each fault. A wrong start does not change the residual
-torque, and the residual torque does not grow with time. Therefore, for motions of any length, the
-part that a fault does not explain can be compared with the noise of the residual torque.
+The residual torque is convenient for this search because it depends linearly on each fault, does
+not depend on the start of the motion, and does not grow with time. Even for a long motion, the
+part of the residual torque that a fault leaves unexplained can be compared directly with the
+noise.
 """
 
 from __future__ import annotations
@@ -40,18 +41,19 @@ from rigid_body_ros.sensing.noise import ALARM
 from rigid_body_ros.sensing.rates import measured_rates
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
-#: Number of windows in a batch, and minimum number of windows. The medians of the batches are
-#: compared with the noise.
+#: `_BATCH` is the number of windows in a batch. The median of each batch is compared with the
+#: noise. `_FEWEST` is the minimum number of windows for the search.
 _BATCH, _FEWEST = 4, 12
-#: Numerical error of a residual torque, relative to the torque of the motion.
+#: Numerical error of the residual torque, relative to the total torque on the body.
 _ROUNDING = 3e-4
 #: Standard gravity in space axes, m/s^2.
 _GRAVITY = np.array([0.0, 0.0, -9.80665])
-#: The motion is divided into this many intervals. A change of the inertia is tried at each
-#: boundary between two intervals, except the first and the last boundary.
+#: To look for a change of inertia, the motion is divided into this many intervals. A change is
+#: tried at each boundary between two intervals, except at the first and the last boundary.
 _PIECES = 16
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
-#: Changes of an inertia tensor that preserve its trace, as changes of its six entries.
+#: A basis of the inertia changes that preserve the trace of the tensor. Each column contains the
+#: changes of the six entries.
 _SHAPES = np.array([[1, -1, 0, 0, 0, 0], [1, 1, -2, 0, 0, 0], [0, 0, 0, 1, 0, 0],
                     [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]], float).T
 
@@ -63,13 +65,14 @@ class Explanation(NamedTuple):
     Attributes
     ----------
     name, text : str
+        The name of the fault, and a description.
     before, after : float, N m
-        Median magnitude of the residual torque before and after subtraction of the part that the
-        fault explains.
+        Median magnitude of the residual torque, before and after the part that the fault explains
+        is subtracted.
     explains : bool
-        Whether the remaining torque is compatible with the noise of the residual torque.
+        Whether the torque that remains is only noise.
     unknowns : int
-        Number of fitted parameters.
+        Number of parameters that were fitted.
 
     """
 
@@ -82,7 +85,7 @@ class Explanation(NamedTuple):
 
 
 class _Windows:
-    """The residual torque and the measured motion in windows that do not overlap."""
+    """The residual torque and the measured motion in each of a series of separate windows."""
 
     def __init__(self, problem: Problem, residual: ResidualTorque,
                  sensors: Sequence[Measured]) -> None:
@@ -110,18 +113,27 @@ class _Windows:
         self.floor = _ROUNDING * float(np.median(np.linalg.norm(moved, axis=1))) + 1e-300
 
     def is_noise(self, left: Floats) -> bool:
-        """Return whether the medians of batches of windows are compatible with the noise."""
+        """
+        Return whether noise alone can explain the torques that are left.
+
+        The test uses the median torque of each batch of windows.
+        """
         from scipy.special import chdtrc
         spread = Channel('', '', self.seconds, left).spread
         scale = np.maximum(np.minimum(spread, self.noise), self.floor)
         count = len(left) // _BATCH
         means = np.median(left[:count * _BATCH].reshape(count, _BATCH, 3), axis=1)
-        # The variance of the median of four normal variables is 0.298 times their variance.
+        # The median of four normal variables has 0.298 times the variance of a single variable.
         statistic = np.sum(np.square(means / scale), axis=0) / 0.298
         return float(chdtrc(count, statistic).min()) >= ALARM
 
     def fitted(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Fit columns, shape (n, 3, k), to the torques; return coefficients and the remainder."""
+        """
+        Fit a linear combination of k torques to the residual torque.
+
+        The argument `columns` has shape (n, 3, k). Return the k coefficients, and the part of the
+        residual torque that is left, shape (n, 3).
+        """
         weights = np.ones(len(columns))
         scale = 1.0 / np.maximum(self.noise, self.floor)
         for _ in range(8):
@@ -141,16 +153,15 @@ def explanations(problem: Problem, residual: ResidualTorque,
     """
     Return possible explanations of the residual torque.
 
-    The list is empty if the residual torque is compatible with its noise, or if there are fewer
-    than 12 windows.
+    The list is empty if the residual torque is only noise or has fewer than 12 windows.
 
     Parameters
     ----------
     problem : Problem
         The model.
     residual : ResidualTorque
-        The residual torque, computed from the sensor with the most angular velocities or, if there
-        are none, with the most attitudes.
+        The residual torque. It is computed from the sensor with the most angular velocities or, if
+        no sensor measures angular velocities, from the sensor with the most attitudes.
     sensors : sequence of Measured
         All measurements, converted to the clock and the axes of the motion.
 
@@ -168,7 +179,16 @@ def _median(torques: Floats) -> float:
 
 
 def _tried(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
-    """Generate name, text, remaining torques, shape (n, 3), and number of fitted parameters."""
+    """
+    Generate the faults that may explain the residual torque.
+
+    Yields
+    ------
+    tuple
+        The name and description of a fault, the torques that it leaves unexplained, shape (n, 3),
+        and the number of parameters that were fitted.
+
+    """
     logged = windows.logged
     if logged.any():
         needed = logged + windows.torques
@@ -187,7 +207,16 @@ def _tried(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
 
 
 def _linear(windows: _Windows) -> Iterator[tuple[str, str, Floats]]:
-    """Generate name, text, and the torques per unit of each of k parameters, shape (n, 3, k)."""
+    """
+    Generate the faults whose parameters can be fitted linearly.
+
+    Yields
+    ------
+    tuple
+        The name and description of a fault, and the torques per unit of each of its k parameters,
+        shape (n, 3, k).
+
+    """
     rates, count = windows.rates, len(windows.rates)
     if windows.logged.any():
         yield 'torque_gains', 'the gains of the torque: 1 + {} about x, y and z', \
@@ -204,16 +233,16 @@ def _linear(windows: _Windows) -> Iterator[tuple[str, str, Floats]]:
 
 
 def _crossed(vectors: Floats) -> Floats:
-    """Return the matrices that map m to the cross product m x vector, shape (n, 3, 3)."""
+    """Return the matrices, shape (n, 3, 3), that map m to the cross products m x vector."""
     return np.stack([np.cross(unit, vectors) for unit in np.eye(3)], axis=2)
 
 
 def _of_inertia(windows: _Windows) -> Iterator[tuple[str, str, Floats, int]]:
     problem, columns = windows.problem, -windows.of_inertia
     known = windows.logged.any() or any(isinstance(one, UniformField) for one in problem.fields)
-    turn = np.eye(6) if known else _SHAPES  # without a known torque, only ratios are determined
-    # Report the change, not the tensor, because the tensor here lacks the axial inertia of named
-    # wheels.
+    turn = np.eye(6) if known else _SHAPES  # without a known torque, only ratios can be found
+    # Report the change and not the tensor itself, because the tensor of this problem does not
+    # include the axial inertia of named wheels.
     words = 'ixx iyy izz ixy ixz iyz = {} kg m^2'
     found, left = windows.fitted(columns @ turn)
     if _is_possible(problem.body, turn @ found):
@@ -241,7 +270,7 @@ def _is_possible(body: RigidBody, change: Floats) -> bool:
 
 
 def _best_axes(logged: Floats, needed: Floats) -> Floats:
-    """Return the signed permutation of axes that best maps logged torques to needed torques."""
+    """Return the signed permutation of axes that best maps the logged to the needed torques."""
     best, least = np.eye(3), math.inf
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):

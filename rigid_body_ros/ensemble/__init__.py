@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Ensembles: runs over dispersed parameters."""
+"""Run an ensemble of motions with dispersed parameters, and summarize the results."""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The values of the parameters in some runs of an ensemble, and columns with these values."""
+"""The parameter values that the runs of an ensemble use."""
 
 from __future__ import annotations
 
@@ -36,22 +36,24 @@ from rigid_body_ros.scene.fields import values_of, with_values
 @dataclass(frozen=True, eq=False)
 class Applied:
     """
-    The values of the parameters in n runs.
+    The parameter values that n runs use.
 
     Attributes
     ----------
     runs : array of int, shape (n,)
-        The numbers of the runs.
+        The run numbers.
     bodies : RigidBodies
         The body of each run.
     starts : States
         The initial state of each run.
     torque_gain : array, shape (n,)
+        The factor that multiplies the torque in each run.
     torque_bias : array, shape (n, 3), N m, body axes
+        The constant torque that is added in each run.
     clock_offset : array, shape (n,), s
-        Rounded to whole nanoseconds.
+        The time that is added to the torque stamps in each run, rounded to whole nanoseconds.
     fields : Fields
-        The fields in each run.
+        The fields of each run.
 
     """
 
@@ -64,7 +66,7 @@ class Applied:
     fields: Fields
 
     def columns(self) -> dict[str, Floats]:
-        """Return the values by key, each of shape (n,)."""
+        """Return the parameter values as columns of shape (n,), one column for each key."""
         return {**_entries('inertia.i', self.bodies.inertia),
                 **_entries('damping.d', self.bodies.damping),
                 **components('initial_attitude', self.starts.attitude),
@@ -78,16 +80,18 @@ class Applied:
 @dataclass(frozen=True, eq=False)
 class Fields:
     """
-    The fields in n runs.
+    The fields of n runs.
 
     Attributes
     ----------
     of_each : sequence of n tuples of Field
-        The fields of each run. The nominal fields replace impossible fields.
+        The fields of each run. If the values drawn for a run are impossible, the nominal fields
+        take the place of the run's fields.
     messages : sequence of n str
-        For each run, why the fields are impossible; empty if the fields are possible.
+        For each run, a message that explains why the fields of the run are impossible. The message
+        is empty if the fields are possible.
     columns : dict
-        The values that define the fields, by key, each of shape (n,).
+        The values that define the fields, as columns of shape (n,), by key.
 
     """
 
@@ -116,23 +120,27 @@ class Fields:
         return cls(found, messages, columns)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
-        """For each run, return the sum of the bounds `speed` of its fields, rad/s, shape (n,)."""
+        """
+        Return an upper bound on the speed that the fields of each run add, rad/s, shape (n,).
+
+        The bound is the sum of the bounds of the single fields.
+        """
         return np.array([sum(one.speed(*moments) for one in fields)
                          for fields, *moments in zip(self.of_each, least, largest)], float)
 
 
 def components(prefix: str, vectors: Floats) -> dict[str, Floats]:
-    """Return the components of vectors, shape (n, 3 or 4), by key."""
+    """Return the components of vectors, shape (n, 3 or 4), as columns with keys PREFIX.AXIS."""
     return {f'{prefix}.{axis}': column for axis, column in zip('xyzw', vectors.T)}
 
 
 def vectors(prefix: str, values: Mapping[str, Floats], axes: str = 'xyz') -> Floats:
-    """Return the vectors, shape (n, len(axes)), whose components have the keys PREFIX.AXIS."""
+    """Return the vectors whose components have the keys PREFIX.AXIS, shape (n, len(axes))."""
     return np.stack([values[f'{prefix}.{axis}'] for axis in axes], axis=-1)
 
 
 def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
-    """Return the symmetric tensors, shape (n, 3, 3), whose entries have keys with this prefix."""
+    """Return the symmetric tensors whose entries have keys with `prefix`, shape (n, 3, 3)."""
     result = np.empty((len(values[f'{prefix}xx']), 3, 3))
     for entry, (row, column) in ENTRIES.items():
         result[:, row, column] = result[:, column, row] = values[prefix + entry]
@@ -141,37 +149,38 @@ def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
 
 def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     """
-    Return inertia tensors with the principal axes of a body, and with varied principal moments.
+    Vary the principal moments of inertia of a body, without changing its principal axes.
 
-    The second moments of the mass along the axes are multiplied by the exponentials of `drawn`,
-    shape (n, 3). The products are not negative, so the moments of inertia satisfy the triangle
-    inequality.
+    Along each principal axis, the second moment of the mass is multiplied by the exponential of a
+    number in `drawn`, shape (n, 3). The results are never negative, so the moments of inertia
+    always satisfy the triangle inequality.
     """
     moments = body.principal_moments
     second = np.maximum(0.5 * moments.sum() - moments, 0.0) * exponentials(drawn)
     varied = second.sum(axis=-1, keepdims=True) - second
     axes = body.principal_axes
-    # Sum in a fixed order, without BLAS, because the order in BLAS depends on the processor.
+    # Do not use BLAS here. Its order of summation depends on the processor, so the rounding errors
+    # would be different on another processor.
     return (axes[:, None] * axes * varied[:, None, None]).sum(axis=-1)
 
 
 def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> TorqueLog:
     """
-    Return a log with shifted stamps and, if given, other torques.
+    Return a copy of a log with its stamps shifted and, optionally, with new torques.
 
     Parameters
     ----------
     log : TorqueLog
         A log of n samples.
     offset : float, s
-        Time to add to the stamps, rounded to whole nanoseconds.
+        The time to add to the stamps. It is rounded to whole nanoseconds.
     torques : array, shape (n, 3), N m, optional
         The new torques, in the axes of the log.
 
     Raises
     ------
     ValueError
-        A stamp does not fit into 64 bits, or a torque is not finite.
+        A shifted stamp does not fit into 64 bits, or a torque is not finite.
 
     """
     if torques is None:
@@ -182,7 +191,11 @@ def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> Torqu
 
 
 def later_commands(log: EffortLog, offset: float) -> EffortLog:
-    """Return commands with shifted stamps; the arguments and errors are those of `later`."""
+    """
+    Return a copy of a log of wheel commands, with `offset` seconds added to its stamps.
+
+    The arguments and errors are the same as for `later`.
+    """
     return EffortLog(_later_ns(log.times_ns, offset), log.efforts)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Percentiles of the angle from the nominal motion, over time."""
+"""Compute how percentiles of the angle from the nominal motion develop over time."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.mechanics import so3
 
 _PERCENTILES = (5, 25, 50, 75, 95)
-#: Maximum number of points in time in the result: enough for a picture.
+#: Maximum number of points in time for which percentiles are computed. A picture needs no more.
 _TIMES = 500
-#: Maximum number of angles in memory, 8 bytes each. If there are more runs than this, one angle
-#: per run is in memory at a time.
+#: Maximum number of angles to hold in memory, at 8 bytes each. If an ensemble has more runs than
+#: this, each pass through the motions covers only one point in time.
 _KEPT = 2 ** 24
 
 
 def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
     """
-    Return percentiles of the angle between the attitudes of the runs and the nominal attitude.
+    Return percentiles of the angle between the attitude of a run and the nominal attitude.
 
     Parameters
     ----------
     folder : Folder
-        A complete folder that keeps the motions of the runs.
+        A folder that is complete and that keeps the motions of the runs.
     nominal : array, shape (m, 7)
         The nominal motion at the times of the folder.
     runs : int
@@ -50,9 +50,9 @@ def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON types. 'times_s' contains some of the times of the folder, including the first and the
-        last time. For each percentile k, 'pk_rad' contains this percentile of the angle at each of
-        these times.
+        The percentiles as JSON types. 'times_s' contains some of the times of the folder,
+        including the first and the last. For each percentile k, 'pk_rad' contains the percentile
+        at each of these times.
 
     """
     assert folder.times is not None
@@ -65,7 +65,11 @@ def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
 
 
 def _angles(folder: Folder, nominal: Floats, rows: NDArray[np.int64], runs: int) -> Floats:
-    """Return the angles at some times, for all runs that did not fail, shape (times, runs)."""
+    """
+    Return the angles from the nominal motion at some times, shape (times, runs).
+
+    Only the runs that did not fail are included.
+    """
     angles, end = np.empty((len(rows), runs)), 0
     for motions in folder.motions():
         attitudes = motions[np.isfinite(motions[:, 0, 0])][:, rows, :4]

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-The blocks of an ensemble: files with the rows of consecutive runs.
+Store the rows of an ensemble in block files, each with the rows of consecutive runs.
 
-The name of a block contains the numbers of the runs and one or two digests. The first digest
-covers the identity of the ensemble, the numbers of the runs, and every byte of the file. If
-motions are kept, a second digest covers the motions of the runs. If a file is damaged or belongs
-to another ensemble, the digests in its name do not match.
+The file name of a block contains the range of run numbers and one or two digests. The first digest
+covers the identity of the ensemble, the run numbers, and every byte of the file. If motions are
+kept, a second digest covers the motions of these runs. A file that is damaged or that belongs to
+another ensemble is recognized because its digests do not match.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from rigid_body_ros.ensemble.motions import Motions
 from rigid_body_ros.ensemble.runs import Span
 from rigid_body_ros.runtime import files
 
-#: Names that this and earlier versions of the package give to block files. Files with other names
-#: are never removed.
+#: The names of block files, as written by this and earlier versions of the package. Files with any
+#: other name are never removed.
 _BLOCK = re.compile(r'(\d{9})-(\d{9,10})(-[0-9a-f]{16}){0,2}\.parquet')
 
 
@@ -48,9 +48,9 @@ class Blocks:
     path : Path
         The folder.
     identity : str
-        Text with all inputs that the runs depend on.
+        A text that contains all inputs that the runs depend on.
     motions : Motions or None
-        The motions of the runs, if they are kept.
+        The motions of the runs; None if motions are not kept.
 
     """
 
@@ -60,11 +60,15 @@ class Blocks:
 
     @property
     def spans(self) -> list[Span]:
-        """Return the spans of the valid blocks in order, without overlap."""
+        """Return the spans of the valid blocks, which do not overlap, in ascending order."""
         return sorted(self._files)
 
     def find(self, runs: int) -> list[str]:
-        """Look for blocks of the first `runs` runs; return the spans of invalid blocks as text."""
+        """
+        Look for the valid blocks of the first `runs` runs.
+
+        Return the run numbers of each invalid block as text.
+        """
         self._files, misfits, end = {}, [], 0
         for (first, stop), path in sorted(self._candidates()):
             if not (first < stop <= runs and self._fits((first, stop), path)):
@@ -82,12 +86,12 @@ class Blocks:
 
     def read(self, span: Span) -> bytes:
         """
-        Return the content of a block.
+        Read a block, and return the content of its file.
 
         Raises
         ------
         InputError
-            The file cannot be read, or has changed since `find` or `write` was called.
+            The file cannot be read, or has changed since the last call of `find` or `write`.
 
         """
         path = self._files[span]
@@ -99,7 +103,7 @@ class Blocks:
         return data
 
     def remove_others(self) -> None:
-        """Remove each block that is invalid or overlaps a valid block."""
+        """Remove all blocks that are invalid or that overlap a valid block."""
         kept = {*self._files.values()}
         for _, path in self._candidates():
             if path not in kept:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Why runs failed: messages that differ only in their numbers count as one cause."""
+"""Count the causes of failed runs. Messages that differ only in their numbers have one cause."""
 
 from __future__ import annotations
 
@@ -22,30 +22,31 @@ import re
 
 from rigid_body_ros.common.errors import CUT
 
-#: A number that is not part of a word or of a unit such as 'kg m^2'.
+#: A number, unless it is part of a word or of a unit such as 'kg m^2'.
 _NUMBER = re.compile(r'(?<![\w^.])[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan)(?![\w^])')
-#: Placeholder for a number that differs between messages, and a pattern for several
-#: placeholders in a list.
+#: The placeholder for a number that differs between messages, and a pattern that matches a list of
+#: placeholders.
 _OTHER = '...'
 _OTHERS = re.compile(r'\.\.\.(, \.\.\.)+')
 
 
 def causes(messages: Iterable[str]) -> dict[str, int]:
     """
-    Return the number of messages of each cause, in the order in which the causes first occur.
+    Return the number of messages for each cause, in the order in which the causes first occur.
 
-    A cause is a text in which '...' replaces the numbers that differ between messages.
+    A cause is the common text of its messages, with '...' in place of numbers that differ.
     """
     counts: dict[str, int] = {}
     common: dict[str, list[str]] = {}
     for message in messages:
-        text = message.partition(CUT)[0]  # ignore the end of a message that was shortened
+        text = message.partition(CUT)[0]  # if a message was shortened, keep only its beginning
         pattern, numbers = _NUMBER.sub('\0', text), _NUMBER.findall(text)
         counts[pattern] = counts.get(pattern, 0) + 1
         common[pattern] = [one if one == other else _OTHER for one, other in
                            zip(common.get(pattern, numbers), numbers)]
     found: dict[str, int] = {}
-    for pattern, count in counts.items():  # merge messages with lists of different lengths
+    # Merge causes that differ only in the length of a list of numbers.
+    for pattern, count in counts.items():
         cause = _OTHERS.sub(_OTHER, _filled(pattern, common[pattern]))
         found[cause] = found.get(cause, 0) + count
     return found

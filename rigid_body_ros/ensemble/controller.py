@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Import a controller that is written in Python, and call the controller for each state."""
+"""Import a controller written in Python, and call it for each state."""
 
 from __future__ import annotations
 
@@ -36,32 +36,34 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime import interrupts
 
-#: A function that takes a state and the time since the start, s. It returns a torque, shape (3,),
-#: N m, body axes.
+#: A control law: a function of the state and the time since the start, s, that returns a torque in
+#: body axes, N m, shape (3,).
 Law = Callable[[State, float], Any]
 
 
 class ControllerError(ValueError):
-    """A controller raised an exception, or returned something other than a torque."""
+    """Raised if a controller raises an exception, or returns something other than a torque."""
 
 
 @dataclass(frozen=True)
 class Controller:
     """
-    A controller: a function, or a class with callable instances. Each run creates a new instance.
+    A controller: a function, or a class whose instances are callable.
+
+    A new instance of a class is created for each run.
 
     Attributes
     ----------
     name : str
-        MODULE:FUNCTION or MODULE:CLASS.
+        Where to find the controller: MODULE:FUNCTION or MODULE:CLASS.
     folder : str
-        The folder in which Python looks for the module first.
+        The folder where Python looks for the module first.
     digest : str
         Hash of the source file of the module.
     step_ns : int, ns
-        Time from one call to the next.
+        The time between two calls.
     actuator : Actuator, optional
-        The actuator that receives the torques as commands.
+        The actuator that receives the torques of the controller as commands.
 
     """
 
@@ -74,12 +76,12 @@ class Controller:
     @classmethod
     def load(cls, name: str, step_ns: int, actuator: Actuator | None = None) -> Controller:
         """
-        Import a controller. A module in the working directory takes precedence over all others.
+        Import a controller. The working directory is searched before all other folders.
 
         Raises
         ------
         InputError
-            The module cannot be imported, has no source file, or does not define the function.
+            The module cannot be imported, has no source file, or does not define the controller.
 
         """
         folder = str(Path.cwd())
@@ -88,7 +90,12 @@ class Controller:
         return found
 
     def check(self) -> None:
-        """Raise InputError if this process cannot import the controller, or the source differs."""
+        """
+        Check that this process can use the same controller.
+
+        Raise InputError if this process cannot import the controller, or finds different source
+        code.
+        """
         digest = _digest(self.name, self.folder)
         if digest != self.digest:
             raise InputError(f'controller {self.name}: expected the source file that the command '
@@ -98,7 +105,7 @@ class Controller:
                              f'{quoted(_target(self.name, self.folder))}')
 
     def begin(self) -> Law:
-        """Return the controller for one run; raise ControllerError if it cannot be created."""
+        """Return the control law for a run; raise ControllerError if the law cannot be created."""
         target = _target(self.name, self.folder)
         if not inspect.isclass(target):
             return target
@@ -110,12 +117,12 @@ class Controller:
 
     def torque(self, law: Law, state: State, seconds: float) -> Floats:
         """
-        Return the torque for a state, shape (3,), N m, body axes.
+        Call a control law for a state, and return the torque in body axes, N m, shape (3,).
 
         Raises
         ------
         ControllerError
-            The controller raises an exception, or does not return three finite numbers.
+            The controller raised an exception, or did not return three finite numbers.
         KeyboardInterrupt
             A signal was received.
 
@@ -131,7 +138,7 @@ class Controller:
         return torque
 
     def check_same(self, first: Problem, again: Problem) -> None:
-        """Raise ControllerError if two computations of one run yield different torques."""
+        """Raise ControllerError if the torques of a run differ when the run is computed again."""
         for one, other in zip(first.logs[-1:], again.logs[-1:]):
             differ = (one.torques.view(np.int64) != other.torques.view(np.int64)).any(axis=1)
             if differ.any():
@@ -146,7 +153,7 @@ class Controller:
     def _called(self, function: Callable[..., Any], seconds: float, *arguments: Any) -> Any:
         try:
             return function(*arguments)
-        except BaseException as error:  # if a controller calls exit, only the current run fails
+        except BaseException as error:  # even if a controller calls exit, only this run fails
             interrupts.check()
             raise ControllerError(f'{seconds:.9g} s: controller {self.name}: '
                                   f'{_described(error)}') from error
@@ -170,9 +177,9 @@ def _imported(name: str, folder: str) -> Any:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
-        with redirect_stdout(sys.stderr):  # standard output is for results only
+        with redirect_stdout(sys.stderr):  # standard output is reserved for results
             return import_module(module)
-    except BaseException as error:  # a module may raise anything
+    except BaseException as error:  # a module may raise anything, even SystemExit
         interrupts.check()
         raise InputError(f'controller {name}: cannot import {module}: '
                          f'{_described(error)}') from error

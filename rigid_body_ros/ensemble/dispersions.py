@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read from a file which parameters vary, and draw their values."""
+"""Read the distributions of the parameters that vary, and draw values from them."""
 
 from __future__ import annotations
 
@@ -32,18 +32,20 @@ from rigid_body_ros.scene import PARAMETERS
 from rigid_body_ros.scene.fields import of_names, ORBIT
 import yaml
 
-#: Groups of scene parameters whose members can all vary.
+#: Groups of scene parameters. All parameters in these groups can vary.
 _GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
            ORBIT)
-#: Units of all keys that can have a normal or a uniform distribution, except keys of fields.
+#: The keys that can have a normal or a uniform distribution, and their units. The keys of fields
+#: are not included.
 UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
             if name.split('.')[0] in _GROUPS},
          'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},
          'clock_offset': 's'}
-#: Keys for which each run draws three numbers; for `NOISE`, three numbers per torque sample.
+#: Keys for which each run draws three numbers. For `NOISE`, a run draws three numbers for each
+#: torque sample.
 INERTIA, ATTITUDE, NOISE = 'inertia', 'initial_attitude', 'torque_noise'
 _EXAMPLE = 'torque_gain: {normal: 0.03}'
-#: Keys that accept only one kind of distribution, and this kind.
+#: For each key that accepts only one kind of distribution, this kind.
 _SPECIAL = {INERTIA: 'relative', ATTITUDE: 'tilt', NOISE: 'normal'}
 
 
@@ -55,14 +57,16 @@ class Dispersion:
     Attributes
     ----------
     key : str
-        A key of `units_with`, or 'inertia', 'initial_attitude' or 'torque_noise'.
+        The parameter: a key of `units_with`, 'inertia', 'initial_attitude' or 'torque_noise'.
     kind : str
-        'normal', 'uniform', 'relative' (principal moments) or 'tilt' (rotation vector).
+        The kind of distribution: 'normal', 'uniform', 'relative' for principal moments of inertia,
+        or 'tilt' for a rotation vector.
     bounds : tuple of float
-        The lowest and the highest number if the kind is 'uniform'; otherwise, a standard
-        deviation.
+        For a uniform distribution, the lowest and the highest number. For all other kinds, only
+        the standard deviation.
     relative : bool
-        Whether the nominal value is multiplied by one plus the drawn number.
+        Whether the numbers are relative. The nominal value is then multiplied by one plus the
+        drawn number.
 
     """
 
@@ -73,13 +77,13 @@ class Dispersion:
 
     def draw(self, seed: int, runs: NDArray[np.int64]) -> Floats:
         """
-        Return the numbers that the given runs draw.
+        Draw the numbers for the given runs.
 
         Returns
         -------
         array, shape (n, 3) for 'relative' and 'tilt', otherwise (n, 1)
-            Values if the kind is 'uniform' and `relative` is False; otherwise, deviations from the
-            nominal values.
+            The values of the parameter if the kind is 'uniform' and `relative` is False. In all
+            other cases, deviations from the nominal value.
 
         """
         if self.kind == 'uniform':
@@ -92,18 +96,22 @@ class Dispersion:
 def draws(dispersions: Sequence[Dispersion], seed: int,
           runs: NDArray[np.int64]) -> dict[str, Floats]:
     """
-    Return the numbers that the given runs draw, by key.
+    Draw the numbers of all keys for the given runs.
 
-    The numbers of a key depend only on the seed, the key and the number of the run. They do not
-    depend on other keys. The result does not include the noise of the torque, because `Torques`
-    draws this noise for each sample.
+    The numbers of a key depend only on the seed, the key and the run number. They stay the same
+    when other keys are added or removed. Torque noise is not included, because `Torques` draws the
+    noise for each torque sample.
     """
     return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 
 
 def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
               drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
-    """Return the values in `count` runs by key: nominal or dispersed values, shape (count,)."""
+    """
+    Return the values of each key in `count` runs, shape (count,).
+
+    The values are dispersed if the key varies. Otherwise, all of them equal the nominal value.
+    """
     values = {name: np.full(count, value) for name, value in nominal.items()}
     for one in dispersions:
         if one.key in values:
@@ -116,7 +124,7 @@ def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
 
 
 def units_with(fields: Iterable[str]) -> dict[str, str]:
-    """Return `UNITS`, and the units of the keys of uniform fields with the given names."""
+    """Return `UNITS` together with the keys and units of the uniform fields with these names."""
     return {**UNITS, **{name: parameter.unit
                         for name, parameter in of_names(fields).items()}}
 
@@ -130,12 +138,12 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]
     path : str or Path
         The file.
     fields : iterable of str
-        The names of the uniform fields of the scene. The values of these fields can vary.
+        The names of the uniform fields in the scene. Their values can vary as well.
 
     Raises
     ------
     InputError
-        The file cannot be read, a key is unknown or given twice, or a distribution is impossible.
+        The file cannot be read, a key is unknown or occurs twice, or a distribution is invalid.
 
     """
     root, units = read_yaml(path, 'dispersions'), units_with(fields)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute the missing runs of a folder in threads, processes, or workers of a Dask scheduler."""
+"""Compute the missing runs of a folder, in threads, in processes or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -29,34 +29,35 @@ from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
 from rigid_body_ros.runtime.cluster import connected
 from rigid_body_ros.runtime.pool import Processes, WorkerError, Workers
 
-if TYPE_CHECKING:  # a worker needs neither Parquet nor MCAP
+if TYPE_CHECKING:  # never imported at run time, so that workers need neither Parquet nor MCAP
     from rigid_body_ros.ensemble.folder import Folder
     from rigid_body_ros.runtime.terminal import Track
 
-#: The first run of a block, the run after the last run, and the rows of the block.
+#: A block: its first run, the run after its last run, and its rows.
 Block = tuple[int, int, Columns]
-#: A function that generates the blocks of an ensemble in the order in which they are completed.
+#: A function that computes blocks of an ensemble, and yields each block once it is complete.
 Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
-#: The span of a block, and the span of a part of this block.
+#: A part of a block: the span of the block, and the span of the part.
 Part = tuple[Span, Span]
 
-#: Maximum number of parts into which a block is divided. Different workers compute the parts,
-#: because a block may take minutes. The overhead of Dask is about 20 ms per part.
+#: Maximum number of parts into which a block is divided, so that several workers can share a block
+#: that takes minutes. Dask spends about 20 ms of overhead on each part.
 _PARTS = 8
-#: Maximum number of runs in a block with a controller. Each of these runs takes about a second.
+#: Maximum number of runs in a block if there is a controller, because a run with a controller
+#: takes about a second.
 _IN_LOOP = 16
 
 
 def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> None:
     """
-    Compute and write all runs that are missing in a folder.
+    Compute all runs that are missing in a folder, and write them to the folder.
 
     Raises
     ------
     InputError
         The folder cannot be written, or the pool fails.
     KeyboardInterrupt
-        A signal was received. The folder keeps all complete blocks.
+        A signal was received. The folder keeps all blocks that were already complete.
 
     """
     spans = folder.missing(_IN_LOOP if ensemble.controller else None)
@@ -73,7 +74,7 @@ def runs_of(block: Block) -> int:
 
 
 def threads(workers: int) -> Pool:
-    """Return a pool of threads, for runs whose kernels release the global interpreter lock."""
+    """Return a pool of threads, which suits runs that release the global interpreter lock."""
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         with Workers(workers) as found:
             yield from found.results(partial(_block, ensemble), spans)
@@ -81,7 +82,7 @@ def threads(workers: int) -> Pool:
 
 
 def processes(workers: int) -> Pool:
-    """Return a pool of processes, for runs that hold the global interpreter lock."""
+    """Return a pool of processes, which suits runs that hold the global interpreter lock."""
     def died(span: Span, error: WorkerError) -> NoReturn:
         raise InputError(f'cannot compute runs {span[0]} to {span[1] - 1}: {error}; run the same '
                          'command again to compute what is missing') from error
@@ -94,7 +95,7 @@ def processes(workers: int) -> Pool:
 
 
 def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
-    """Return a pool with the workers of a Dask scheduler; see `connected` for the arguments."""
+    """Return a pool of Dask workers. The arguments are the same as for `connected`."""
     def died(part: Part, error: WorkerError) -> NoReturn:
         first, stop = part[1]
         raise InputError(f'{scheduler}: cannot compute runs {first} to {stop - 1}: {error}; their '
@@ -118,10 +119,9 @@ def _part(ensemble: Ensemble, part: Part) -> tuple[Span, Block]:
 
 def _parts(spans: list[Span], workers: Workers) -> Iterator[Part]:
     """
-    Generate the parts of blocks.
+    Divide blocks into parts for the workers, and generate these parts.
 
-    A block is divided into several parts only if the workers accept more items than there are
-    remaining blocks.
+    A block stays in one piece unless there are fewer remaining blocks than the workers can accept.
     """
     for left, span in zip(range(len(spans), 0, -1), spans):
         parts = min(math.ceil(workers.ahead() / left), _PARTS)
@@ -131,7 +131,7 @@ def _parts(spans: list[Span], workers: Workers) -> Iterator[Part]:
 
 
 def _joined(parts: Iterable[tuple[Span, Block]]) -> Iterator[Block]:
-    """Generate each block as soon as all of its parts are complete."""
+    """Join parts into blocks, and generate each block as soon as all of its parts are complete."""
     waiting: dict[Span, list[Block]] = {}
     for span, part in parts:
         found = waiting.setdefault(span, [])

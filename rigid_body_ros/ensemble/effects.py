@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How much of the variation of the final states each dispersed parameter explains."""
+"""Measure how much each dispersed parameter contributes to the variation of the final states."""
 
 from __future__ import annotations
 
@@ -26,22 +26,21 @@ from rigid_body_ros.ensemble.requirements import final
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 from rigid_body_ros.mechanics import so3
 
-#: Maximum number of runs from which effects are computed. If there are more runs, the first runs
-#: are used.
+#: The effects are computed from at most this many runs, beginning with the first run.
 _SAMPLE = 100_000
-#: A term of the fit is a rounding error if its mean square, relative to the square of the largest
-#: deviation, is below this number.
+#: A term of the quadratic is ignored as a rounding error if its mean square is below this fraction
+#: of the square of the largest deviation.
 _ROUNDING = 1e-20
 
 
 def correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:
     """
-    Return the rank correlation of each parameter with the final angle.
+    Return the rank correlation between the deviation of each parameter and the final angle.
 
-    The final angle is the angle between the final attitude and the nominal final attitude. The
-    final angle is correlated with the distance of the parameter from its nominal value.
+    The final angle is the angle between the final attitude and the nominal final attitude. This
+    angle is correlated with the absolute deviation of the parameter from its nominal value.
     """
-    from scipy.stats import spearmanr  # takes long to import
+    from scipy.stats import spearmanr  # slow to import
     angles = folder.numbers(ANGLE, _SAMPLE)
     return {name: float(spearmanr(np.abs(deviation[known]), angles[known])[0])
             for name, deviation in _deviations(ensemble, folder)
@@ -53,10 +52,10 @@ def effects(ensemble: Ensemble, folder: Folder, quantity: str) -> dict[str, floa
     Return the fraction of the variance of a quantity that each parameter explains.
 
     The fraction is the adjusted R^2 of a quadratic in the parameter, fitted to the ranks of the
-    quantity. The fraction detects effects that change sign with a deviation, such as the effect of
-    a gain on a final rate. It also detects effects that depend only on the size of a deviation,
-    such as the effect of an initial rate that varies about zero. A rank correlation with the
-    deviation would not detect effects of the second kind.
+    quantity. The fraction shows effects that change sign with the deviation, such as the effect of
+    a gain on a final rate. The fraction also shows effects that depend only on the size of the
+    deviation, such as the effect of an initial rate that varies about zero. A rank correlation
+    with the deviation would miss effects of this second kind.
     """
     numbers = final(folder, quantity, _SAMPLE)
     return {name: _explained(deviation[known], numbers[known])
@@ -73,7 +72,7 @@ def _vary(known: NDArray[np.bool_], *columns: Floats) -> bool:
 
 
 def _explained(deviation: Floats, numbers: Floats) -> float:
-    from scipy.stats import rankdata  # takes long to import
+    from scipy.stats import rankdata  # slow to import
     ranks = rankdata(numbers) - 0.5 * (1.0 + len(numbers))
     linear = deviation - deviation.mean()
     linear /= np.abs(linear).max()
@@ -85,11 +84,15 @@ def _explained(deviation: Floats, numbers: Floats) -> float:
 
 
 def _deviations(ensemble: Ensemble, folder: Folder) -> Iterator[tuple[str, Floats]]:
-    """Generate the name of each parameter and its deviations from the nominal value."""
+    """
+    Generate the name of each parameter, with its deviations from the nominal value.
+
+    The deviations are an array with one number for each run.
+    """
     nominal = ensemble.nominal
     attitude = [f'initial_attitude.{axis}' for axis in 'xyzw']
     tilted = np.stack([folder.numbers(name, _SAMPLE) for name in attitude], axis=-1)
-    with np.errstate(invalid='ignore'):  # failed runs are NaN
+    with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
         yield 'initial_attitude', np.asarray(
             so3.angle_between(tilted, [nominal[name] for name in attitude]))
     for name in ensemble.columns:

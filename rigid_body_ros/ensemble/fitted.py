@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Draw parameters from the joint distribution that `attitude_identify` estimated."""
+"""Draw parameter values from the joint distribution estimated by `attitude_identify`."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene.fields import MOMENT
 
-#: The keys of the rotation vector of the initial attitude.
+#: The keys of the rotation vector that describes the initial attitude.
 _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')
-#: Estimates that do not affect the motion: errors of sensors, and starts of later recordings.
+#: Estimates that do not affect the motion: sensor errors, and the starts of further recordings.
 _NOT_IN_MOTION = re.compile(r'((mount|gyro_bias|gyro_scale)\.[xyz]|clock_offset|clock_drift)(@.*)?'
                             r'|.*\[\d+\]')
-#: The keys of an estimated weight. The fitted scene describes the weight as a field.
+#: The keys of an estimated weight, which the fitted scene describes as a field.
 _WEIGHT = re.compile(r'^weight(\.[xyz])$')
-#: Eigenvalues and pivots of a correlation matrix below this number are rounding errors.
+#: Eigenvalues and pivots of a correlation matrix below this limit are taken to be rounding errors.
 _ROUNDING = 1e-12
 _KINDS = {bool: 'true or false', dict: 'names and values', float: 'a number', list: 'a list'}
 
@@ -57,14 +57,15 @@ class Fitted:
     Attributes
     ----------
     estimates : dict of str to float
-        The estimates by key, in the units of `units_with`. `initial_attitude.x`, `.y` and `.z` are
-        a rotation vector in body axes, rad.
+        The estimates by key, in the units of `units_with`. The three keys `initial_attitude.x`,
+        `.y` and `.z` are the components of a rotation vector in body axes, rad.
     guess_attitude : array, shape (4,)
-        The attitude to which the rotation vector in `estimates` is applied: a quaternion x y z w.
+        The attitude to which the rotation vector in `estimates` is relative, as a quaternion
+        x y z w.
     covariance : array, shape (n, n)
-        Covariance of the estimates, in the order of `estimates`; positive semidefinite.
+        The covariance of the estimates, in the order of `estimates`. It is positive semidefinite.
     ignored : tuple of str
-        Names of the estimates that have no effect on the motion.
+        The names of estimates that are ignored because they do not affect the motion.
 
     """
 
@@ -75,14 +76,15 @@ class Fitted:
 
     @cached_property
     def nominal(self) -> dict[str, float]:
-        """Return the estimates by the keys of a scene, with the attitude as a quaternion."""
+        """Return a mapping from scene keys to estimates, with the attitude as a quaternion."""
         return {key: float(column[0]) for key, column in self._values(self._mean[None]).items()}
 
     def draw(self, seed: int, runs: NDArray[np.int64]) -> dict[str, Floats]:
-        """Return the values that some runs draw, shape (n,), by the keys of `nominal`."""
+        """Return values drawn for some runs, shape (n,), for each of the keys of `nominal`."""
         numbers = normals(seed, runs, 'fitted', len(self._mean))
         changes = np.zeros_like(numbers)
-        # Add the terms one by one, because BLAS sums in an order that depends on the processor.
+        # Add the terms one by one, because the order in which BLAS would add the terms depends on
+        # the processor.
         for number, column in zip(numbers.T, self._factor.T):
             changes += np.multiply.outer(number, column)
         return self._values(self._mean + changes)
@@ -113,23 +115,23 @@ class Fitted:
 
 def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> Fitted:
     """
-    Read the estimates and the covariance from a JSON file of `attitude_identify`.
+    Read the estimates and their covariance from a JSON file written by `attitude_identify`.
 
     Parameters
     ----------
     path : str or Path
         The file.
     fields : iterable of str
-        The names of the uniform fields of the scene.
+        The names of the uniform fields in the scene.
     force : bool
-        Whether to accept a fit whose verdict is 'rejected'.
+        Whether to accept the fit even if its verdict is 'rejected'.
 
     Raises
     ------
     InputError
         The file cannot be read or was not written by `attitude_identify`; the fit did not
-        converge; the verdict is 'rejected' and `force` is False; an estimate is not determined or
-        cannot vary; or the covariance is invalid.
+        converge, or was rejected and `force` is False; an estimate is not determined by the data
+        or cannot vary; or the covariance is invalid.
 
     """
     data = read_json(path, 'estimates')
@@ -170,7 +172,11 @@ def _fitted(data: Any, known: Mapping[str, str], force: bool) -> Fitted:
 
 
 def _typed(value: Any, kind: type, where: str) -> Any:
-    """Return a value; raise InputError if its type is not `kind` (an int counts as a float)."""
+    """
+    Return a value that has the type `kind`; raise InputError if it has another type.
+
+    An int is accepted as a float.
+    """
     value = float(value) if type(value) is int and kind is float else value
     if not isinstance(value, kind):
         found = 'none' if value is None else quoted(value)
@@ -186,13 +192,13 @@ def _list(value: Any, length: int, where: str) -> list[Any]:
 
 
 def _numbers(value: Any, length: int, where: str) -> list[float]:
-    """Return the numbers in a list, with NaN for null."""
+    """Return the numbers in a list, with NaN in place of null."""
     return [math.nan if one is None else _typed(one, float, where)
             for one in _list(value, length, where)]
 
 
 def _value(name: str, estimate: Any, unit: Any, known: Mapping[str, str]) -> float:
-    """Return the value of an estimate; raise InputError if a unit in the file is wrong."""
+    """Return the value of an estimate; raise InputError if the file gives an incorrect unit."""
     given = _typed(estimate, dict, f'estimates: {name}')
     expected = 'rad' if name in _ROTATION else known.get(name)
     for found, where in ((given.get('unit'), 'estimates'), (unit, 'covariance.units')):
@@ -253,7 +259,11 @@ def _check_covariance(names: Sequence[str], covariance: Floats) -> None:
 
 
 def _scaled(covariance: Floats) -> tuple[Floats, Floats]:
-    """Return the standard deviations (1 in place of 0) and the correlation matrix."""
+    """
+    Split a covariance matrix into standard deviations and a correlation matrix.
+
+    Standard deviations that are 0 are returned as 1.
+    """
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     return scale, covariance / np.multiply.outer(scale, scale)

@@ -13,16 +13,16 @@
 # limitations under the License.
 
 """
-The folder of an ensemble: the rows of the runs as Parquet, and the motions of the runs.
+Store an ensemble in a folder: one row per run in Parquet files and, optionally, the motions.
 
-Runs are computed and written in blocks, one file per block, so that an interrupted ensemble can
-continue where it stopped. A row depends only on the number of its run, and the rows are joined in
-the order of these numbers. Therefore, `runs.parquet` contains the same bytes, regardless of how
-the runs were divided into blocks.
+Runs are computed and written in blocks, with one file per block, so that an interrupted ensemble
+can continue where it stopped. A row depends only on its run number, and the rows are joined in the
+order of the run numbers. The content of `runs.parquet` is therefore exactly the same for any
+division of the runs into blocks.
 
-A folder with `summary.json` is complete. If the user requests more runs, the earlier results are
-removed before anything else changes. `summary.json` is the first file that is removed and the last
-file that is written.
+The file `summary.json` marks a complete folder, and is therefore written last. When a user asks
+for more runs, the earlier results are removed before anything else changes, beginning with
+`summary.json`.
 """
 
 from __future__ import annotations
@@ -48,18 +48,19 @@ from rigid_body_ros.ensemble.motions import Motions, remove_parts
 from rigid_body_ros.ensemble.runs import MOTION, Span
 from rigid_body_ros.runtime import files, protection
 
-#: If possible, the missing runs are divided into at least `BLOCKS` blocks, so that every worker
-#: gets one. A block contains at most `LONGEST` runs, so that an interrupt loses only a few runs.
+#: If possible, the missing runs are divided into at least `BLOCKS` blocks, so that there is enough
+#: work for every worker. No block contains more than `LONGEST` runs, so that little work is lost
+#: when the command is interrupted.
 BLOCKS, LONGEST = 32, 2048
-#: Number of rows in a row group of `runs.parquet`.
+#: Number of rows in each row group of `runs.parquet`.
 GROUP = 2 ** 16
-#: Columns with many equal values, which Parquet encodes with a dictionary. For other columns, a
-#: dictionary would cost time and space.
+#: Columns with many repeated values. A Parquet dictionary makes these columns smaller. In other
+#: columns, a dictionary would only cost time and space.
 _REPEATED = ['status', 'message']
 _IDENTITY, _SUMMARY, _PICTURE, _TABLE = ('identity.json', 'summary.json', 'bands.png',
                                          'runs.parquet')
-#: Names of unfinished files that may be removed: temporary versions of the files above, and of
-#: blocks.
+#: Names of unfinished files that may be removed. They are temporary versions of the files above
+#: and of blocks.
 _PART = re.compile(r'\.(identity\.json|summary\.json|bands\.png|runs\.parquet|\d{9}-[-0-9a-f]+'
                    r'\.parquet)\.[0-9a-f]{16}\.\d+\.part')
 
@@ -67,7 +68,7 @@ _PART = re.compile(r'\.(identity\.json|summary\.json|bands\.png|runs\.parquet|\d
 @contextmanager
 def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Iterator[Folder]:
     """
-    Open the folder of an ensemble, and lock it for this process within the context.
+    Open the folder of an ensemble, and lock it for this process until the context ends.
 
     Parameters
     ----------
@@ -76,18 +77,19 @@ def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Ite
     ensemble
         The other arguments of `Folder`.
     note : function
-        Shows a line of text to the user.
+        A function that shows a line of text to the user.
 
     Raises
     ------
     InputError
-        `Folder` raises this error, or another process writes to the folder.
+        Another process is writing to the folder, or `Folder` raises this error.
     KeyboardInterrupt
-        A signal was received within the context. The message says how to continue.
+        A signal was received while the folder was open. The message says how to continue.
 
     """
     protection.check_apart(path)
-    if not (Path(path) / lock.NAME).exists():  # check before a lock file is created
+    # Check that the folder belongs to an ensemble before creating a lock file there.
+    if not (Path(path) / lock.NAME).exists():
         _check_kind(Path(path))
     try:
         with lock.locked(Path(path), note) as is_locked:
@@ -105,33 +107,34 @@ def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Ite
 
 class Folder:
     """
-    The folder of an ensemble, new or to be continued.
+    The folder of an ensemble. It can be new, or contain runs from an earlier use.
 
     Parameters
     ----------
     path : str or Path
         The folder; it is created if it does not exist.
     identity : mapping
-        The inputs that the runs depend on, as JSON types. Error messages contain the keys.
+        The inputs that the runs depend on, as JSON types. Error messages refer to them by key.
     units : mapping
-        The unit of each column of numbers.
+        The unit of each numeric column.
     runs : int
-        Number of runs; at least the number in earlier uses of the folder.
+        Number of runs. It must not be smaller than in earlier uses of the folder.
     times : array, shape (m,), s, optional
-        Times since the start at which states are kept. By default, no states are kept.
+        Times since the start at which to keep the states. By default, no states are kept.
 
     Attributes
     ----------
     table, picture : Path
-        The paths of `runs.parquet`, which contains all rows, and of `bands.png`.
+        The paths of `runs.parquet`, which contains all rows, and of the picture `bands.png`.
     misfits : list of str
-        The runs, as text, of each block that is damaged or belongs to another ensemble.
+        For each block that is damaged or belongs to another ensemble, the block's range of run
+        numbers as text.
 
     Raises
     ------
     InputError
-        The folder contains other files, the runs of another ensemble, or more than `runs` runs; or
-        the folder cannot be written.
+        The folder contains unrelated files, the runs of another ensemble, or more than `runs`
+        runs; or it cannot be written.
 
     """
 
@@ -161,7 +164,7 @@ class Folder:
 
     def missing(self, longest: int | None = None) -> list[Span]:
         """
-        Return the spans of the blocks that have to be computed.
+        Return the spans of the blocks that still have to be computed.
 
         Parameters
         ----------
@@ -181,15 +184,15 @@ class Folder:
 
     def add(self, first: int, stop: int, rows: Mapping[str, NDArray[Any]]) -> None:
         """
-        Write the motions of a block, then the rows of this block.
+        Add a block to the folder: write its motions first, and then its rows.
 
         Parameters
         ----------
         first, stop : int
-            The first run, and the run after the last.
+            The first run, and the run after the last one.
         rows : mapping
-            An array for each column, shape (n,). NaN marks a missing number. If the folder keeps
-            states, the mapping also contains 'motion', shape (n, m, 7).
+            An array of shape (n,) for each column, with NaN in place of missing numbers. If the
+            folder keeps states, `rows` must also contain 'motion', an array of shape (n, m, 7).
 
         Raises
         ------
@@ -213,7 +216,8 @@ class Folder:
         Raises
         ------
         InputError
-            The file cannot be written, a block has changed, or a run is missing or occurs twice.
+            The file cannot be written, a block has been changed, or a run is missing or occurs
+            twice.
 
         """
         with files.atomic_output(self.table, '.parquet') as path:
@@ -225,7 +229,11 @@ class Folder:
             self._blocks.remove_others()
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write `summary.json` as the last file; raise InputError if it cannot be written."""
+        """
+        Write `summary.json`, which marks the folder as complete.
+
+        Raise InputError if the file cannot be written.
+        """
         self._write(_SUMMARY, summary)
 
     def motions(self) -> Iterator[Floats]:
@@ -235,8 +243,8 @@ class Folder:
         Yields
         ------
         array, shape (n, m, 7)
-            Attitude, x y z w, from body to space axes, and angular velocity, rad/s, body axes, at
-            `times`. The motion of a failed run is NaN.
+            States at `times`. Each contains the attitude, x y z w, from body to space axes, and
+            the angular velocity, rad/s, in body axes. All states of a failed run are NaN.
 
         Raises
         ------
@@ -248,20 +256,28 @@ class Folder:
             yield from self._motions.chunks()
 
     def numbers(self, name: str, stop: int) -> Floats:
-        """Return a column of `runs.parquet` for runs before `stop`, with NaN for failed runs."""
+        """
+        Return a numeric column of `runs.parquet` for all runs before `stop`.
+
+        The numbers of failed runs are NaN.
+        """
         wanted = min(stop, self.runs)
         groups = range(-(-wanted // GROUP))
         column = parquet.ParquetFile(self.table).read_row_groups([*groups], columns=[name])
         return np.asarray(column.column(name).to_numpy(), float)[:wanted]
 
     def failures(self) -> dict[str, int]:
-        """Return the number of failed runs by cause."""
+        """Return, for each cause of failure, the number of runs that failed for this cause."""
         batches = parquet.ParquetFile(self.table).iter_batches(columns=['message'])
         return causes(message for batch in batches
                       for message in filter(None, batch.column(0).to_pylist()))
 
     def _check(self, identity: Mapping[str, Any]) -> int:
-        """Return the number of runs in the folder; raise InputError if their inputs differ."""
+        """
+        Return the number of runs in the folder.
+
+        Raise InputError if the runs in the folder were computed from other inputs.
+        """
         _check_kind(self.path)
         record = self.path / _IDENTITY
         if not record.exists():
@@ -282,7 +298,7 @@ class Folder:
         return runs
 
     def _remove_results(self) -> None:
-        """Remove results that do not cover all runs, `summary.json` first."""
+        """Remove results that do not cover all runs, beginning with `summary.json`."""
         with files.reported(self.path):
             for name in (_SUMMARY, _PICTURE, _TABLE):
                 (self.path / name).unlink(missing_ok=True)
@@ -293,7 +309,7 @@ class Folder:
             path.write_text(f'{json.dumps(data, indent=1)}\n', encoding='utf-8')
 
     def _check_runs(self, path: Path) -> None:
-        """Raise InputError unless a file contains exactly one row for each run."""
+        """Raise InputError unless a file has exactly one row for each run."""
         end = 0
         for batch in parquet.ParquetFile(path).iter_batches(columns=['run']):
             numbers = batch.column(0).to_numpy()
@@ -307,7 +323,7 @@ class Folder:
                          'missing or twice; the same command computes what is missing')
 
     def _groups(self) -> Iterator[arrow.Table]:
-        """Generate all rows, in tables with the size of a row group."""
+        """Generate all rows of the ensemble, in tables of one Parquet row group each."""
         waiting = self._schema.empty_table()
         for span in self._blocks.spans:
             waiting = arrow.concat_tables([waiting, self._read(span)])
@@ -322,7 +338,7 @@ class Folder:
 
 
 def _check_kind(path: Path) -> None:
-    """Raise InputError if a path is neither new nor the folder of an ensemble."""
+    """Raise InputError unless a path is new, or is the folder of an ensemble."""
     if not path.exists() or (path / _IDENTITY).exists():
         return
     if not path.is_dir() or any(entry.name != lock.NAME and not _PART.fullmatch(entry.name)
@@ -332,7 +348,7 @@ def _check_kind(path: Path) -> None:
 
 
 def _remove_parts(path: Path) -> None:
-    """Remove unfinished files that a killed process left behind."""
+    """Remove unfinished files left behind by a process that was killed."""
     with files.reported(path):
         for folder in (path, path / 'blocks'):
             for part in folder.glob('.*.part'):

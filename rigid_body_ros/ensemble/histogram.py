@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Histogram of angles or other nonnegative numbers."""
+"""Compute a histogram of angles or other nonnegative numbers."""
 
 from __future__ import annotations
 
@@ -23,32 +23,31 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 
-#: Maximum number of bars.
+#: Maximum number of bars in a histogram.
 _BARS = 60
-#: If the 99th percentile exceeds the 5th by more than this factor, bars have equal widths on a
-#: logarithmic axis.
+#: The axis is logarithmic if the 99th percentile exceeds the 5th by more than this factor.
 _DECADES = 100.0
 
 
 def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any]:
     """
-    Return a histogram of angles, as JSON.
+    Return a histogram of angles, as JSON types.
 
     Parameters
     ----------
     angles : array, shape (n,), rad
-        One angle for each run; at least one.
+        The angle of each run. There must be at least one.
     percentiles : mapping
         The percentiles 'p1', 'p5', 'p99' and 'p100' of the angles, rad.
 
     Returns
     -------
     dict
-        'edges_rad', shape (m + 1,), contains the edges of the intervals. 'runs', shape (m,),
-        contains the number of runs in each interval. By default, the intervals have equal widths
-        and extend from 0 to the largest angle. If the angles span decades, the intervals have
-        equal widths on a logarithmic axis, and begin at a tenth of the first percentile or at the
-        smallest angle, whichever is larger. In this case, the first interval includes all smaller
+        'edges_rad', shape (m + 1,), contains the edges of the intervals, and 'runs', shape (m,),
+        the number of runs in each interval. Normally, the intervals have equal widths and range
+        from 0 to the largest angle. If the angles span several decades, the intervals instead have
+        equal widths on a logarithmic axis. The first of these intervals begins at a tenth of the
+        first percentile or at the smallest angle, whichever is larger, and also counts all smaller
         angles.
 
     """

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs that the runs of an ensemble depend on."""
+"""Collect the inputs that the runs of an ensemble depend on."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from rigid_body_ros.scene import Scene
 
 
 def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
-    """Return the inputs of the runs as JSON; equal inputs yield equal results."""
+    """Return all inputs of the runs as JSON types; runs with equal inputs have equal results."""
     values, controller = json.dumps(dict(scene.values), sort_keys=True), ensemble.controller
-    # Convert to JSON and back, so that the result compares equal to the content of a file.
+    # Convert to JSON and back, so that the result can be compared with the content of a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
@@ -42,7 +42,7 @@ def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[st
 
 
 def recording_hash(problem: Problem) -> str:
-    """Return a hash of the recorded torques on the body, the rotors and the wheels."""
+    """Return a hash of all recorded torques: those on the body, the rotors and the wheels."""
     torques = hashlib.sha256()
     for log in problem.sources:
         for array in (log.times_ns, log.torques, log.in_space):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The lock that allows only one process at a time to write to a folder."""
+"""Lock a folder, so that only one process at a time writes to it."""
 
 from __future__ import annotations
 
@@ -28,30 +28,31 @@ import sys
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files
 
-#: The locked file. It stays in the folder: if it were removed, two processes could each lock a
-#: different file with this name.
+#: The name of the file that is locked. This file is never removed. After a removal, two processes
+#: could each lock a different file with this name.
 NAME = 'ensemble.lock'
 
 
 @contextmanager
 def locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
     """
-    Lock a folder within the context; if the process dies, the system releases the lock.
+    Lock a folder until the context ends.
 
-    On a file system without locks, the folder is used without a lock. Changes by another command
-    are still detected when the blocks are joined.
+    If the process dies, the operating system releases the lock. If the file system does not
+    support locks, the folder is used without a lock. Changes that another command makes are then
+    detected only when the blocks are joined.
 
     Parameters
     ----------
     folder : Path
         The folder; it is created if it does not exist.
     note : function
-        Shows a line of text to the user.
+        A function that shows a line of text to the user.
 
     Yields
     ------
     bool
-        Whether the folder is locked; False if the file system has no locks.
+        Whether the folder is locked. False if the file system does not support locks.
 
     Raises
     ------
@@ -82,7 +83,7 @@ def _lock(handle: int, folder: Path, note: Callable[[str], None]) -> bool:
         flock(handle, LOCK_EX | LOCK_NB)
     except BlockingIOError:
         who, _, since = os.read(handle, 200).decode(errors='replace').strip().partition('\n')
-        known = f', {who},' if who else ''  # that process may not have written it yet
+        known = f', {who},' if who else ''  # the other process may not have described itself yet
         raise InputError(f'{folder}: another attitude_ensemble{known} writes to it '
                          f'{since}'.rstrip()) from None
     except OSError as error:

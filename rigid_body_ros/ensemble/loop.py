@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-A run with a controller, which is called at each step and returns the torque until the next step.
+Propagate a run with a controller in the loop.
 
-A node in lockstep also waits for a torque at each step. The motion equals, bit for bit, the motion
-that `propagate` computes from the same torques.
+The controller is called at each step, just as a node in lockstep waits for a torque at each step.
+The torque that the controller returns acts until the next step. The motion is exactly the same as
+the motion that `propagate` computes from the same torques.
 """
 
 from __future__ import annotations
@@ -42,42 +43,43 @@ from rigid_body_ros.mechanics.torque import FRAMES, TorqueLog
 from rigid_body_ros.propagation import Problem, Propagator
 from rigid_body_ros.runtime import interrupts
 
-#: A function that takes the torque of a controller, N m, and returns the torque that acts.
+#: A function that takes the torque from a controller and returns the applied torque, both in N m.
 Actuated = Callable[[Floats], Floats]
-#: A stamp, ns, and the call that applies the input with this stamp.
+#: An input of a motion: the stamp of the input, ns, and a function that applies the input.
 _Input = tuple[int, Callable[[], object]]
 
 
 def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.int64],
                 actuated: Actuated) -> tuple[Floats, TorqueLog]:
     """
-    Return the motion under a controller, and the torques that the controller applied.
+    Propagate a motion with a controller in the loop.
 
     Parameters
     ----------
     problem : Problem
-        The motion without the controller. The torques of its logs are held between samples.
+        The motion without the controller. The torques in its logs are held between samples.
     controller : Controller
-        The controller, which is first called at the start of the motion.
+        The controller. It is called for the first time at the start of the motion.
     times_ns : array of int64, shape (m,), ns
-        Times of the returned states, ascending and not before the start. The motion ends at the
-        last time.
+        The times at which to return states, in ascending order and not before the start. The
+        motion ends at the last of these times.
     actuated : function
-        Takes the torque that the controller returned, N m, and returns the torque that acts.
+        A function that takes the torque from the controller and returns the applied torque, both
+        in N m.
 
     Returns
     -------
     array, shape (m, 7)
-        Attitude, x y z w, and angular velocity, rad/s.
+        The motion: attitude, x y z w, and angular velocity, rad/s.
     TorqueLog
         The torques that `actuated` returned. To reproduce the motion with `propagate`, add this
-        log to the problem as the last log, with the actuator of the controller.
+        log to the problem after all other logs, with the actuator of the controller.
 
     Raises
     ------
     ValueError
-        The controller fails (`ControllerError`), the body turns too far for the motion to be
-        computed, or `Propagator` raises an error.
+        The controller fails (`ControllerError`), the body turns too far for its motion to be
+        computed, or `Propagator` raises this error.
     KeyboardInterrupt
         A signal was received.
 
@@ -86,7 +88,7 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
     motion, turned = _Motion(problem, controller), _Turned(problem, step_ns)
     stamps = range(start_ns, int(times_ns[-1]), step_ns)
     torques, states = list[Floats](), list[State]()
-    with redirect_stdout(sys.stderr):  # standard output is for results only
+    with redirect_stdout(sys.stderr):  # standard output is reserved for results
         law = controller.begin()
         for stamp_ns in stamps:
             interrupts.check()
@@ -104,13 +106,13 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
 
 
 class _Motion:
-    """The motion under the torques of a problem and of a controller, at ascending times."""
+    """A motion with a controller. It can be evaluated only at ascending times."""
 
     def __init__(self, problem: Problem, controller: Controller) -> None:
         self._source = len(problem.logs)
         wheels = problem.named_wheels.wheels if problem.named_wheels else None
         actuators = [*(problem.actuators or [None] * self._source), controller.actuator]
-        # A state is requested at most one step before the latest torque.
+        # No state is requested more than one step before the latest torque.
         self._propagator = Propagator(problem.body, problem.start, wheels=wheels,
                                       fields=problem.fields, actuator=actuators,
                                       history=controller.step_ns / 1e9, **asdict(problem.options))
@@ -118,18 +120,18 @@ class _Motion:
         self._next = next(self._recorded, None)
 
     def at(self, time_ns: int) -> State:
-        """Return the state at a time."""
+        """Apply all recorded inputs up to a time, and return the state at this time."""
         while self._next and self._next[0] <= time_ns:
             self._next[1]()
             self._next = next(self._recorded, None)
         return self._propagator.at(time_ns)
 
     def apply(self, time_ns: int, torque: Floats) -> None:
-        """Apply a torque of the controller from the given time on."""
+        """Apply a torque from the controller, from the given time onward."""
         self._propagator.apply(time_ns, torque, source=self._source)
 
     def _inputs(self, problem: Problem) -> Iterator[Iterator[_Input]]:
-        """Generate one iterator over inputs for each source, and one for changes of the body."""
+        """Generate an iterator over the inputs of each source, then one over the body changes."""
         into, wheels, changes = self._propagator, problem.wheels, problem.changes
         for source, log in enumerate(problem.logs):
             frames = np.choose(log.in_space, FRAMES).tolist()
@@ -146,19 +148,24 @@ class _Motion:
 
 
 class _Turned:
-    """A bound on the angle by which a body has turned; a huge angle takes days to propagate."""
+    """
+    An upper bound on the angle through which a body has turned.
+
+    The bound is needed because motions with huge angles would take days to propagate.
+    """
 
     def __init__(self, problem: Problem, step_ns: int) -> None:
         moments = problem.body.principal_moments
         self._least, self._seconds = float(moments.min()), step_ns / 1e9
-        #: With constant energy, the angular velocity can increase at most by this factor.
+        #: While the energy is constant, the angular velocity can grow by at most this factor.
         self._ratio = math.sqrt(float(moments.max()) / self._least)
         self._limit = math.inf if problem.options.record.fixed_step else FARTHEST
-        #: The bound so far, and the largest torque so far (an actuator may delay a torque).
+        #: The upper bound up to now, rad, and the largest torque up to now, N m. Earlier torques
+        #: matter because an actuator may delay them.
         self._angle = self._largest = 0.0
 
     def check(self, state: State, torque: Floats, seconds: float) -> None:
-        """Raise ValueError if the body may have turned too far one step after `state`."""
+        """Raise ValueError if, one step after `state`, the body may have turned too far."""
         self._largest = max(self._largest, math.hypot(*torque.tolist()))
         gained = self._largest / self._least * self._seconds
         rate = math.hypot(*state.angular_velocity.tolist()) * self._ratio + gained
@@ -171,11 +178,15 @@ class _Turned:
 
 def _calls(apply: Callable[..., object], times_ns: NDArray[np.int64],
            *columns: Iterable[Any]) -> Iterator[_Input]:
-    """Generate the inputs of a source: for each row, the stamp and a call with the values."""
+    """
+    Generate the inputs of a source, one for each row.
+
+    An input consists of a stamp and a function that calls `apply` with the values of the row.
+    """
     return ((stamp_ns, partial(apply, stamp_ns, *row))
             for stamp_ns, *row in zip(times_ns.tolist(), *columns))
 
 
 def _copied(state: State) -> State:
-    """Return a copy of a state; if a controller changes the copy, the motion does not change."""
+    """Return a copy of a state, which a controller may modify without affecting the motion."""
     return State._as_computed(state.time_ns, state._packed.copy(), None, state._rotors.copy())

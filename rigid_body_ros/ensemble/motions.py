@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-The motions of an ensemble as a Zarr group.
+Store the motions of an ensemble in a Zarr group.
 
-The version of the format is 2, which the packages zarr 2 and zarr 3 can read. The group contains
-the metadata that xarray expects. A chunk contains a fixed number of runs, so its bytes depend only
-on the numbers of these runs. If a block contains only some of the runs of a chunk, writing the
-block rewrites the whole chunk.
+The group uses version 2 of the format, which both zarr 2 and zarr 3 can read, and contains the
+metadata that xarray expects. Each chunk contains a fixed range of runs, so the bytes of a chunk do
+not depend on how the runs were divided into blocks. When a block covers only some of the runs in a
+chunk, the whole chunk is rewritten.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.runtime import files
 
-#: The components of a state, and their units.
+#: The names of the components of a state, and their units.
 COMPONENTS = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
               **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
-#: Maximum numbers of runs in a chunk, and of states in a chunk, in a block and in a run. A state
-#: takes 56 bytes.
+#: The maximum number of runs in a chunk, and the maximum number of states in a chunk, in a block
+#: and in a run. A state takes 56 bytes.
 _RUNS, _CHUNK, _BLOCK, _MOST = 1024, 2 ** 16, 2 ** 19, 2 ** 21
-#: Names of chunks that Zarr did not finish writing.
+#: The names of chunk files that Zarr did not finish writing.
 _PART = re.compile(r'[0-9.]+\.[0-9a-f]{32}\.partial')
 
 
 def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
     """
-    Return the times at which `attitude_replay --rate` computes states, including the end.
+    Return the times at which `attitude_replay --rate` would compute states, including the end.
 
     Parameters
     ----------
     start_ns, end_ns : int, ns
-        Start and end of the runs.
+        The start and the end of the runs.
     rate : float, Hz
-        Greater than 0.
+        The number of states per second, greater than 0.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
     Raises
     ------
     InputError
-        The states of one run would take too much memory.
+        The states of a single run would take too much memory.
 
     """
     step_ns = 1e9 / rate
@@ -76,7 +76,7 @@ def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
 
 
 def remove_parts(path: Path) -> None:
-    """Remove unfinished files that a killed process left in a Zarr group."""
+    """Remove unfinished files left in a Zarr group by a process that was killed."""
     for part in path.rglob('*.partial'):
         if _PART.fullmatch(part.name):
             part.unlink()
@@ -84,7 +84,7 @@ def remove_parts(path: Path) -> None:
 
 class Motions:
     """
-    The motions of an ensemble, new or to be continued.
+    The motions of an ensemble in a Zarr group, which is created if it does not exist.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Motions:
     times : array, shape (m,), s
         Times since the start.
     runs : int
-        Number of runs, at least as many as in the group.
+        Number of runs. It must not be smaller than the number of runs in the group.
 
     Raises
     ------
@@ -105,24 +105,30 @@ class Motions:
     def __init__(self, path: Path, times: Floats, runs: int) -> None:
         self._path, self._times, self._runs = path, times, runs
         self._shape = (min(max(_CHUNK // times.size, 1), _RUNS), min(times.size, _CHUNK))
-        import zarr  # slow to import, and only --times needs it
+        import zarr  # slow to import, and needed only for --times
         with self._reported('open'):
-            # Without consolidated metadata, which are written last, the group is incomplete.
+            # The consolidated metadata is written last. Without this metadata, the group is
+            # incomplete.
             if not (path / '.zmetadata').exists():
                 self._create()
-            with zarr.config.set({'array.write_empty_chunks': True}):  # also for failed runs
+            # Write a chunk even if all of its runs have failed.
+            with zarr.config.set({'array.write_empty_chunks': True}):
                 self._array = zarr.open_array(path / 'motion', mode='r+')
             self._array.resize((runs, times.size, len(COMPONENTS)))
             zarr.consolidate_metadata(path, zarr_format=2)
 
     def block(self, runs: int) -> int:
-        """Return the number of runs to compute as a block, at most `runs`."""
+        """
+        Return the number of runs to write in one block, at most `runs`.
+
+        If possible, a block consists of whole chunks.
+        """
         runs = min(runs, max(_BLOCK // self._times.size, 1))
         return runs - runs % self._shape[0] or runs
 
     def write(self, first: int, motions: Floats) -> None:
         """
-        Write the motions of consecutive runs, shape (n, m, 7), to disk.
+        Write the motions of consecutive runs, shape (n, m, 7), and flush them to disk.
 
         Raises
         ------
@@ -138,10 +144,9 @@ class Motions:
 
     def read(self, first: int, stop: int) -> Floats | None:
         """
-        Return the motions of consecutive runs, or None if one of their chunks cannot be read.
+        Return the motions of consecutive runs, or None if a chunk is missing or damaged.
 
-        A chunk may be missing or damaged. A damaged chunk is removed, so that it can be written
-        again.
+        Damaged chunks are removed, so that they can be written again.
 
         Raises
         ------
@@ -160,7 +165,7 @@ class Motions:
         return None
 
     def chunks(self) -> Iterator[Floats]:
-        """Generate the motions of all runs in order, in arrays of shape (n, m, 7)."""
+        """Generate the motions of all runs in order, as arrays of shape (n, m, 7)."""
         for first in range(0, self._runs, self._shape[0]):
             with self._reported('read'):
                 motions = self._array[first:min(first + self._shape[0], self._runs)]
@@ -174,13 +179,15 @@ class Motions:
                                                           'time since the start'}),
                                    ('component', np.array([*COMPONENTS]),
                                     {'unit': [*COMPONENTS.values()]})):
-            # Set no fill value, because xarray treats numbers equal to the fill value as missing.
+            # Do not set a fill value: xarray would treat all values equal to the fill value as
+            # missing.
             group.create_array(name, data=values, compressors=None, overwrite=True,
                                fill_value=None, attributes={'_ARRAY_DIMENSIONS': [name], **more})
         group.create_array(
             'motion', shape=(0, self._times.size, len(COMPONENTS)), overwrite=True,
             chunks=(*self._shape, len(COMPONENTS)), dtype='<f8', fill_value=np.nan,
-            # Do not use Blosc, because the order of its output depends on its threads.
+            # Do not use Blosc, because the order of the bytes that Blosc writes depends on its
+            # threads.
             filters=[numcodecs.Shuffle(8)], compressors=numcodecs.Zstd(1),
             attributes={'_ARRAY_DIMENSIONS': ['run', 'time', 'component'], 'long_name':
                         'attitude, body to space, and angular velocity, body axes'})
@@ -194,7 +201,7 @@ class Motions:
             self._file(row, column).unlink()
 
     def _chunks(self, first: int, stop: int) -> Iterator[tuple[int, int]]:
-        """Generate the row and the column of each chunk that contains some of the runs."""
+        """Generate the row and column of each chunk that contains any of these runs."""
         runs, times = self._shape
         return product(range(first // runs, -(-stop // runs)),
                        range(-(-self._times.size // times)))

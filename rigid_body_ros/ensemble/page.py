@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the page of an ensemble."""
+"""Assemble the HTML page that shows the results of an ensemble."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from rigid_body_ros.report.page import Markup, Page, table
 from rigid_body_ros.report.style import MARKED
 from rigid_body_ros.scene import Scene
 
-#: Length of the bar for a rank correlation or R^2 of 1, and height of a bar, both in the units of
-#: the picture.
+#: `_WIDTH` is the length of a bar for a rank correlation or R^2 of 1. `_HEIGHT` is the height of
+#: all bars. Both are in units of the drawing.
 _WIDTH, _HEIGHT = 100.0, 10.0
 
-#: Lower and upper percentile of each band over time, with its name and style.
+#: For each band in the plot over time: the lower and upper percentile, the name and the style.
 _BANDS = ((5, 95, '5 % to 95 %', 'band'), (25, 75, '25 % to 75 %', 'band'),
           (50, 50, 'median', 'line'))
 
@@ -40,7 +40,7 @@ _BANDS = ((5, 95, '5 % to 95 %', 'band'), (25, 75, '25 % to 75 %', 'band'),
 def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
          replay: Callable[[int], str]) -> Page:
     """
-    Return the page of an ensemble.
+    Return a page that shows the results of an ensemble.
 
     Parameters
     ----------
@@ -51,9 +51,9 @@ def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
     scene : Scene
         The scene of the nominal motion.
     command : str
-        The command line.
+        The command line that computed the ensemble.
     replay : function
-        Takes the number of a run, and returns the command that computes this run again.
+        A function that takes a run number and returns the command that recomputes this run.
 
     """
     requirements = found.get('requirements', ())
@@ -66,7 +66,11 @@ def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
 
 
 def _headline(found: Mapping[str, Any]) -> str:
-    """Return text on the requirements or, if there are none, on the final angles."""
+    """
+    Return a headline that tells how many runs meet each requirement.
+
+    If there are no requirements, the headline gives the final angles from the nominal attitude.
+    """
     runs, angles = found['runs'], found['angle_from_nominal_rad']
     said = [f'{100.0 * one["share"]:.3g} % of {runs} runs meet {one["require"]} {one["unit"]}'
             for one in found.get('requirements', ())]
@@ -79,7 +83,11 @@ def _headline(found: Mapping[str, Any]) -> str:
 
 
 def _tables(one: Mapping[str, Any], replay: Callable[[int], str]) -> Iterator[str]:
-    """Generate two tables for a requirement: effects of the parameters, and the worst runs."""
+    """
+    Generate two tables for a requirement.
+
+    The first table shows the effects of the parameters, and the second the worst runs.
+    """
     yield from _bars(f'parameter: {one["require"]}', 'explains (R²)', strongest(one['effects']))
     worst = [(str(each['run']), f'{each["value"]:.3g} {one["unit"]}', replay(each['run']))
              for each in one['worst']]
@@ -122,7 +130,7 @@ def _bins(edges: Sequence[float], runs: Sequence[int], percentiles: Mapping[str,
 
 
 def _bar(correlation: float) -> Markup:
-    """Return a bar for a rank correlation or an R^2; negative values have another colour."""
+    """Draw a bar for a rank correlation or an R^2. Negative values have a different colour."""
     colour = 'c1' if correlation < 0.0 else 'c0'
     return Markup(f'<svg class="share" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" aria-hidden="true">'
                   f'<rect class="bar {colour}" width="{_WIDTH * abs(correlation):.1f}" '

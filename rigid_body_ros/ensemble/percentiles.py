@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Percentiles without interpolation: each percentile is one of the numbers."""
+"""Compute percentiles without interpolation, so that each percentile is one of the numbers."""
 
 from __future__ import annotations
 
@@ -23,23 +23,24 @@ from rigid_body_ros.common.arrays import Floats
 
 def percentiles(numbers: Floats, wanted: Sequence[int]) -> Floats:
     """
-    Return percentiles of numbers, like `numpy.percentile` with the method 'inverted_cdf'.
+    Return percentiles of some numbers, as `numpy.percentile` does with method='inverted_cdf'.
 
-    NumPy provides this method from version 1.22 on, but takes several times as long as this
-    function.
+    NumPy has supported this method since version 1.22, but `numpy.percentile` is several times
+    slower than this function.
 
     Parameters
     ----------
     numbers : array, shape (..., n)
-        At least one number along the last axis. The array is sorted in place along this axis.
+        The numbers. The last axis must have at least one element. The array is sorted in place
+        along this axis.
     wanted : sequence of int
-        The percentiles, from 1 to 100.
+        The percentiles to compute, from 1 to 100.
 
     Returns
     -------
     array, shape (..., len(wanted))
-        For each percentile k, the smallest number x such that at least k percent of the numbers
-        are at most x.
+        For each percentile k, the smallest number x in the array such that at least k percent of
+        the numbers are less than or equal to x.
 
     """
     ranks = [-(-k * numbers.shape[-1] // 100) - 1 for k in wanted]

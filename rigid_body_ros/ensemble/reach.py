@@ -13,14 +13,16 @@
 # limitations under the License.
 
 """
-Bounds on the angle by which bodies turn.
+Bound the angle through which a body can turn in a run.
 
-A run whose body turns too far would take days to compute.
+A run whose body turns too far would take days to compute. The bounds make it possible to reject
+such a run before it starts.
 
-The energy of a body bounds its speed. Torques change the square root of twice the energy by at
-most their impulse divided by the square root of the smallest moment of inertia. Damping lowers the
-energy. The momentum of rotors does not change the energy. The potential of a field bounds the
-energy that the field adds. The bounds depend only on the parameters of a run, not on the machine.
+The bounds follow from the energy E of the body, which limits the body's angular speed. Torques can
+change sqrt(2 E) by at most the impulse of the torques divided by the square root of the smallest
+moment of inertia. Damping only lowers the energy, and the momentum of rotors does not change the
+energy. The energy that a field can add is limited by the potential of the field. The bounds depend
+only on the parameters of a run, not on the machine.
 """
 
 from __future__ import annotations
@@ -38,19 +40,19 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
 
-#: Largest angle by which the body may turn in a run that is computed in steps, rad. A motion
-#: takes about a microsecond per radian.
+#: The largest angle through which the body may turn in a run that is computed in steps, rad.
+#: Propagating a motion takes about a microsecond per radian.
 FARTHEST = 1e7
-#: Any run may turn by up to this many times the angle of the nominal run.
+#: In every run, the body may turn by at least this many times the angle of the nominal run.
 _TIMES_NOMINAL = 10.0
-#: Bound on the noise, in standard deviations.
+#: The torque noise is assumed to be at most this many standard deviations.
 _NOISE = 5.0
 
 
 @dataclass(frozen=True)
 class Reach:
     """
-    A bound on the angle by which the body of each run turns.
+    Upper bounds on the angles through which the bodies turn in the runs of an ensemble.
 
     Parameters
     ----------
@@ -69,14 +71,16 @@ class Reach:
 
     def turned(self, applied: Applied) -> Floats:
         """
-        Return bounds on the angles by which bodies turn in motions that are computed in steps.
+        Return an upper bound on the angle through which the body turns in each run.
+
+        The bound covers only those parts of a motion in which the solver chooses its steps.
 
         Returns
         -------
         array, shape (n,), rad
-            A bound for each run. A motion takes about one step per radian. The bound is zero for
-            motions in closed form and for fixed steps. It is not finite for impossible bodies,
-            states or torques. Other functions report impossible values.
+            The bound for each run. Computing a run takes about one step per radian. The bound is
+            zero for motions in closed form and for fixed steps. The bound is not finite if a body,
+            a state or a torque is impossible. Other functions report such impossible values.
 
         """
         impossible = [bool(body or start) for body, start in zip(applied.bodies.messages,
@@ -87,7 +91,11 @@ class Reach:
         return np.where(impossible | too_fast, np.nan, turned)
 
     def limit(self, nominal: Applied) -> float:
-        """Return the largest angle allowed for a run, rad; larger if the nominal run turns far."""
+        """
+        Return the largest angle through which a body may turn in a run, rad.
+
+        This limit is larger than usual if the body turns far in the nominal run.
+        """
         turned, = replace(self, noise=0.0).turned(nominal).tolist()
         return max(FARTHEST, _TIMES_NOMINAL * turned)
 
@@ -108,7 +116,11 @@ class Reach:
             + applied.fields.speed(least, moments.max(-1))
 
     def _seconds(self, applied: Applied) -> Floats:
-        """Return the duration of each motion that is computed in steps, s, shape (n,)."""
+        """
+        Return the duration of those parts of each motion in which the solver chooses its steps, s.
+
+        The rest of the motion is computed in closed form or in fixed steps.
+        """
         solver = self.problem.options.record
         if solver.fixed_step:
             return np.zeros(len(applied.runs))
@@ -127,16 +139,16 @@ class Reach:
     @cached_property
     def _of_logs(self) -> tuple[float, float, float, float]:
         """
-        Return bounds that follow from the logs, and are the same for all blocks of runs.
+        Return bounds on the recorded torques, which are the same for all runs.
 
         Returns
         -------
         body, motors : float, N m s
-            The impulse of the torques on the body, and that of the torques on the rotors.
+            The total impulse of the torques on the body, and that of the torques on the rotors.
         largest : float, N m
             The largest torque on the body.
         acting : float, s
-            Total time during which torques act on the body.
+            The total time during which torques act on the body.
 
         """
         sources = list(self.problem.sources)
@@ -153,7 +165,11 @@ class Reach:
                     for strengths, spans in on_body))
 
     def _pieces(self, log: TorqueLog) -> tuple[Floats, Floats]:
-        """Return bounds on a torque between samples, N m, and the intervals between samples, s."""
+        """
+        Return two values for each interval between the samples of a log.
+
+        The first value is an upper bound on the torque, in N m. The second is the duration, in s.
+        """
         strengths = _norm(log.torques)
         if log.interpolation != 'hold':
             strengths = np.maximum(strengths, np.append(strengths[1:], 0.0))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Requirements on the final states: how many runs meet them, and which runs are the worst."""
+"""Judge requirements on the final states: how many runs meet them, and which runs are worst."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE
 from rigid_body_ros.mechanics import so3
 
-#: Quantities that a requirement can limit, and their units.
+#: The quantities that a requirement can limit, and their units.
 UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
-#: Percentiles of the required quantity.
+#: The percentiles that are reported for the quantity of a requirement.
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
-#: Number of worst runs that are reported.
+#: How many of the worst runs are reported.
 _WORST = 5
 _RELATIONS: dict[str, Callable[[Floats, float], NDArray[np.bool_]]] = {
     '<': operator.lt, '<=': operator.le, '>': operator.gt, '>=': operator.ge}
 _EXPRESSION = re.compile(r'\s*(\w+)\s*(<=|>=|<|>)\s*(\S+)\s*')
-#: Half of the probability that the true value is outside the interval.
+#: The probability of each tail of a confidence interval.
 _TAIL = 0.025
 
 
@@ -54,9 +54,9 @@ class Requirement:
     Attributes
     ----------
     quantity : str
-        'rate', the angular speed of the body, rad/s; 'angle', the angle between the space axes and
-        the body axes, rad; or 'angle_from_nominal', the angle between the body axes of the run and
-        those of the nominal run, rad.
+        What is limited. 'rate' is the angular speed of the body, rad/s. 'angle' is the angle
+        between the space axes and the body axes, rad. 'angle_from_nominal' is the angle between
+        the body axes in this run and in the nominal run, rad.
     relation : str
         '<', '<=', '>' or '>='.
     limit : float
@@ -85,19 +85,19 @@ class Requirement:
 
     def judged(self, folder: Folder) -> dict[str, Any]:
         """
-        Return how well the runs of a complete folder meet the requirement, as JSON.
+        Judge how well the runs of a complete folder meet the requirement.
 
         Returns
         -------
         dict
-            'met' is the number of runs that meet the requirement. A failed run does not meet it.
-            'share' is 'met' divided by the number of all runs, and 'interval_95' is the 95 %
-            confidence interval of 'share'. 'percentiles' and 'histogram' describe the quantity,
-            and are empty if all runs failed. 'worst' lists the worst runs.
+            The result as JSON types. 'met' is the number of runs that meet the requirement; failed
+            runs never meet it. 'share' is 'met' divided by the number of all runs, and
+            'interval_95' is the 95 % confidence interval of 'share'. 'percentiles' and 'histogram'
+            describe the quantity, and are empty if all runs failed. 'worst' lists the worst runs.
 
         """
         numbers = final(folder, self.quantity)
-        with np.errstate(invalid='ignore'):  # failed runs are NaN
+        with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
             met = int(_RELATIONS[self.relation](numbers, self.limit).sum())
         found: dict[str, Any] = {
             'require': str(self), 'unit': UNITS[self.quantity], 'met': met,
@@ -112,14 +112,22 @@ class Requirement:
         return found
 
     def _worst(self, numbers: Floats) -> list[dict[str, Any]]:
-        """Return the worst runs, the worst first; runs with equal values are sorted by number."""
+        """
+        Return the worst runs, beginning with the worst run.
+
+        Runs with equal numbers are in the order of their run numbers.
+        """
         order = np.argsort(-numbers if self.relation in ('<', '<=') else numbers, kind='stable')
         return [{'run': run, 'value': float(numbers[run])} for run in order[:_WORST].tolist()
                 if math.isfinite(numbers[run])]
 
 
 def final(folder: Folder, quantity: str, stop: int | None = None) -> Floats:
-    """Return the final value of a quantity for each run before `stop`; NaN for failed runs."""
+    """
+    Return the final value of a quantity in each run before `stop`.
+
+    The values of failed runs are NaN.
+    """
     def columns(name: str, axes: str) -> Floats:
         return np.stack([folder.numbers(f'{name}.{axis}', stop or folder.runs)
                          for axis in axes], axis=-1)
@@ -132,7 +140,7 @@ def final(folder: Folder, quantity: str, stop: int | None = None) -> Floats:
 
 
 def interval(met: int, runs: int) -> list[float]:
-    """Return the 95 % confidence interval of Clopper and Pearson for a probability."""
-    from scipy.special import betaincinv  # takes long to import
+    """Return the Clopper-Pearson 95 % confidence interval for a probability."""
+    from scipy.special import betaincinv  # slow to import
     return [float(betaincinv(met, runs - met + 1, _TAIL)) if met else 0.0,
             float(betaincinv(met + 1, runs - met, 1.0 - _TAIL)) if met < runs else 1.0]

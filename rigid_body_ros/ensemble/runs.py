@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Runs of an ensemble: draw their values, propagate the motions, and return columns of results."""
+"""Compute the runs of an ensemble: draw parameters, propagate motions, and collect results."""
 
 from __future__ import annotations
 
@@ -66,52 +66,57 @@ _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
 ANGLE, MOTION = 'angle_from_nominal', 'motion'
 _END = {**COMPONENTS, ANGLE: 'rad'}
 
-#: Limits for the runs that are computed at once: the number of runs; the number of torque samples
-#: and fixed steps; the same number if each run has a separate log; and the number of states that
-#: are kept. The limits are high enough that the time in Python is negligible, and low enough that
-#: an interrupt does not wait long. A sample of a separate log takes 33 bytes and a state takes 56
-#: bytes, so the last two limits are lower.
+#: Limits for the runs that are computed at once. `_AT_ONCE` limits the number of runs. `_STEPS`
+#: limits the number of torque samples and fixed steps; if each run has its own logs, `_SAMPLES`
+#: replaces this limit. `_STATES` limits the number of states that are kept. The limits are high
+#: enough to make the time spent in Python negligible, and low enough for a quick response to an
+#: interrupt. `_SAMPLES` and `_STATES` are lower to save memory: each sample of a separate log
+#: takes 33 bytes, and each state takes 56 bytes.
 _AT_ONCE, _STEPS, _SAMPLES, _STATES = 4096, 2 ** 22, 2 ** 20, 2 ** 18
 
-#: Columns by name: the numbers of the runs, the status 'ok' or 'failed', messages, and values
-#: (NaN in failed runs).
+#: The columns of a table of runs, by name. They contain the run numbers, the status 'ok' or
+#: 'failed', the messages, and the values, which are NaN in failed runs.
 Columns = dict[str, NDArray[Any]]
-#: The first run of a block, and the run after the last run.
+#: The first run of a block, and the run after its last run.
 Span = tuple[int, int]
-#: Attitudes and angular velocities, shape (n, m, 7), and messages of failed runs.
+#: The motions of n runs, shape (n, m, 7), and a message for each run. The message is empty if the
+#: run did not fail.
 _Found = tuple[Floats, list[str]]
 
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
     """
-    Runs with dispersed parameters.
+    An ensemble of runs with dispersed parameters.
 
-    The result of run number i depends only on the attributes below and on i.
+    The result of run number i depends only on i and on the attributes below.
 
     Attributes
     ----------
     problem : Problem
         The nominal motion.
     end_ns : int, ns
-        End of every run.
+        The end of every run.
     dispersions : tuple of Dispersion
+        The distributions of the parameters that vary.
     seed : int
+        The seed of the random numbers.
     fitted : Fitted, optional
-        Estimates that replace values of the problem. Each run draws them from a joint
-        distribution.
+        Estimates that replace values of the problem. Their values in each run are drawn from
+        their joint distribution.
     times_ns : array of int64, shape (m,), ns, optional
-        Times of the states that are kept. The last time is the end. By default, only the final
-        state is kept.
+        The times at which states are kept. The last time is the end of the runs. By default, only
+        the final state is kept.
     controller : Controller, optional
-        Returns a torque for each state. Dispersed gain and noise apply to this torque and to the
-        recorded torques.
+        A controller that returns a torque for each state. A dispersed torque gain or torque noise
+        applies both to the controller's torque and to the recorded torques.
 
     Raises
     ------
     InputError
-        A dispersion is relative to a nominal value of zero; the problem lacks the torques or the
-        orbit that a dispersion varies; or a dispersion varies a body that changes.
+        A dispersion is relative to a nominal value of zero; a dispersion varies torques or an
+        orbit that the problem does not have; or a dispersion varies a body that changes during the
+        motion.
 
     """
 
@@ -140,13 +145,13 @@ class Ensemble:
 
     @property
     def keys(self) -> list[str]:
-        """Return the keys that vary."""
+        """Return the keys of the parameters that vary."""
         estimates = self.fitted.estimates if self.fitted else ()
         return [*(one.key for one in self.dispersions), *estimates]
 
     @cached_property
     def nominal(self) -> dict[str, float]:
-        """Return the values without any dispersion, by key."""
+        """Return the nominal value of each key, without any dispersion."""
         body, start = self.problem.body, self.problem.start
         applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
                           States(start.time_ns, start.attitude, start.angular_velocity,
@@ -158,25 +163,26 @@ class Ensemble:
     @cached_property
     def nominal_motion(self) -> Floats:
         """
-        Return the motion without any dispersion; raise an error as `propagate` does.
+        Return the motion without any dispersion; raise the same errors as `propagate`.
 
         Returns
         -------
         array, shape (m, 7)
-            Attitude, x y z w, and angular velocity, rad/s, at `times_ns` or, if None, at the end.
+            Attitude, x y z w, and angular velocity, rad/s, at `times_ns` or, if this is None, at
+            the end of the motion.
 
         """
         return self._nominal[0]
 
     def check(self) -> None:
         """
-        Check that the nominal motion can be computed, and that its controller is reproducible.
+        Check that the nominal motion can be computed, and that the controller is reproducible.
 
         Raises
         ------
         ValueError
             `propagate` rejects the nominal motion. The error is a `ControllerError` if the
-            controller fails, or if its torques differ when the motion is computed again.
+            controller fails, or if it returns different torques when the motion is computed again.
 
         """
         _, first = self._nominal
@@ -185,19 +191,23 @@ class Ensemble:
             self.controller.check_same(first, again)
 
     def replayed(self, run: int) -> tuple[Problem, dict[str, float]]:
-        """Compute a run; return its problem, with the controller's torques, and its parameters."""
+        """
+        Compute a run, and return the problem and the parameters of the run.
+
+        The problem includes the torques of the controller.
+        """
         applied = self.applied(np.array([run]))
         _, problem = replace(self, times_ns=None).solved(applied, 0)
         return problem, {key: float(column[0]) for key, column in applied.columns().items()}
 
     @property
     def times(self) -> Floats | None:
-        """Return the times of the states that are kept, in seconds since the start."""
+        """Return the times at which states are kept, in seconds since the start."""
         return None if self.times_ns is None else (self.times_ns - self._start_ns) / 1e9
 
     @cached_property
     def columns(self) -> dict[str, str]:
-        """Return the unit of each column of numbers: parameters first, then the final state."""
+        """Return the unit of each numeric column: first the parameters, then the final state."""
         names = [one.name for one in self.problem.fields
                  if isinstance(one, UniformField) and one.name]
         more = {key: unit for key, unit in units_with(names).items()
@@ -206,14 +216,14 @@ class Ensemble:
 
     def rows(self, first: int, stop: int) -> Columns:
         """
-        Compute some runs.
+        Compute the runs from `first` up to, but not including, `stop`.
 
         Returns
         -------
         dict
-            The columns 'run', 'status' ('ok' or 'failed'), 'message', and the columns of
+            The columns 'run', 'status' ('ok' or 'failed') and 'message', and those listed in
             `columns`, each of shape (stop - first,). If states are kept, the result also contains
-            'motion', shape (stop - first, m, 7), with the components of `nominal_motion`. The
+            'motion', shape (stop - first, m, 7), with the same components as `nominal_motion`. All
             numbers of a failed run are NaN.
 
         Raises
@@ -221,7 +231,7 @@ class Ensemble:
         KeyboardInterrupt
             A signal was received.
         InputError
-            This process cannot import the controller, or the source of the controller differs.
+            This process cannot import the controller, or finds different source code.
 
         """
         if self.controller:
@@ -233,7 +243,11 @@ class Ensemble:
         return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
     def applied(self, runs: NDArray[np.int64]) -> Applied:
-        """Return the parameters of some runs, with messages on impossible bodies and starts."""
+        """
+        Return the parameters of some runs.
+
+        The result contains a message for each run whose body or start is impossible.
+        """
         drawn = draws(self.dispersions, self.seed, runs)
         values = dispersed(self.dispersions, self.nominal, drawn, len(runs))
         if self.fitted:
@@ -246,18 +260,26 @@ class Ensemble:
 
     @cached_property
     def _nominal(self) -> tuple[Floats, Problem]:
-        """Return the nominal motion, and its problem with the torques of the controller."""
+        """
+        Return the nominal motion and the problem that describes it.
+
+        The problem includes the torques of the controller.
+        """
         return self._undispersed.solved(self._applied_without, 0)
 
     @cached_property
     def _applied_without(self) -> Applied:
-        """Return the values in a run without any dispersion."""
+        """Return the parameters of a run without any dispersion."""
         values = {name: np.array([value]) for name, value in self.nominal.items()}
         return self._acting(np.zeros(1, np.int64), values, {})
 
     def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
                 drawn: Mapping[str, Floats]) -> Applied:
-        """Return the parameters of some runs: `values`, and the drawn inertia and attitude."""
+        """
+        Return the parameters of some runs.
+
+        These are the parameters in `values`, and the inertia and attitude computed from `drawn`.
+        """
         inertia = relative_inertia(self.problem.body, drawn[INERTIA]) if INERTIA in drawn \
             else tensors('inertia.i', values)
         attitude = vectors(ATTITUDE, values, 'xyzw')
@@ -278,39 +300,44 @@ class Ensemble:
 
     @property
     def _at(self) -> NDArray[np.int64]:
-        """Return the times of the states that are computed, ns."""
+        """Return the times at which states are computed, ns."""
         return np.array([self.end_ns]) if self.times_ns is None else self.times_ns
 
     @property
     def _have_own_logs(self) -> bool:
-        """Return whether the logs of the runs differ by more than a gain."""
+        """
+        Return whether each run needs separate logs.
+
+        This is necessary if the logs of different runs differ by more than a gain.
+        """
         varied = {name.split('.')[0] for name in self.columns}
         return self.torques.noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
 
     @cached_property
     def _of_fields(self) -> list[str]:
-        """Return the varied or estimated keys that belong to fields."""
+        """Return the keys of field parameters that are varied or estimated."""
         known = {key for one in self.problem.fields for key in values_of(one)}
         return [key for key in self.keys if key in known]
 
     @cached_property
     def torques(self) -> Torques:
-        """Return the torques in the runs."""
+        """Return the dispersed torques of the runs."""
         noise = sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
         return Torques(self.problem, self.end_ns, self.seed, noise)
 
     @cached_property
     def _at_once(self) -> int:
-        """Return the number of runs that are computed at once."""
+        """Return how many runs to compute together in one call."""
         longest = self.problem.options.max_step or math.inf
         steps = (self.end_ns - self._start_ns) / 1e9 / longest
         steps += sum(map(len, self.problem.sources))
         limit = _SAMPLES if self._have_own_logs else _STEPS
         runs = int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
-        return runs - runs % LANES or runs  # whole groups of runs, which step together
+        return runs - runs % LANES or runs  # whole groups of runs that step together, if possible
 
     def _rows(self, runs: NDArray[np.int64]) -> Columns:
-        with np.errstate(over='ignore', invalid='ignore'):  # messages report infinity and NaN
+        # Suppress warnings about infinite values and NaN, which the messages of the runs report.
+        with np.errstate(over='ignore', invalid='ignore'):
             applied = self.applied(runs)
             motions, messages = self._motions(applied)
         failed = np.array([bool(message) for message in messages])
@@ -324,7 +351,11 @@ class Ensemble:
                 **({} if self.times_ns is None else {MOTION: motions})}
 
     def _motions(self, applied: Applied) -> _Found:
-        """Return the motions of some runs; skip runs that are impossible or turn too far."""
+        """
+        Return the motions of some runs.
+
+        Runs that are impossible, or whose body would turn too far, are not computed.
+        """
         messages = [one or other for one, other in zip(applied.fields.messages,
                                                        self._too_far(applied))]
         rows = np.flatnonzero([not message for message in messages])
@@ -339,11 +370,11 @@ class Ensemble:
 
     @cached_property
     def _farthest(self) -> float:
-        """Return the largest angle allowed for a run, rad."""
+        """Return the largest angle through which the body may turn in a run, rad."""
         return self._reach.limit(self._applied_without)
 
     def _too_far(self, applied: Applied) -> list[str]:
-        """Return text for each run: a message if the body would turn too far, otherwise ''."""
+        """Return a message for each run whose body would turn too far, and '' for the others."""
         farthest = self._farthest
         text = 'the body may turn by {:.3g} rad, too far to be computed (limit {:.3g} rad): ' \
             'check the dispersions'
@@ -360,7 +391,7 @@ class Ensemble:
             return self._one_by_one(applied)
         try:
             return self._together(applied)
-        except ValueError:  # compute one run at a time to find which runs fail, and why
+        except ValueError:  # compute the runs one by one to find out which of them fail, and why
             return self._one_by_one(applied)
 
     def _together(self, applied: Applied) -> _Found:
@@ -394,12 +425,12 @@ class Ensemble:
 
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
         """
-        Return the motion of a run, shape (m, 7), and the problem of the run.
+        Compute a run, and return the motion, shape (m, 7), and the problem of the run.
 
-        If there is a controller, its log is the last log of the problem.
+        If there is a controller, the last log of the problem contains the controller's torques.
         """
         logs, wheels = self.torques.recorded(applied, row)
-        # A torque bias acts directly on the body, even if the torques of the scene have actuators.
+        # A torque bias acts directly on the body, even if the other torques act through actuators.
         actuators = [*(self.problem.actuators or [None] * len(self.problem.logs)), None]
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
         problem = self.problem.replaced(

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Random numbers for many runs at once, with a separate stream for each run and key."""
+"""Draw random numbers for many runs at once, with a separate stream for each run and key."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Number of random numbers that Philox makes from each value of its counter.
+#: Philox produces this many random numbers for each value of its counter.
 _AT_ONCE = 4
 
 
@@ -30,18 +30,19 @@ def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats
     """
     Return uniform random numbers for each run, strictly between 0 and 1.
 
-    Philox computes random numbers from a key and a counter. Each run has a separate range of the
-    counter, so the numbers of a run are computed without the numbers of earlier runs.
+    The generator, Philox, computes random numbers directly from a key and a counter. Each run has
+    its own range of the counter, so that the random numbers of a run can be computed without those
+    of earlier runs.
 
     Parameters
     ----------
     seed : int
-        From 0 to 2**64 - 1.
+        The seed, from 0 to 2**64 - 1.
     runs : array of int, shape (n,)
-        The numbers of the runs. They should be close to each other, because random numbers are
-        computed for all runs from the lowest to the highest.
+        The run numbers. They should be close together, because random numbers are computed for all
+        runs from the lowest to the highest number.
     key : str
-        The name of the stream, such as the key of a parameter.
+        The name of the stream, for example the key of a parameter.
     count : int
         Number of random numbers for each run.
 
@@ -61,5 +62,5 @@ def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats
 
 def normals(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
     """Return standard normal random numbers for each run; see `uniforms` for the arguments."""
-    from scipy.special import ndtri  # takes long to import
+    from scipy.special import ndtri  # slow to import
     return np.asarray(ndtri(uniforms(seed, runs, key, count)))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Summarize how far from the nominal attitude the runs end, and which parameters matter."""
+"""Summarize how far the final attitudes are from the nominal one, and which parameters matter."""
 
 from __future__ import annotations
 
@@ -29,28 +29,29 @@ from rigid_body_ros.ensemble.requirements import PERCENTILES, Requirement
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 from rigid_body_ros.report.text import lines
 
-#: Maximum number of parameters in the text.
+#: Maximum number of parameters to list in the text.
 _PRINTED = 5
-#: An R^2 below this number divided by the number of runs may be due to chance.
+#: An R^2 may be due to chance if it is smaller than this number divided by the number of runs.
 _CHANCE = 10.0
 
 
 def summarized(ensemble: Ensemble, folder: Folder,
                requirements: Sequence[Requirement] = ()) -> dict[str, Any]:
     """
-    Return the results of a complete ensemble as JSON.
+    Return the results of a complete ensemble as JSON types.
 
     Returns
     -------
     dict
-        'runs' and 'failed' are numbers of runs, and 'failures' contains the number of failed runs
-        by cause. 'angle_from_nominal_rad' contains percentiles of the angle from the nominal final
-        attitude, and 'histogram' contains a histogram of this angle. Percentiles and histogram are
-        empty if all runs failed. 'rank_correlation' contains the correlations of this angle with
-        the distance of each dispersed parameter from its nominal value. 'bands' is present if the
-        folder keeps states and at least one run did not fail. 'requirements' is present if
-        requirements are given. It describes how well the runs meet each requirement, and contains
-        the effects of the parameters.
+        'runs' and 'failed' are the numbers of all runs and of failed runs, and 'failures' counts
+        the failed runs by cause. 'angle_from_nominal_rad' contains percentiles of the angle
+        between the final attitude and the nominal final attitude, and 'histogram' a histogram of
+        this angle. Both are empty if all runs failed. 'rank_correlation' contains the correlation
+        between this angle and the distance of each dispersed parameter from its nominal value.
+        'bands' is present if the folder keeps states and at least one run did not fail.
+        'requirements' is present if there are requirements. For each requirement, this entry
+        describes how well the runs meet the requirement, and how much each parameter affects the
+        required quantity.
 
     """
     angles = folder.numbers(ANGLE, folder.runs)
@@ -72,18 +73,18 @@ def summarized(ensemble: Ensemble, folder: Folder,
 
 def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
     """
-    Return the results as text for a terminal.
+    Return the results as text to print in a terminal.
 
     Parameters
     ----------
     found : mapping
         The results that `summarized` returns.
     replay : function
-        Takes the number of a run, and returns the command that computes this run again.
+        A function that takes a run number and returns the command that recomputes this run.
 
     """
     depends = [f'{name} (rank correlation {value:.2f})' for name, value in ranked(found)]
-    if found.get('requirements'):  # the effects on the requirements are shown below
+    if found.get('requirements'):  # the rows of each requirement list the effects instead
         depends = []
     shown = [*rows(found), *_named('depends on', depends)]
     for one in found.get('requirements', ()):
@@ -97,7 +98,7 @@ def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
 
 
 def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return names and texts of rows on how well a requirement is met, and on its quantity."""
+    """Return rows of the form (name, text) that say how well the runs meet a requirement."""
     low, high = (f'{100.0 * limit:.3g}' for limit in found['interval_95'])
     quantity, unit = found['require'].split()[0], found['unit']
     facts = [('required', f'{found["require"]} {unit}: met by {100.0 * found["share"]:.3g} % of '
@@ -110,12 +111,12 @@ def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _named(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the first few texts as rows; only the first row has a name."""
+    """Return the first few texts as rows (name, text), of which only the first has a name."""
     return [*zip([name, *[''] * _PRINTED], texts[:_PRINTED])]
 
 
 def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return names and texts of rows: the number of runs, the failures and the angles."""
+    """Return rows of the form (name, text) on the number of runs, the failures and the angles."""
     facts = [('runs', str(found['runs'])),
              *(('failed', f'{count}: {cause}') for cause, count in found['failures'].items())]
     angles = found['angle_from_nominal_rad']
@@ -126,10 +127,10 @@ def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def ranked(found: Mapping[str, Any]) -> list[tuple[str, float]]:
-    """Return the rank correlations, the strongest first."""
+    """Return the rank correlations, beginning with the strongest."""
     return strongest(found['rank_correlation'])
 
 
 def strongest(found: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Return names and numbers, in descending order of magnitude."""
+    """Return pairs of names and numbers, beginning with the number of largest magnitude."""
     return sorted(found.items(), key=lambda item: -abs(item[1]))

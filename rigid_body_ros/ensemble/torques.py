@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The dispersed torques in the runs of an ensemble, recorded or from a controller."""
+"""Disperse the recorded torques, and the torque of a controller, in the runs of an ensemble."""
 
 from __future__ import annotations
 
@@ -29,14 +29,16 @@ from rigid_body_ros.propagation import Problem
 @dataclass(frozen=True)
 class Torques:
     """
-    The torques on the bodies of all runs.
+    The dispersed torques in the runs of an ensemble.
 
     Parameters
     ----------
     problem : Problem
         The nominal motion.
     end_ns : int, ns
+        The end of every run.
     seed : int
+        The seed of the random numbers.
     noise : float, N m
         Standard deviation of the noise in each component of the torque.
 
@@ -49,7 +51,7 @@ class Torques:
 
     def recorded(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
         """
-        Return the recorded torques that act in a run: on the body, and on the rotors.
+        Return the recorded torques in a run: first those on the body, then those on the rotors.
 
         Raises
         ------
@@ -71,12 +73,12 @@ class Torques:
         return logs, wheels and later(wheels, offset)
 
     def commands(self, applied: Applied, row: int) -> EffortLog | None:
-        """Return the commands of named wheels in a run; raise ValueError as `recorded` does."""
+        """Return the commands for named wheels in a run; raise the same errors as `recorded`."""
         efforts = self.problem.efforts
         return efforts and later_commands(efforts, float(applied.clock_offset[row]))
 
     def actuated(self, applied: Applied, row: int) -> Actuated:
-        """Return the function that applies gain and noise to the torque of a controller."""
+        """Return a function that applies the gain and noise of a run to a controller's torque."""
         gain, noise = applied.torque_gain[row], self.noise
         if not noise:
             return lambda torque: np.asarray(gain * torque)

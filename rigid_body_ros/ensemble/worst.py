@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write the worst runs as scenes and recordings, so that `attitude_replay` can recompute them."""
+"""Write the worst runs to files from which `attitude_replay` can recompute them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import actuator, Scene
 from rigid_body_ros.scene.text import text_of
 
-#: The folder of the worst runs, within the folder of the ensemble, and the names of its files.
+#: The name of the folder for the worst runs, which is inside the folder of the ensemble, and the
+#: names of the files in it.
 FOLDER = 'worst'
 _FILE = re.compile(r'\d+\.(mcap|yaml)')
 _WHEELS, _COMMANDS, _BODY = '/wheel_torque', '/wheel_command', '/inertia'
@@ -42,7 +43,7 @@ _WHEELS, _COMMANDS, _BODY = '/wheel_torque', '/wheel_command', '/inertia'
 
 def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -> None:
     """
-    Write the scenes and the torques of some runs to a folder, and remove the files of other runs.
+    Write a scene and a recording for each of the given runs, and remove the files of other runs.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -
 
 
 def command(ensemble: Ensemble, path: str | Path, run: int) -> str:
-    """Return the command that recomputes a run from the files in the folder of an ensemble."""
+    """Return the command that recomputes a run from its files in the folder of an ensemble."""
     seconds = (ensemble.end_ns - ensemble.problem.start.time_ns) / 1e9
     files_of = Path(path) / FOLDER / str(run)
     return shlex.join(['attitude_replay', f'{files_of}.mcap', '--scene', f'{files_of}.yaml',
@@ -80,17 +81,18 @@ def command(ensemble: Ensemble, path: str | Path, run: int) -> str:
 
 
 def _actuated(problem: Problem, scene: Scene, topics: Sequence[str]) -> dict[str, Any]:
-    """Return the parameter that lists topics with actuators; empty if there are no actuators."""
+    """Return the scene parameters for actuators, or none if the scene has no actuators."""
     if not scene.actuators:
         return {}
     found = [topic for topic, one in zip(topics, problem.actuators) if one]
-    # A scene that describes an actuator must name its topics. Remove an actuator without topics.
+    # A scene with an actuator must name the topics whose torques go through the actuator. If there
+    # are no such topics, remove the actuator from the scene.
     none = {} if found else {one.name: one.default for one in actuator.PARAMETERS}
     return {**none, 'actuator.topics': found}
 
 
 def _turning(problem: Problem) -> dict[str, Any]:
-    """Return parameters with the initial speeds of the wheels; empty if there are no speeds."""
+    """Return the scene parameters for the initial wheel speeds, or none if there are no speeds."""
     start, wheels = problem.start, problem.named_wheels
     if not wheels or not len(start.wheel_speeds):
         return {}
@@ -101,14 +103,14 @@ def _turning(problem: Problem) -> dict[str, Any]:
 
 
 def _later_ns(problem: Problem) -> int:
-    """Return a shift, ns, that makes every stamp nonnegative and the start nonzero."""
+    """Return the time shift, ns, that makes all stamps nonnegative and the start nonzero."""
     first_ns = min(problem.stamps_ns[:1].tolist(), default=0)
     return 1 - min(first_ns, 0) if first_ns < 0 or not problem.start.time_ns else 0
 
 
 @dataclass(frozen=True)
 class _Torques:
-    """Writes torques with all stamps shifted by the same time."""
+    """A writer of torques that shifts all stamps by the same time."""
 
     writer: recording.Writer
     scene: Scene
@@ -116,11 +118,11 @@ class _Torques:
 
     def write(self, problem: Problem, topics: list[str]) -> None:
         """
-        Write the torques of a problem, and the changes of the body.
+        Write the torques of a problem, and any changes of the body.
 
-        The torques on the body are written to `topics`.
+        The torques on the body are written to `topics`, with one topic for each log.
         """
-        # If the problem has no torques, write a zero torque, because a replay needs a torque.
+        # A replay needs at least one torque, so write a zero torque if the problem has none.
         none = TorqueLog([problem.start.time_ns], np.zeros((1, 3)))
         for topic, log in zip(topics, problem.logs or (none,)):
             self._write_log(f'/{topic}', log)

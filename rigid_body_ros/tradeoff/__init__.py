@@ -13,18 +13,18 @@
 # limitations under the License.
 
 """
-Trade speed against accuracy: run every solver with a series of settings on the motion of the user.
+Trade speed against accuracy by running every solver, at a series of settings, on a given motion.
 
-All settings run over a *stretch*: the whole motion or, if the motion is long, its first half,
-quarter and so on. In a stretch, the body turns by at most ten thousand radians, and there are at
-most twenty thousand samples. On the stretch, the settings are compared with a reference: the
+All settings run over a *stretch*, which is the whole motion or, if the motion is long, its first
+half, quarter and so on. A stretch contains at most twenty thousand samples, and the body turns by
+at most ten thousand radians in it. Every setting is compared with a reference on the stretch: the
 Taylor series at its tightest tolerance, with shorter steps.
 
-The *rounding floor* is the largest difference between the reference and motions that round
-differently. These motions come from the series with other steps, the series in principal axes
-and, without torque, the closed form. A change of the last digits of inertia, torques and start may
-move the motion by more than the floor. In this case, no solver can guarantee an error smaller than
-the effect of the change.
+The *rounding floor* is the largest difference between solutions that differ only in their rounding
+errors. One of these solutions is the reference. The others come from the series with other steps,
+the series in principal axes and, without torque, the closed form. Changing the last digits of
+inertia, torques and start may change the motion by more than the floor. In that case, no solver
+can guarantee an error smaller than this change.
 
 A setting that meets a target on the stretch is recommended only if it also meets the target on the
 whole motion.

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Compute a motion in principal axes, where the Taylor series rounds differently.
+Compute a motion in principal axes, where the Taylor series has different rounding errors.
 
-In principal axes, no terms of J^-1 tau cancel. Moments and axes are computed with about 32 digits.
-Torques and rates are rounded only once, after the rotation.
+In principal axes, no terms of J^-1 tau cancel. The principal moments and axes are computed with
+about 32 digits. Torques and rates are rounded only once, after they have been rotated.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: A coefficient of Euler's equations that is too small to change a motion. Because it is not zero,
-#: the kernels use the arithmetic for full tensors. Therefore, rounding differs even if the given
-#: tensor is diagonal.
+#: A coefficient of Euler's equations that is too small to affect the motion. Because this
+#: coefficient is not zero, the kernels use the arithmetic for full tensors, so the rounding errors
+#: differ even if the given tensor is diagonal.
 _NEGLIGIBLE = 1e-200
 
 
 class PrincipalAxes:
     """
-    Transform a body and a motion to and from the principal axes of the body.
+    Convert a body and its motion to the principal axes, and convert attitudes to body axes.
 
     Attributes
     ----------
     body : RigidBody
-        The body in principal axes, for the Taylor series only.
+        The body in principal axes. Its motion can be computed only with the Taylor series.
 
     """
 
@@ -59,14 +59,14 @@ class PrincipalAxes:
         self._rotation = so3.from_matrix(self._axes[0])
 
     def start(self, start: State) -> State:
-        """Return an initial state in principal axes."""
+        """Convert an initial state to principal axes."""
         rates = self._components(start.angular_velocity[None])[0]
         attitude = so3.multiply(start.attitude, self._rotation)
         packed = state_layout.pack(rates[:, 0], attitude, rates[:, 1])
         return State._as_computed(start.time_ns, packed)
 
     def log(self, log: TorqueLog) -> TorqueLog:
-        """Convert torques in body axes to principal axes; do not change torques in space axes."""
+        """Convert torques in body axes to principal axes; torques in space axes do not change."""
         turned = self._components(log.torques)[..., 0]
         return log.with_torques(np.where(log.in_space[:, None], log.torques, turned))
 

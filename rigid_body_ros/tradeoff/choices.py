@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Measurements of settings, and the choice of the cheapest setting that is accurate enough."""
+"""Compare measured settings, and choose the cheapest one that is accurate enough."""
 
 from __future__ import annotations
 
@@ -25,22 +25,27 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST
 from rigid_body_ros.tradeoff.settings import Setting
 
-#: Largest integration error that is negligible, as a fraction of the spread of an ensemble.
+#: An integration error up to this fraction of the spread of an ensemble is negligible.
 _PART = 0.1
-#: Time to compute a reference, divided by the time of one run of the Taylor series.
+#: Time needed to compute a reference, divided by the time of one run of the Taylor series.
 _REFERENCE_COST = 14.0
 
 
 class Error(NamedTuple):
-    """The largest differences from the reference, and the difference of the final attitude."""
+    """
+    The errors of a motion, as deviations from the reference motion.
 
-    #: rad
+    These are the largest errors over all times, and the error of the final attitude.
+    """
+
+    #: Final and largest attitude error, rad.
     attitude_final: float
     attitude: float
-    #: rad/s
+    #: Largest angular velocity error, rad/s.
     angular_velocity: float
-    #: Largest errors of momentum and energy, divided by the largest values in the reference. For
-    #: a free body, the errors are the changes since the start.
+    #: Largest errors of the momentum and of the energy, divided by their largest values in the
+    #: reference. If the body is free, the errors are the changes of momentum and energy since the
+    #: start.
     momentum: float
     energy: float
 
@@ -51,7 +56,7 @@ NO_ERROR = Error(*5 * [math.nan])
 @dataclass(frozen=True)
 class Measurement:
     """
-    The error and the cost of a setting.
+    The measured error and cost of a setting.
 
     Attributes
     ----------
@@ -59,12 +64,12 @@ class Measurement:
     error : Error
         NaN if the run failed.
     seconds : float
-        Wall time of the fastest of several runs; load from other programs may slow down some
-        runs. NaN if the run failed.
+        Wall time of the fastest of several runs. The fastest run counts because other programs may
+        slow down the others. NaN if the run failed.
     first_seconds : float
         Wall time of the first run, with the kernels already loaded.
     failure : str
-        Why the run failed; empty if it succeeded.
+        Why the run failed. Empty if it succeeded.
     pareto_optimal : bool
         Whether no other setting is both faster and more accurate.
 
@@ -84,15 +89,16 @@ class Choice(NamedTuple):
     measurement: Measurement
     #: Expected attitude error over the whole log, rad.
     error: float
-    #: Whether `error` was measured on the whole log; otherwise it was scaled from the stretch.
+    #: Whether `error` was measured on the whole log. Otherwise, `error` was scaled up from the
+    #: error on the stretch.
     measured: bool
 
 
 class Spread(NamedTuple):
-    """The spread of an ensemble, and data that identify the nominal motion."""
+    """The spread of an ensemble, with data that identifies the ensemble's nominal motion."""
 
     runs: int
-    #: Median angle between the final attitudes of a run and of the nominal motion, rad.
+    #: Median angle between a run's final attitude and that of the nominal motion, rad.
     median: float
     start_ns: int
     end_ns: int
@@ -107,20 +113,25 @@ class Spread(NamedTuple):
 
 class Advice(NamedTuple):
     """
-    The cost of the recommended setting in an ensemble.
+    What the recommended setting costs in an ensemble.
 
-    The times are wall times per run, s, if one core computes many runs up to the final state.
+    All times are wall times per run, s. They apply when one core computes the final states of many
+    runs.
     """
 
     spread: Spread
-    #: Time with the recommended setting. None if no setting is recommended.
+    #: Time with the recommended setting, or None if no setting is recommended.
     seconds: float | None
     #: Time with the default setting.
     default_seconds: float
 
     @property
     def saved_seconds(self) -> float:
-        """Return the time, s, that the setting saves over the default in all runs; at least 0."""
+        """
+        Return how much time the recommended setting saves over all runs, s, at least 0.
+
+        The time is compared with that of the default setting.
+        """
         per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
         return self.spread.runs * max(per_run, 0.0)
 
@@ -137,13 +148,13 @@ class OnWhole:
     measurements : sequence of Measurement
         The measurements on the stretch.
     seconds : float
-        Wall time that is available for the measurements.
+        Wall time available for measurements on the whole log.
 
     Attributes
     ----------
     reference : Reference or None
-        The reference of the whole log. If the stretch is not the whole motion, the attribute
-        is None until the first error is measured.
+        The reference for the whole log. If the stretch is shorter than the whole motion, this is
+        None until the first error is measured.
 
     """
 
@@ -157,7 +168,11 @@ class OnWhole:
         self._found: dict[Measurement, float] = {}
 
     def __call__(self, measurement: Measurement) -> float | None:
-        """Return the largest attitude error, rad, or None if computing it takes too long."""
+        """
+        Return the largest attitude error of a setting on the whole log, rad.
+
+        Return None if computing the error would take too long.
+        """
         if self._is_measured:
             assert self.reference
             return measurement.error.attitude + self.reference.guaranteed_error
@@ -172,7 +187,11 @@ class OnWhole:
 
     @property
     def least(self) -> float | None:
-        """Return the smallest error measured on the whole log, rad; None if none was measured."""
+        """
+        Return the smallest error measured on the whole log, rad.
+
+        Return None if no error has been measured on the whole log.
+        """
         return min(self._found.values(), default=None)
 
     def _measured(self, measurement: Measurement) -> float:
@@ -188,28 +207,29 @@ class OnWhole:
 def recommend(measurements: Sequence[Measurement], target: float, floor: float, growth: float,
               error_on_whole: Callable[[Measurement], float | None]) -> Choice | None:
     """
-    Return the cheapest setting that meets a target on the whole log, or None.
+    Return the cheapest setting that meets a target on the whole log, or None if there is none.
 
     Parameters
     ----------
     measurements : sequence of Measurement
-        Measurements on the stretch. A setting that misses the target on the stretch also misses
-        the target on the whole log.
+        Measurements on the stretch. A setting that misses the target on the stretch also misses it
+        on the whole log.
     target, floor : float, rad
-        The target, and the floor that is added to the error of every setting. The floor is
-        `Reference.guaranteed_error`: the larger of the rounding floor and the effect of the last
+        The target, and a floor that is added to the error of every setting. The floor is
+        `Reference.guaranteed_error`, the larger of the rounding floor and the effect of the last
         digits.
     growth : float
         Length of the whole log divided by the length of the stretch.
     error_on_whole : callable
-        A function that returns the attitude error on the whole log, rad, or None if the
-        computation takes too long. If the function returns None, the error on the stretch is
-        assumed to grow with the square of the time. This holds if the rate error grows linearly,
-        for example because of the energy error of RK4. Errors grow faster only near a separatrix,
-        where rounding errors grow exponentially.
+        A function that returns the attitude error of a setting on the whole log, rad, or None if
+        computing the error would take too long. In that case, the error on the stretch is assumed
+        to grow with the square of the time. This assumption holds if the rate error grows
+        linearly, for example because of the energy error of RK4. Errors grow faster only near a
+        separatrix, where rounding errors grow exponentially.
 
     """
-    fitting = [one for one in measurements if one.error.attitude + floor <= target]  # no NaN
+    # The error of a failed run is NaN, so a failed run never meets the target.
+    fitting = [one for one in measurements if one.error.attitude + floor <= target]
     for measurement in sorted(fitting, key=lambda one: one.seconds):
         error = error_on_whole(measurement)
         measured = error is not None

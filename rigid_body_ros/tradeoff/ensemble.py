@@ -33,20 +33,20 @@ from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
 from rigid_body_ros.tradeoff.result import Tradeoff
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
 
-#: Timing of many runs: approximate time of the cheapest setting in a round, s; number of rounds;
-#: and maximum number of runs of each setting in a round.
+#: Many runs are timed in `_ROUNDS` rounds. In each round, every setting computes the same number
+#: of runs, at most `_MOST_RUNS`. The cheapest setting takes about `_TIMED` seconds for these runs.
 _TIMED, _ROUNDS, _MOST_RUNS = 0.01, 5, 256
 
 
 def read(folder: str | Path) -> Spread:
     """
-    Return the spread of an ensemble from its folder.
+    Read the spread of an ensemble from the ensemble's folder.
 
     Raises
     ------
     InputError
-        The folder contains no complete ensemble, or the median angle of the runs from the nominal
-        attitude is zero.
+        The folder does not contain a complete ensemble, or the median angle between the runs and
+        the nominal attitude is zero.
 
     """
     path = Path(folder) / 'summary.json'
@@ -66,7 +66,7 @@ def read(folder: str | Path) -> Spread:
 
 def advise(result: Tradeoff, spread: Spread) -> Tradeoff:
     """
-    Add the cheapest setting for many runs, and the cost of this setting, to a result.
+    Return a result to which the cheapest setting for many runs, and its cost, are added.
 
     Parameters
     ----------
@@ -87,9 +87,8 @@ def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
     """
     Return the cheapest setting for many runs.
 
-    Only one setting of each solver is timed in many runs. For this setting, the cost per run in
-    many runs is divided by the cost of a single run. This ratio scales the costs of all settings
-    of the solver.
+    Only one setting of each solver is timed with many runs. The ratio of this setting's cost per
+    run to its cost in a single run is used to scale the costs of all settings of the solver.
     """
     single = {one.setting: one for one in result.measurements if not one.failure}
     best: dict[str, Setting] = {}
@@ -106,7 +105,11 @@ def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
 
 
 def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
-    """Return the time per run, s, of each setting, if copies of the whole motion run at once."""
+    """
+    Return the wall time per run, s, of each setting.
+
+    The time is measured while many copies of the whole motion are computed at once.
+    """
     cheapest = min(one.seconds for one in result.measurements if not one.failure)
     runs = min(_MOST_RUNS, math.ceil(_TIMED / cheapest))
     run = _run_of(result.stretch.problem, runs, int(result.stretch.times_ns[-1]))
@@ -126,7 +129,7 @@ def _run_of(problem: Problem, runs: int, end_ns: int) -> Callable[..., object]:
     bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)), problem.body.damping)
     starts = States(start.time_ns, np.tile(start.attitude, (runs, 1)), start.angular_velocity,
                     start.rotor_momentum)
-    acting = problem.acting_logs  # ignore the lags of actuators
+    acting = problem.acting_logs  # the lags of actuators are ignored here
     logs = [acting] * runs if len(acting) > 1 else next(iter(acting), None)
     return partial(propagate_many, bodies, starts, logs, at=[end_ns], wheels=problem.wheels,
                    fields=problem.fields,

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Estimate the error caused by interpolation between the samples of a torque log."""
+"""Estimate the error that results from interpolating between the samples of a torque log."""
 
 from __future__ import annotations
 
@@ -27,24 +27,26 @@ from rigid_body_ros.mechanics.torque import INTERPOLATIONS, TorqueLog
 from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.tradeoff.problem import Case
 
-#: Order of convergence of each interpolation in the sample spacing, for smooth torques.
+#: Order in which the error of each interpolation converges with the sample spacing, for smooth
+#: torques.
 _ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
-#: One interpolation is clearly better than another if the ratio of their errors is below this.
+#: An interpolation is clearly better than another if its error is less than this fraction of the
+#: other's error.
 _CLEARLY = 0.25
 
 
 class InterpolationError(NamedTuple):
-    """Estimated attitude error, rad, of one interpolation of a torque log."""
+    """Estimated attitude error, rad, that one interpolation of a torque log causes."""
 
     interpolation: str
-    #: Largest change of the attitude if only every second sample is kept.
+    #: Largest change in the attitude if only every second sample is kept.
     thinned: float
     #: Error with all samples of the log, extrapolated from logs with fewer samples.
     estimate: float
 
 
 def interpolation_errors(case: Case) -> tuple[InterpolationError, ...]:
-    """Estimate the error of each interpolation from logs with only some of the samples."""
+    """Estimate the error of each interpolation by leaving out some of the samples."""
     if not _can_interpolate(case) or len(case.problem.logs[0]) < 3:
         return ()
     changes = {}
@@ -60,22 +62,22 @@ def interpolation_errors(case: Case) -> tuple[InterpolationError, ...]:
 
 def better_interpolation(errors: Sequence[InterpolationError],
                          own: InterpolationError) -> InterpolationError | None:
-    """Return the best interpolation if it is clearly better than `own`; otherwise, None."""
+    """Return the best interpolation, or None if it is not clearly better than `own`."""
     best = min(errors, key=lambda error: error.estimate)
     return best if best.estimate < _CLEARLY * own.estimate else None
 
 
 def final_differences(case: Case) -> dict[str, float | None]:
     """
-    Return how much the final attitude changes if another interpolation replaces the scene's.
+    Return how much the final attitude changes with interpolations other than the scene's.
 
-    `attitude_replay` prints the same angles.
+    These are the angles that `attitude_replay` prints.
 
     Returns
     -------
     dict
-        Angles, rad, by the name of the other interpolation. None if the body spins too fast to
-        compute its motion with this interpolation.
+        The angle, rad, for each of the other interpolations, keyed by name. The angle is None if
+        the body spins so fast with that interpolation that the motion cannot be computed.
 
     """
     if not _can_interpolate(case):
@@ -96,7 +98,7 @@ def final_differences(case: Case) -> dict[str, float | None]:
 
 
 def _can_interpolate(case: Case) -> bool:
-    """Return whether the only torques are those of one log in one frame, without actuators."""
+    """Return whether all torques are in one log and one frame, and there are no actuators."""
     logs = case.problem.logs
     if case.problem.actuators:  # commands to actuators are always held
         return False
@@ -108,8 +110,8 @@ def _change(case: Case, interpolation: str, spacing: int) -> float:
     """Return the largest change of attitude, rad, if only every `spacing`-th sample is kept."""
     rows = np.arange(len(case.problem.logs[0]))
     full = _motion(case, interpolation, rows)
-    # Try each of the first `spacing` samples as the first sample to keep, because with some
-    # choices, a pulse that lasts an even number of samples does not change.
+    # Start the thinned log at each of the first `spacing` samples in turn. With just one of these
+    # choices, a pulse that lasts an even number of samples might not change at all.
     thinned = [_motion(case, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
                for first in range(spacing)]
     return max(float(so3.angle_between(full.attitude, motion.attitude).max())
@@ -118,11 +120,13 @@ def _change(case: Case, interpolation: str, spacing: int) -> float:
 
 def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) -> float:
     """
-    Return the error with all samples, rad, from the changes with 1/2 and 1/4 of the samples.
+    Return the extrapolated error, rad, of an interpolation of all samples.
 
-    When the spacing is halved, the error falls by a factor of 2^order. If an interpolation of
-    higher order is not clearly better than hold, the torque is not smooth at this spacing, and the
-    order is 1.
+    The error is extrapolated from the changes with one half and one quarter of the samples.
+
+    Halving the sample spacing reduces the error by a factor of 2^order. If a higher-order
+    interpolation is not clearly better than hold, the torque is not smooth at this spacing, and
+    the order is assumed to be 1.
     """
     order = _ORDERS[interpolation] if half < _CLEARLY * hold else 1
     observed = quarter / half - 1.0 if half else 2.0

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the page of a measured trade-off."""
+"""Assemble the page that reports a measured trade-off."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.tradeoff.choices import Choice
 from rigid_body_ros.tradeoff.result import Tradeoff, value
 
-#: Smallest error that is drawn, rad. Smaller errors are not meaningful.
+#: Smallest error to plot, rad. Smaller errors are not meaningful.
 _LEAST = float(np.finfo(float).eps)
 
 
 def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
     """
-    Return the page of a trade-off.
+    Return the page that reports a trade-off.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
     scene : Scene
         The scene of the body.
     command : str
-        The command line.
+        The command line to show on the page.
 
     """
     copied = [_parameters(target, choice) for target, choice in result.choices.items() if choice]
@@ -51,7 +51,7 @@ def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
 
 
 def _headline(result: Tradeoff) -> str:
-    """Return text with the cheapest setting for each target."""
+    """Return a headline that gives the cheapest setting for each target."""
     found = [f'for errors up to {target:.3g} rad: '
              + (f'{choice.measurement.setting.solver}, {value(choice.measurement.setting)}'
                 if choice else 'none is certain') for target, choice in result.choices.items()]
@@ -79,7 +79,7 @@ def _work_precision(result: Tradeoff) -> Panel:
 
 
 def _lines(result: Tradeoff) -> Iterator[tuple[str, float]]:
-    """Generate the description and the value, rad, of each error that the page marks."""
+    """Generate the label and the value, rad, of each error that the page marks with a line."""
     for name, error in sorted(result.reference_errors().items(), key=lambda line: line[1]):
         error = max(error, _LEAST)
         yield name if name.endswith('rad') else f'{name} {error:.0e} rad', error

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The motion to measure: the whole motion, a stretch that is quick to compute, and a reference.
+The motion on which solvers are measured, its reference, and a stretch that is quick to compute.
 
 The reference is the Taylor series at its tightest tolerance, with shorter steps.
 """
@@ -36,26 +36,27 @@ from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
 TIGHTEST = 1e-15
-#: Default length of a motion without torque, in turns.
+#: Default length of a torque-free motion, in turns.
 TURNS = 50.0
-#: Angle through which the body typically turns in a step of the Taylor series, rad.
+#: Angle through which the body typically turns in one step of the Taylor series, rad.
 _SERIES_ANGLE = 0.5
-#: Maximum number of output times plus series steps in a stretch. A run of such a stretch takes a
+#: Maximum number of output times plus series steps in a stretch. Computing such a stretch takes a
 #: few milliseconds.
 _WORK = 20_000
-#: Number of output times other than torque stamps, to detect errors between distant stamps.
+#: Number of output times in addition to the torque stamps. The additional times reveal errors
+#: between stamps that are far apart.
 _OUTPUTS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
     """
-    A motion to measure.
+    A motion on which settings are measured.
 
     Attributes
     ----------
     problem : Problem
-        The problem. Each run replaces the solver.
+        The problem. Each run replaces its solver.
     times_ns : array of int64, shape (m,)
         Ascending output times.
 
@@ -96,18 +97,22 @@ class Case:
 
     @property
     def interpolation(self) -> str:
-        """Return the interpolation of the torques; without torques, return 'hold'."""
+        """Return the interpolation of the torques, or 'hold' if there are no torques."""
         return self.problem.logs[0].interpolation if self.problem.logs else 'hold'
 
     def run(self, **options: Any) -> Trajectory:
-        """Compute the motion with the given `Options`; raise ValueError as `propagate` does."""
+        """Compute the motion with the given `Options`, raising ValueError as `propagate` does."""
         return self.problem.solved_by(**options).propagate(at=self.times_ns)
 
     def in_principal_axes(self, max_step: float) -> Floats:
-        """Compute attitudes with the series in principal axes; `has_terms` must be false."""
+        """
+        Compute the attitudes with the Taylor series in principal axes.
+
+        The motion must have no rotors, damping or fields, so `has_terms` must be false.
+        """
         axes, given = PrincipalAxes(self.problem.body), self.problem
-        # The limits of actuators apply along the body axes, so apply the limits before the
-        # conversion. Lags are the same in all axes.
+        # Actuator limits apply along the body axes, so apply them before the conversion. Actuator
+        # lags are the same in all axes.
         lags = [each and each.lag for each in given.actuators]
         problem = given.replaced(body=axes.body, start=axes.start(given.start),
                                  log=[*map(axes.log, given.acting_logs)], actuator=lags or None)
@@ -116,15 +121,19 @@ class Case:
                                     max_step=max_step).attitude)
 
     def until(self, end_ns: int) -> Case:
-        """Return the motion up to an end time, with only the samples that this part needs."""
+        """Return the motion up to an end time, without samples that the motion does not need."""
         problem = self.problem.between(self.problem.start, end_ns)
         return Case(problem, _times(problem, end_ns))
 
     def stretch(self) -> Case:
-        """Return the longest beginning that is quick to compute: the whole, 1/2, 1/4, etc."""
+        """
+        Return the longest part of the motion that is quick to compute.
+
+        This is the whole motion, its first half, its first quarter, or an even shorter part.
+        """
         start_ns = self.problem.start.time_ns
         span_ns = int(self.times_ns[-1]) - start_ns
-        # Try the shortest part first, because the cost of the whole motion is unknown.
+        # Begin with the shortest stretch, because the cost of the whole motion is still unknown.
         shorter = self.until(start_ns + max(span_ns >> 30, 1))
         for halvings in range(29, -1, -1):
             longer = self.until(start_ns + max(span_ns >> halvings, 1))
@@ -138,7 +147,7 @@ class Case:
         """
         Return the time, s, that the body takes to turn by `angle` at its top speed.
 
-        The time is at most the longest gap between torque stamps.
+        The result is never longer than the longest gap between torque stamps.
         """
         first_ns, last_ns = self.problem.start.time_ns, int(self.times_ns[-1])
         stamps = stamps_of(self.problem.sources)
@@ -157,11 +166,12 @@ class Reference:
     ----------
     trajectory : Trajectory
     floor : float, rad
-        Largest difference between motions that round differently. These motions come from the
-        series with several step lengths. Without rotors, damping and fields, the series in
-        principal axes is added; if there is also no torque, the closed form is added, too.
+        Largest difference between solutions that differ only in their rounding errors. These
+        solutions come from the series with several step lengths and, if there are no rotors,
+        damping or fields, from the series in principal axes. If there is also no torque, the
+        closed form is included as well.
     last_digits : float, rad
-        How far a change of the last digits of inertia, torques and start moves the attitude, as
+        Largest change of the attitude if the last digits of inertia, torques and start change, as
         computed by `last_digit_effect`.
 
     """
@@ -177,7 +187,7 @@ class Reference:
 
     @classmethod
     def of(cls, case: Case) -> Reference:
-        """Compute the reference of a motion."""
+        """Compute the reference for a motion."""
         plain = case.run(solver='taylor', tolerance=TIGHTEST)
         step = case.natural_step(plain, _SERIES_ANGLE)
         best, other = (case.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
@@ -195,14 +205,14 @@ def whole(problem: Problem, end_ns: int | None) -> Case:
     """
     Return the whole motion up to `end_ns`.
 
-    By default, the motion ends at the last stamp of the torques. Without torques, the
-    motion ends after `TURNS` turns.
+    By default, the motion ends at the last torque stamp or, if there are no torques, after `TURNS`
+    turns.
 
     Raises
     ------
     ValueError
-        The body does not rotate, and there is neither torque nor field; or the end is not after
-        the start.
+        The body does not rotate and there is neither torque nor field, or the end is not after the
+        start.
 
     """
     start_ns = problem.start.time_ns

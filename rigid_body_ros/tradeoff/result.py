@@ -30,7 +30,8 @@ from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.settings import Setting
 
 _WIDTH = 18
-#: Descriptions of the rounding floor: without terms (rotors, damping and fields), and with terms.
+#: Descriptions of the rounding floor. The first one is for motions without rotors, damping and
+#: fields, the second one for all other motions.
 _FLOORS = (
     ('largest difference between runs that round differently: the series with other steps,',
      'in principal axes and, without torque, the closed form; it does not show an error '
@@ -62,12 +63,12 @@ class Tradeoff:
     reference : Reference
         The reference of the stretch.
     interpolation_errors : tuple of InterpolationError
-        The errors of interpolation, estimated on the stretch.
+        The interpolation errors, estimated on the stretch.
     interpolation_differences : dict
-        How much the final attitude changes with other interpolations, rad, by the name of the
-        interpolation; see `final_differences`.
+        How much the final attitude changes, rad, with each of the other interpolations. The keys
+        are the names of the interpolations; see `final_differences`.
     choices : dict
-        The recommended setting for each target, rad; None if no setting meets the target.
+        The recommended setting for each target (rad), or None if no setting meets the target.
     error_on_whole : OnWhole
         A function that returns the attitude error of a measurement on the whole log; see
         `recommend`.
@@ -89,27 +90,36 @@ class Tradeoff:
 
     @property
     def growth(self) -> float:
-        """Return the length of the whole log, divided by the length of the stretch."""
+        """Return the length of the whole log divided by the length of the stretch."""
         return self.whole.seconds / self.stretch.seconds
 
     @property
     def interpolation_error(self) -> InterpolationError | None:
-        """Return the error of the scene's interpolation; None if it could not be estimated."""
+        """
+        Return the error of the scene's interpolation.
+
+        Return None if the error could not be estimated.
+        """
         return next((error for error in self.interpolation_errors
                      if error.interpolation == self.stretch.interpolation), None)
 
     @property
     def better_interpolation(self) -> InterpolationError | None:
-        """Return the best interpolation if it is clearly better than the scene's, or None."""
+        """
+        Return the best interpolation if it is clearly better than the scene's interpolation.
+
+        Otherwise, return None.
+        """
         own = self.interpolation_error
         return better_interpolation(self.interpolation_errors, own) if own else None
 
     def dominant(self, target: float, held: bool = False) -> str:
         """
-        Return the largest source of error of the recommended setting.
+        Return the largest source of error for the recommended setting.
 
-        If no setting is recommended, use the setting with the smallest error. If `held` is true,
-        assume that the torque is held between samples, so that interpolation causes no error.
+        If no setting is recommended, the setting with the smallest error is used instead. If
+        `held` is true, the torque is assumed to be constant between samples, so that interpolation
+        causes no error.
         """
         floor, own = self.reference.floor, self.interpolation_error
         choice = self.choices[target]
@@ -117,19 +127,19 @@ class Tradeoff:
         solver = choice.measurement.error.attitude if choice else min(errors, default=math.inf)
         shares = {'rounding': floor, 'solver': solver, 'last digits': self.reference.last_digits,
                   'interpolation': own.estimate if own and not held else 0.0}
-        # An error of a solver that is close to the floor is a rounding error.
+        # A solver error that is close to the floor is really a rounding error.
         if solver <= 2.0 * floor:
             shares['solver'] = 0.0
         return max(shares, key=lambda name: shares[name])
 
     def text(self, all_rows: bool = False) -> str:
         """
-        Return the recommended settings, the table and the limits of accuracy as text.
+        Format the recommended settings, the table and the limits of accuracy as text.
 
         Parameters
         ----------
         all_rows : bool
-            Whether the table lists all settings, instead of only the Pareto-optimal settings.
+            Whether to list all settings in the table, rather than only the Pareto-optimal ones.
 
         """
         recommended = [line for target in self.choices for line in _recommended(self, target)]
@@ -139,7 +149,7 @@ class Tradeoff:
         return self.text()
 
     def rows(self) -> Iterator[tuple[str, str]]:
-        """Generate the result for each target, and the limits of accuracy."""
+        """Generate the result for each target, followed by the limits of accuracy."""
         for target, choice in self.choices.items():
             aim, (name, text), *limits = _found(self, target)
             setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
@@ -147,7 +157,7 @@ class Tradeoff:
         yield from _facts(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all results as JSON types; the keys include the units."""
+        """Return all results as JSON types, with units in the keys."""
         span = self.stretch.seconds
         targets = [_target_data(self, target) for target in self.choices]
         return {
@@ -173,15 +183,15 @@ class Tradeoff:
 
     def curves(self) -> dict[str, tuple[list[float], list[float]]]:
         """
-        Return the points of the curve of each solver, in the order of its settings.
+        Return the points on the curve of each solver, in the order of the solver's settings.
 
-        If an error is smaller than the rounding floor, the rounding floor replaces the error,
-        because smaller errors are not significant.
+        Errors below the rounding floor are not significant, so they are replaced by the floor.
 
         Returns
         -------
         dict
-            Largest attitude errors, rad, and costs, s per simulated second, by solver.
+            For each solver, a list of its largest attitude errors, rad, and a list of its costs, s
+            per simulated second.
 
         """
         found: dict[str, tuple[list[float], list[float]]] = {}
@@ -193,7 +203,7 @@ class Tradeoff:
         return found
 
     def reference_errors(self) -> dict[str, float]:
-        """Return the errors, rad, that a plot draws as lines, by label."""
+        """Return the errors, rad, that a plot marks with lines, keyed by label."""
         found = {'rounding floor': self.reference.floor,
                  'last-digit effect': self.reference.last_digits}
         found.update({f'target {target:g} rad': target for target in self.choices})
@@ -227,7 +237,11 @@ def _expected(result: Tradeoff, choice: Choice) -> str:
 
 
 def _why(result: Tradeoff, target: float) -> str:
-    """Return why no setting is certain to meet a target, and in which part of the motion."""
+    """
+    Explain why no setting is sure to meet a target.
+
+    The explanation names the part of the motion to which it applies.
+    """
     reference, of_whole = result.reference, result.error_on_whole.reference
     part = '' if result.stretch is result.whole else \
         f' in the first {result.stretch.seconds:.9g} s'
@@ -241,7 +255,7 @@ def _why(result: Tradeoff, target: float) -> str:
 
 
 def _smallest(result: Tradeoff, target: float, part: str) -> str:
-    """Return text with the smallest error of all settings, on the stretch or the whole motion."""
+    """Describe the smallest error of all settings, on the stretch or on the whole motion."""
     least = min(one.error.attitude for one in result.measurements if not one.failure)
     least += result.reference.guaranteed_error
     measured = result.error_on_whole.least
@@ -255,7 +269,11 @@ def _smallest(result: Tradeoff, target: float, part: str) -> str:
 
 
 def _limits(result: Tradeoff, target: float) -> Iterator[tuple[str, str]]:
-    """Generate one or two rows on what limits the accuracy; two only for 'hold' interpolation."""
+    """
+    Generate rows that tell what limits the accuracy.
+
+    There is one row, or two rows if the interpolation is 'hold'.
+    """
     dominant, own = result.dominant(target), result.interpolation_error
     if dominant != 'interpolation' or not own:
         yield 'limited by', _LIMITS[dominant]
@@ -324,7 +342,7 @@ def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
 
 
 def value(setting: Setting) -> str:
-    """Return the tolerance or the step of a setting as text; '-' if the setting has neither."""
+    """Return the tolerance or the step of a setting as text, or '-' if it has neither."""
     return f'step {setting.max_step:.6g} s' if setting.max_step else \
         f'tolerance {setting.tolerance:.0e}' if setting.tolerance else '-'
 

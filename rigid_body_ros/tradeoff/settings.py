@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The settings of the solvers, and the choice of settings to measure."""
+"""The settings of the solvers, and which of them to measure."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from rigid_body_ros.tradeoff.problem import Case, TIGHTEST
 
 _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
 #: Angle through which the body turns in the longest fixed step, rad, and maximum number of steps
-#: in a run. A run with the maximum number of steps takes about 0.1 s.
+#: in a run. A run with that many steps takes about 0.1 s.
 _LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 
 
 class Setting(NamedTuple):
-    """A solver with its tolerance or step."""
+    """A solver, together with its tolerance or step."""
 
     solver: str
     tolerance: float | None = None
-    #: s
+    #: Length of a step, s.
     max_step: float | None = None
 
     @property
@@ -43,19 +43,19 @@ class Setting(NamedTuple):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return the lines of a scene that select this setting."""
+        """Return the lines of a scene file that select this setting."""
         if self.max_step is not None:
             return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
         return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
                 'max_step: 0.0')
 
 
-#: The setting of a scene that specifies no solver and no tolerance.
+#: The setting that applies if a scene specifies neither a solver nor a tolerance.
 DEFAULT = Setting(Options.solver, Options.tolerance)
 
 
 def settings_of(case: Case, motion: Trajectory) -> list[Setting]:
-    """Return all settings to measure, from coarse to fine, for a case and its motion."""
+    """Return all settings to measure for a case and its motion, from coarse to fine."""
     settings = [Setting(solver.name) for solver in RECORDS
                 if case.conserves and not solver.takes_torque]
     settings += [Setting(solver.name, tolerance) for solver in RECORDS

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Time every setting, compare it with the reference, and recommend a setting for each target."""
+"""Measure the time and the error of every setting, and recommend a setting for each target."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from rigid_body_ros.tradeoff.settings import Setting, settings_of
 #: Default target of `measure` and of --target, rad.
 TARGET = 1e-6
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
-#: s; if a run takes less wall time than this, its time depends on the previous run. Therefore, an
-#: untimed run of the same setting precedes each such timed run.
+#: The wall time of a run shorter than this, in seconds, depends on what ran before. Before each of
+#: these short runs, the same setting therefore runs once without being timed.
 _BRIEF = 0.01
 
 
@@ -43,20 +43,20 @@ def measure(problem: Problem, *, end_ns: int | None = None,
             targets: Sequence[float] = (TARGET,), seconds: float = 10.0,
             track: Track = no_progress) -> Tradeoff:
     """
-    Measure every solver, and choose the cheapest setting that meets each target.
+    Measure every solver, and choose the cheapest setting for each target.
 
     Parameters
     ----------
     problem : Problem
         The motion. Its solver, tolerance and longest step are ignored.
     end_ns : int, optional
-        End of the motion. By default, the motion ends at the last stamp of the torques or, without
+        End of the motion. By default, the motion ends at the last torque stamp or, if there are no
         torques, 50 turns after the start.
     targets : sequence of float, rad
-        Attitude errors allowed at any time of the motion.
+        The largest attitude errors that you allow at any time during the motion.
     seconds : float
-        Wall time for repeated runs, s. Runs over the whole motion may take up to this time in
-        addition.
+        Wall time to spend on repeated runs, s. Runs over the whole motion may take up to the same
+        time again.
     track : callable, optional
         A function that wraps the iteration over the settings, for example to show progress.
 
@@ -67,8 +67,8 @@ def measure(problem: Problem, *, end_ns: int | None = None,
     Raises
     ------
     ValueError
-        The body does not rotate, and there is neither torque nor field; the end is not after the
-        start; or the torques spin the body too fast to compute its motion.
+        The body does not rotate and there is neither torque nor field; the end is not after the
+        start; or the torques spin the body so fast that its motion cannot be computed.
 
     """
     case = whole(problem, end_ns)
@@ -90,14 +90,18 @@ def measure(problem: Problem, *, end_ns: int | None = None,
 
 def _measure_all(case: Case, settings: Sequence[Setting], reference: Reference,
                  seconds: float, track: Track) -> list[Measurement]:
-    """Run every setting once to get its error, then all settings in turns to get their times."""
+    """
+    Measure the error and the wall time of every setting.
+
+    Every setting runs once to get its error. Then all settings run in turn to time them.
+    """
     measurements = [_first_run(case, setting, reference)
                     for setting in track(settings, len(settings))]
     times: list[list[float]] = [[] for _ in measurements]
     limit = time.perf_counter() + seconds
     for repeat in track(range(_MOST_REPEATS), _MOST_REPEATS):
         if repeat >= _FEWEST_REPEATS and time.perf_counter() > limit:
-            continue  # completes the progress bar
+            continue  # without running anything, so that the progress bar reaches its end
         for one, measured in zip(measurements, times):
             if not one.failure:
                 if one.first_seconds < _BRIEF:
@@ -129,7 +133,7 @@ def _error(case: Case, motion: Trajectory, reference: Trajectory) -> Error:
         energy = body.kinetic_energy(start.angular_velocity)
     momentum_error = np.linalg.norm(motion.angular_momentum_space - momentum, axis=1).max()
     energy_error = np.abs(motion.kinetic_energy - energy).max()
-    # Divide by the momentum of the body, because with rotors, the total momentum may be zero.
+    # Divide by the momentum of the body alone, because the total including rotors may be zero.
     size = np.linalg.norm(body.angular_momentum(reference.angular_velocity), axis=1).max()
     return Error(float(attitude[-1]), float(attitude.max()), float(rates.max()),
                  float(momentum_error / size), float(energy_error / np.max(energy)))
@@ -137,7 +141,7 @@ def _error(case: Case, motion: Trajectory, reference: Trajectory) -> Error:
 
 def _with_pareto_front(measurements: Sequence[Measurement],
                        floor: float) -> tuple[Measurement, ...]:
-    """Mark the Pareto-optimal settings; errors below the floor count as equal to the floor."""
+    """Mark the Pareto-optimal settings, treating errors below the floor as equal to the floor."""
     best, optimal = math.inf, set()
     for number, one in sorted(enumerate(measurements), key=lambda item: item[1].seconds):
         error = max(one.error.attitude, floor)
