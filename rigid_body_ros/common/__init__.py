@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Errors, times and array types that all other modules use."""
+"""Errors, times and array types, which all other modules use."""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Types of arrays, and conversions of arrays to text, to JSON, and to and from tensors."""
+"""Array types, and functions to convert arrays to text and JSON, and to and from tensors."""
 
 from typing import Any
 
@@ -21,18 +21,22 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: Row and column of each entry of a symmetric tensor, in the order of scene files.
+#: The row and column of each entry of a symmetric tensor, in the order used by scene files.
 ENTRIES = {'xx': (0, 0), 'yy': (1, 1), 'zz': (2, 2), 'xy': (0, 1), 'xz': (0, 2), 'yz': (1, 2)}
 ROWS, COLUMNS = zip(*ENTRIES.values())
 
 
 def written(values: Floats) -> str:
-    """Return a short array as text such as '(0.5, 1e-06, 2)', each number with six digits."""
+    """
+    Format a short array as text such as '(0.5, 1e-06, 2)'.
+
+    Each number is rounded to six significant digits.
+    """
     return f"({', '.join(f'{value:.6g}' for value in values)})"
 
 
 def as_json(values: ArrayLike) -> Any:
-    """Return an array or a number as JSON types, with None for numbers that are not finite."""
+    """Convert an array or a number to JSON types; numbers that are not finite become None."""
     return np.where(np.isfinite(values), values, None).tolist()  # type: ignore[call-overload]
 
 
@@ -42,7 +46,7 @@ def entries(tensor: ArrayLike) -> Floats:
 
 
 def symmetric(values: ArrayLike) -> Floats:
-    """Return the symmetric tensor that has the six entries given in the order of `ENTRIES`."""
+    """Build a symmetric tensor from its six entries, in the order of `ENTRIES`."""
     tensor = np.empty((3, 3))
     tensor[ROWS, COLUMNS] = tensor[COLUMNS, ROWS] = values
     return tensor

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Error messages for users: each is one line of bounded length, whatever the input contains."""
+"""Error messages for users: always one line of limited length, whatever the input is."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from reprlib import Repr
 
 #: Maximum length of an error line, in characters.
 LONGEST = 500
-#: Maximum length of a reason that another library gives, and of a name in a list of names.
+#: Maximum length of a reason that comes from another library, and of each name in a list of names.
 _REASON, _NAME = 200, 60
 #: Maximum number of names in a list.
 _NAMES = 6
-#: The marker that replaces the middle of a text that is too long.
+#: Replaces the middle of a string that is too long.
 CUT = ' ... '
 
 _repr = Repr()
@@ -36,9 +36,10 @@ _repr.maxlevel, _repr.maxdict = 3, 4
 
 class InputError(ValueError):
     """
-    A mistake in the user's input.
+    Raised if there is a mistake in the user's input.
 
-    The message is one line, which says where the mistake is, what was expected and what was found.
+    The message is a single line that says where the mistake is, what was expected there, and what
+    was found instead.
     """
 
     def __init__(self, message: str) -> None:
@@ -46,13 +47,13 @@ class InputError(ValueError):
 
 
 def shortened(text: str, longest: int = LONGEST) -> str:
-    """Return a text as one printable line; the middle of a text beyond `longest` is cut."""
+    """Turn a string into one printable line; cut out the middle if the line exceeds `longest`."""
     return _cut(printable(_cut(text, longest)), longest)
 
 
 def printable(text: str) -> str:
     """
-    Return a text with nonprintable characters escaped, so that a terminal does not obey them.
+    Escape nonprintable characters in a string, so that a terminal does not interpret them.
 
     Nonprintable characters are control characters, line breaks of any kind, and characters that
     change the direction of the text.
@@ -64,18 +65,22 @@ def printable(text: str) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return the repr of a value that a user gave, cut to about 80 characters."""
+    """Return the repr of a user's value, cut to about 80 characters."""
     return _repr.repr(value)
 
 
 def listed(names: Collection[str]) -> str:
-    """Return the first few names of a collection and the number of the others, or 'none'."""
+    """
+    List the first few names, and say how many more there are.
+
+    The text is 'none' if there are no names.
+    """
     shown = ', '.join(shortened(name, _NAME) for name in islice(names, _NAMES))
     return (f'{shown} and {len(names) - _NAMES} more' if len(names) > _NAMES else shown) or 'none'
 
 
 def reason(error: Exception) -> str:
-    """Return the message of an error as one line, or the type of an error without a message."""
+    """Return the message of an error as one line, or the error's type if it has no message."""
     text = getattr(error, 'strerror', None) or ' '.join(str(error).split())
     return shortened(text or type(error).__name__, _REASON)
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Validation of times in integer nanoseconds."""
+"""Validate times, which are integer nanoseconds."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ LONGEST = 1e9
 
 def instant(time_ns: int, name: str = 'time_ns') -> int:
     """
-    Return a time as an int.
+    Check a time and convert it to an int.
 
     Parameters
     ----------
     time_ns : int, ns
-        The time, of any integer type.
+        The time, as any integer type.
     name : str
-        Name of the value in error messages.
+        What to call the value in error messages.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def instant(time_ns: int, name: str = 'time_ns') -> int:
     Raises
     ------
     ValueError
-        The time does not fit int64.
+        The time does not fit into int64.
     TypeError
         The time is not an integer. A bool does not count as an integer.
 
@@ -60,14 +60,14 @@ def instant(time_ns: int, name: str = 'time_ns') -> int:
 
 def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
     """
-    Return times as a new array.
+    Check times and copy them to a new array.
 
     Parameters
     ----------
     times_ns : array of int, shape (n,)
         The times, ns.
     name : str
-        Name of the value in error messages.
+        What to call the value in error messages.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
     Raises
     ------
     ValueError
-        The times are not integers of shape (n,), or do not fit int64.
+        The times are not integers of shape (n,), or do not fit into int64.
 
     """
     times = np.array(times_ns)
@@ -90,14 +90,14 @@ def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
 
 def duration_ns(seconds: float, name: str) -> int:
     """
-    Return a duration rounded to integer nanoseconds.
+    Convert a duration from seconds to the nearest integer number of nanoseconds.
 
     Parameters
     ----------
     seconds : float, s
-        The duration, from 0 to `LONGEST`.
+        The duration, which may be between 0 and `LONGEST`.
     name : str
-        Name of the value in error messages.
+        What to call the value in error messages.
 
     Returns
     -------

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Access to the compiled kernels, and the records and layouts that kernels share with Python."""
+"""The interface to the compiled kernels, and the data layouts that kernels and Python share."""
 
 from rigid_body_ros.engine import kernels
 from rigid_body_ros.kernels import (

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The compiled kernels, or the Python sources from which they were compiled.
+Load the compiled kernels, or the Python sources from which they were compiled.
 
-The environment variable ``RIGID_BODY_ROS_KERNELS`` chooses one of the processor levels that the
-processor supports. With the value ``python``, the Python sources run instead of the compiled
-kernels. The sources compute the same bits, but are hundreds of times slower.
+You can set the environment variable ``RIGID_BODY_ROS_KERNELS`` to a processor level that your
+processor supports. If you set the variable to ``python``, the Python sources run in place of the
+compiled kernels. The Python sources compute exactly the same bits, but run hundreds of times
+slower.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ _BUILD = 'in the folder of its source, run pip install . or colcon build'
 
 
 class KernelsError(InputError, ImportError):
-    """The compiled kernels cannot be used; commands report this error in one line."""
+    """Raised if the compiled kernels cannot be used; commands report this error in one line."""
 
 
 def _loaded() -> tuple[dict[str, Any], str, int, str]:
-    # Return the compiled kernels by name, their level, the lanes of that level, and the hash of
-    # the sources from which they were compiled.
+    # Return the compiled kernels by name, their level, the number of lanes at that level, and the
+    # hash of the sources from which they were compiled.
     choice = os.environ.get(_VARIABLE, '')
     if choice == 'python':
         return {}, choice, lanes.LANES, ''
@@ -67,10 +68,10 @@ _KERNELS, LEVEL, LANES, _HASH = _loaded()
 
 
 def kernels_hash() -> str:
-    """Return the hash of the kernel sources, which ignores comments and docstrings."""
+    """Return a hash of the kernel sources that ignores comments and docstrings."""
     return _HASH or sources_hash()
 
 
 def bind(source: Kernel) -> Kernel:
-    """Return the compiled kernel for a source, or the source if the variable is ``python``."""
+    """Return the compiled kernel for `source`, or `source` itself if Python sources are used."""
     return _KERNELS[source.__name__] if _KERNELS else source

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Elementary functions of arrays, with the same bits on every machine."""
+"""Elementary functions of arrays, which give exactly the same results on every machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from rigid_body_ros.engine import kernels
 
 def sines_cosines(angles: ArrayLike) -> tuple[Floats, Floats]:
     """
-    Return correctly rounded sines and cosines; both are NaN if the angle is infinite or NaN.
+    Compute correctly rounded sines and cosines.
+
+    The sine and the cosine are NaN if the angle is infinite or NaN.
 
     Parameters
     ----------
@@ -44,12 +46,12 @@ def sines_cosines(angles: ArrayLike) -> tuple[Floats, Floats]:
 
 def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
     """
-    Return the correctly rounded polar angles of the points (x, y); see `kernels.elementary`.
+    Compute the correctly rounded polar angles of points (x, y); see `kernels.elementary`.
 
     Parameters
     ----------
     y, x : array, shape (...)
-        The coordinates, which are broadcast against each other.
+        The coordinates of the points, which are broadcast against each other.
 
     Returns
     -------
@@ -63,7 +65,7 @@ def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
 
 
 def exponentials(x: ArrayLike) -> Floats:
-    """Return correctly rounded e^x for an array of any shape; see `kernels.elementary`."""
+    """Compute correctly rounded e^x for an array of any shape; see `kernels.elementary`."""
     flat = np.array(x, float, order='C')
     results = np.empty(flat.shape)
     kernels.fill_exponentials(flat.reshape(-1), results.reshape(-1))

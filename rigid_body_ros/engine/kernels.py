@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The kernels that Python calls."""
+"""Load the kernels that Python code calls."""
 
 from rigid_body_ros.engine.binding import bind
 from rigid_body_ros.kernels import (

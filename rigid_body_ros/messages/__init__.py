@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Encode and decode ROS messages; all knowledge of fields, CDR and definitions is in this package.
+Encode and decode ROS messages.
 
-`kinds` defines the types, `definitions` contains their text, and `joints` adds the type for named
-joints. `contents` converts states and torques to messages and back.
+`kinds` defines the message types and their encoding in CDR, `definitions` contains the text of
+their definitions, and `joints` adds a type for named joints. `contents` converts states and
+torques to messages and back.
 """
 
 from rigid_body_ros.messages.contents import (

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Convert states, torques and inertias to messages and back, and interpret frame_ids."""
+"""Convert states, torques and inertias to messages and back; interpret the messages' frame_ids."""
 
 from __future__ import annotations
 
@@ -36,40 +36,40 @@ from rigid_body_ros.messages.kinds import (
     WRENCH,
 )
 
-#: The first word in the frame_id of an epoch marker. The values of the start state follow.
+#: The first word in the frame_id of an epoch marker. The start state follows this word.
 _EPOCH = '/epoch'
 _EPOCH_NUMBERS = re.compile(_EPOCH + ' attitude(' + 4 * r' \S+' + ') rates(' + 3 * r' \S+'
                             + ') rotors(' + 3 * r' \S+' + r')(?: wheels((?: \S+)+))?')
-#: Position of the orientation in the doubles of an Odometry.
+#: The position of the orientation among the doubles of an Odometry message.
 ORIENTATION = slice(3, 7)
-#: Position of the angular velocity in the doubles of an Odometry.
+#: The position of the angular velocity among the doubles of an Odometry message.
 ANGULAR_VELOCITY = slice(46, 49)
-#: Position of the mass and the centre of mass in the doubles of an InertiaStamped.
+#: The position of the mass and the centre of mass among the doubles of an InertiaStamped message.
 MASS_AND_CENTRE = slice(0, 4)
-#: Variance of a position (m^2) or a linear velocity (m^2/s^2) that was not measured.
+#: The variance that marks a position (m^2) or linear velocity (m^2/s^2) as not measured.
 _UNKNOWN = 1e6
 _NO_ERRORS = ImuErrors()
-#: Positions of ixx, iyy, izz, ixy, ixz, iyz in the doubles of an InertiaStamped.
+#: The positions of ixx, iyy, izz, ixy, ixz, iyz among the doubles of an InertiaStamped message.
 _ENTRIES = [4, 7, 9, 5, 6, 8]
 
 
 def torque(wrench: Stamped) -> Floats:
-    """Return the torque of a WrenchStamped, N m, shape (3,)."""
+    """Return the torque in a WrenchStamped message, N m, shape (3,)."""
     return wrench.values[3:]
 
 
 def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
-    """Return a WrenchStamped with a torque, N m, shape (3,), and zero force."""
+    """Encode a WrenchStamped message with a torque, N m, shape (3,), and no force."""
     return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
 
 
 def inertia_entries(values: Floats) -> Floats:
-    """Return ixx, iyy, izz, ixy, ixz, iyz, shape (..., 6), from InertiaStamped doubles."""
+    """Return ixx, iyy, izz, ixy, ixz, iyz, shape (..., 6), from the doubles of InertiaStamped."""
     return values[..., _ENTRIES]
 
 
 def inertia(stamp_ns: int, frame_id: str, entries: ArrayLike) -> bytes:
-    """Return an InertiaStamped; `entries`, kg m^2, shape (6,), are as in `inertia_entries`."""
+    """Encode an InertiaStamped message; `entries`, kg m^2, are ordered as in `inertia_entries`."""
     values = np.zeros(INERTIA.doubles)
     values[_ENTRIES] = entries
     return INERTIA.encode(stamp_ns, frame_id, values)
@@ -77,11 +77,11 @@ def inertia(stamp_ns: int, frame_id: str, entries: ArrayLike) -> bytes:
 
 def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
     """
-    Return the marker that begins an epoch in the log of a node: a message of zeros.
+    Encode the marker of an epoch: a message that begins the epoch in a node's log.
 
-    The stamp of the message is the time of the start state, and its frame_id contains the numbers
-    of that state with all digits. The frame_id begins with a slash, so it cannot be the name of a
-    tf2 frame.
+    All values in the marker are zero. The stamp of the marker is the time of the start state, and
+    its frame_id contains the numbers of that state, with all digits. The frame_id begins with a
+    slash, because the name of a tf2 frame cannot begin with a slash.
     """
     groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
               'rotors': start.rotor_momentum}
@@ -98,12 +98,12 @@ def is_epoch_marker(frame_id: str) -> bool:
 
 def epoch_start(stamp_ns: int, frame_id: str) -> State:
     """
-    Return the start state from the stamp and the frame_id of an epoch marker.
+    Read the start state from the stamp and frame_id of an epoch marker.
 
     Raises
     ------
     ValueError
-        The frame_id is not in the format that `epoch_marker` writes.
+        The frame_id is not in the format written by `epoch_marker`.
 
     """
     found = _EPOCH_NUMBERS.fullmatch(frame_id)
@@ -116,12 +116,12 @@ def epoch_start(stamp_ns: int, frame_id: str) -> State:
 
 def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
     """
-    Return the axes of the torque in a WrenchStamped: 'body' or 'space'.
+    Return the axes of the torque in a WrenchStamped message: 'body' or 'space'.
 
     Raises
     ------
     ValueError
-        The frame_id is none of '', `body_frame` and `space_frame`.
+        The frame_id is not '', `body_frame` or `space_frame`.
 
     """
     if frame_id in ('', body_frame):
@@ -135,16 +135,17 @@ def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
 def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
                  links: Frames) -> tuple[str, Frame | None]:
     """
-    Return the axes of the torque in a WrenchStamped ('body' or 'space'), and a frame or None.
+    Return the axes of a WrenchStamped message, 'body' or 'space', and the message's link frame.
 
-    The frame is one of `links`; it converts the wrench to a torque about the centre of mass. None
-    means that the torque is already about the centre of mass and that the force has no effect.
+    The link frame is one of `links`; use it to convert the wrench to a torque about the centre of
+    mass. The link frame is None if the torque is already about the centre of mass and the force
+    has no effect.
 
     Raises
     ------
     ValueError
-        The frame_id is that of a link on which forces are not accepted, or it is not that of a
-        link and `torque_frame` does not accept it.
+        The frame_id belongs to a link on which forces are not accepted; or it does not belong to
+        any link, and `torque_frame` rejects it.
 
     """
     if frame_id not in ('', body_frame, space_frame) and (
@@ -163,12 +164,12 @@ def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
 def odometry(state: State, space_frame: str, body_frame: str, attitude_variance: float = 0.0,
              rate_variance: float = 0.0) -> bytes:
     """
-    Return an Odometry at the origin with the attitude and the body rates of a state.
+    Encode an Odometry message with a state's attitude and body rates, and a position of zero.
 
-    If `attitude_variance`, rad^2, is not 0, it is the variance of the orientation; the variance of
-    the position is then 1e6 m^2, because the position is not an estimate. If `rate_variance`,
-    rad^2/s^2, is not 0, it is the variance of the angular velocity; the variance of the linear
-    velocity is then 1e6 m^2/s^2.
+    If `attitude_variance`, rad^2, is not 0, it becomes the variance of the orientation in the
+    message. The variance of the position is then 1e6 m^2, because the position is not an estimate.
+    If `rate_variance`, rad^2/s^2, is not 0, it becomes the variance of the angular velocity, and
+    the variance of the linear velocity is then 1e6 m^2/s^2.
     """
     values = np.zeros(ODOMETRY.doubles)
     values[ORIENTATION] = state.attitude
@@ -180,7 +181,11 @@ def odometry(state: State, space_frame: str, body_frame: str, attitude_variance:
 
 
 def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERRORS) -> bytes:
-    """Return an Imu with the attitude and the rates that an IMU measures; see `imu_values`."""
+    """
+    Encode an Imu message with the attitude and rates that an IMU measures.
+
+    See `imu_values` for the contents of the message.
+    """
     values = imu_values(np.array([time_ns]), state.attitude[None], state.angular_velocity[None],
                         errors)
     return IMU.encode(time_ns, body_frame, values[0])
@@ -189,15 +194,15 @@ def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERR
 def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity: Floats,
                errors: ImuErrors = _NO_ERRORS) -> Floats:
     """
-    Return the doubles of Imu messages that contain attitude and rates but no acceleration.
+    Return the doubles for Imu messages with attitude and rates, but without acceleration.
 
     Parameters
     ----------
     stamps_ns, attitude, angular_velocity : array
         As for `ImuErrors.measured`.
     errors : ImuErrors
-        The errors of the IMU. The covariances in the messages are those of the noise; without
-        noise they are zero, which means unknown.
+        The errors of the IMU. The messages contain the covariances of the IMU noise. If there is
+        no noise, the covariances are zero, which means that they are unknown.
 
     Returns
     -------
@@ -212,11 +217,11 @@ def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity:
 
 
 def transform(state: State, space_frame: str, body_frame: str) -> bytes:
-    """Return the transform from body coordinates to space coordinates, as a TFMessage."""
+    """Encode the transform from body coordinates to space coordinates as a TFMessage."""
     return TRANSFORM.encode(state.time_ns, space_frame, transform_values(state.attitude[None])[0],
                             body_frame)
 
 
 def transform_values(attitude: Floats) -> Floats:
-    """Return the doubles of transforms, shape (n, 7), from attitudes, shape (n, 4)."""
+    """Convert attitudes, shape (n, 4), to the doubles of transforms, shape (n, 7)."""
     return np.pad(attitude, ((0, 0), (3, 0)))

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The definitions and the hashes of ROS message types."""
+"""The definitions of ROS message types, and the hashes of these types."""
 
 from __future__ import annotations
 
-#: The definition of each type: one line for each field.
+#: The definition of each type, with one line per field.
 FIELDS = {
     'builtin_interfaces/Time': 'int32 sec\nuint32 nanosec\n',
     'std_msgs/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
@@ -70,7 +70,7 @@ FIELDS = {
                                  'bool mesh_use_embedded_materials\n',
 }
 
-#: The hash of each type. Since Iron, ROS 2 identifies a type by its hash (REP-2011).
+#: The hash of each type. ROS 2 Iron and later releases identify a type by its hash (REP-2011).
 HASHES = {name: f'RIHS01_{digits}' for name, digits in {
     'geometry_msgs/msg/Wrench':
         '018e8519d57c16adbe97c9fe1460ef21fec7e31bc541de3d653a35895677ce52',
@@ -100,8 +100,8 @@ def definition(name: str) -> str:
 
 
 def _nested(name: str) -> list[str]:
-    # Return the types that a definition uses, directly or indirectly, each once, in the order of
-    # their first use.
+    # Return all types that a definition uses, directly or indirectly. List each type once, in the
+    # order in which they are first used.
     found: list[str] = []
     for line in FIELDS[name].splitlines():
         field = line.split()[0].removesuffix('[]')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""JointState messages, which carry the velocities and the efforts of named wheels."""
+"""JointState messages, which contain the velocities and efforts of named wheels."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _NONE = np.empty(0)
 
 
 class JointState(NamedTuple):
-    """A decoded JointState; each array is empty or contains one number for each name."""
+    """A decoded JointState message; each array is empty or contains one number per joint name."""
 
     stamp_ns: int
     frame_id: str
@@ -44,13 +44,13 @@ class JointState(NamedTuple):
 
 def decoded_joints(data: bytes) -> JointState:
     """
-    Return the contents of a JointState in CDR.
+    Decode a JointState message from CDR.
 
     Raises
     ------
     ValueError
-        The bytes are not a JointState, or a list of numbers is neither empty nor as long as the
-        list of names.
+        The bytes are not a JointState message, or a list of numbers in it is neither empty nor as
+        long as the list of names.
 
     """
     try:
@@ -81,7 +81,7 @@ def decoded_joints(data: bytes) -> JointState:
 def encoded_joints(stamp_ns: int, frame_id: str, names: Sequence[str],
                    position: ArrayLike = _NONE, velocity: ArrayLike = _NONE,
                    effort: ArrayLike = _NONE) -> bytes:
-    """Return a JointState as CDR bytes."""
+    """Encode a JointState message in CDR."""
     data = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9)) + _text(frame_id)
     data = _padded(data) + _names(names)
     for numbers in (position, velocity, effort):
@@ -94,15 +94,15 @@ def encoded_joints(stamp_ns: int, frame_id: str, names: Sequence[str],
 @dataclass(frozen=True)
 class JointCommands(MessageType):
     """
-    The type of JointState messages that contain the efforts of joints.
+    The type of JointState messages that command the efforts of joints.
 
-    The doubles of a message are the efforts in the order of `joints`, with NaN for each joint that
-    the message does not list.
+    The doubles of a message are the efforts, in the order of `joints`. The effort of a joint that
+    the message does not list is NaN.
 
     Attributes
     ----------
     joints : tuple of str
-        Names of all joints that a message may list.
+        The names of all joints that a message may list.
 
     """
 
@@ -110,7 +110,7 @@ class JointCommands(MessageType):
 
     def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
                child_frame_id: str = '') -> bytes:
-        """Return a message as CDR bytes, without the joints whose values are NaN."""
+        """Encode a message in CDR, leaving out the joints whose values are NaN."""
         efforts = np.asarray(values, float)
         given = ~np.isnan(efforts)
         names = [name for name, is_given in zip(self.joints, given.tolist()) if is_given]
@@ -118,13 +118,13 @@ class JointCommands(MessageType):
 
     def decode(self, data: bytes) -> Stamped:
         """
-        Return the contents of a CDR message.
+        Decode a message from CDR.
 
         Raises
         ------
         ValueError
-            The bytes are not a JointState; a name is not one of the joints or occurs twice; or
-            an effort is missing or not finite.
+            The bytes are not a JointState message; a name is not one of the joints or occurs
+            twice; or an effort is missing or not finite.
 
         """
         found = decoded_joints(data)
@@ -145,15 +145,15 @@ class JointCommands(MessageType):
 
 
 def joint_commands(joints: Sequence[str]) -> JointCommands:
-    """Return the type of messages that command the efforts of joints with these names."""
+    """Return the type of messages that command the efforts of the joints with these names."""
     return JointCommands(_NAME, len(joints), joints=tuple(joints))
 
 
 def joint_states(joints: Sequence[str]) -> MessageType:
     """
-    Return the type of JointState messages with the velocity and the effort of each joint.
+    Return the type for JointState messages with the velocity and effort of each joint.
 
-    `joint_values` returns the doubles of such messages.
+    Use `joint_values` to get the doubles for these messages.
     """
     lists = _padded(_names(joints)) + struct.pack('<2I', 0, len(joints))
     return MessageType(_NAME, 2 * len(joints) + 1, before_doubles=lists)
@@ -161,12 +161,12 @@ def joint_states(joints: Sequence[str]) -> MessageType:
 
 def joint_values(velocities: Floats, efforts: Floats) -> Floats:
     """
-    Return the doubles of messages of the type that `joint_states` returns.
+    Return the doubles for messages whose type comes from `joint_states`.
 
     Parameters
     ----------
     velocities, efforts : array, shape (n, joints)
-        Velocities, rad/s, and efforts, N m, with one row for each message.
+        The velocities, rad/s, and efforts, N m, with one row per message.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def joint_values(velocities: Floats, efforts: Floats) -> Floats:
 
     """
     rows, joints = velocities.shape
-    # In CDR, the length of the list of efforts and the padding after it take up one double.
+    # In CDR, the length of the effort list and the padding after it together fill one double.
     length = np.full((rows, 1), joints, '<u8').view('<f8')
     return np.hstack([velocities, length, efforts])
 
@@ -196,7 +196,7 @@ def _padded(data: bytes, size: int = 4) -> bytes:
 
 
 def _count_at(body: memoryview, offset: int, order: str) -> tuple[int, int]:
-    """Return the number of entries of a list, and the offset of the first entry."""
+    """Return the number of entries in a list, and the offset of the first entry."""
     offset += -offset % 4
     count, = struct.unpack_from(order + 'I', body, offset)
     return count, offset + 4

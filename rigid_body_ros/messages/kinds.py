@@ -13,16 +13,16 @@
 # limitations under the License.
 
 """
-Types of messages, and how messages are encoded as bytes.
+Define message types, and encode and decode messages of these types.
 
-All types here have the same structure: a header, in some types a second name, then doubles. There
-are three exceptions. A Wrench has no header. A TFMessage is a list of transforms; here the list
-always has one entry. A Marker has other fields before and after its doubles; here the values of
-these other fields are constant.
+All types in this module have the same structure: a header, a second name in some types, and then
+doubles. There are three exceptions. A Wrench has no header. A TFMessage is a list of transforms,
+but here it always has exactly one entry. A Marker has other fields before and after its doubles,
+but here the values of these other fields never change.
 
-The encoding is XCDR1 of the DDS-XTypes specification, section 7.4. Messages are written in little
-endian and read in either byte order. Doubles are aligned to 8 bytes, counted from the end of the
-4-byte encapsulation header.
+Messages are encoded in XCDR1, as specified in section 7.4 of DDS-XTypes. They are written in
+little-endian byte order, and read in either byte order. Doubles are aligned to 8 bytes, counted
+from the end of the 4-byte encapsulation header.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.messages import definitions
 
-#: The latest time that a ROS stamp can represent, ns; it is in January 2038.
+#: The latest time that fits in a ROS stamp, ns. It is in January 2038.
 LAST_NS = 2 ** 31 * 10 ** 9 - 1
 
 
 class Stamped(NamedTuple):
-    """A decoded message: stamp, frame_id, child_frame_id ('' if the type has none), doubles."""
+    """A decoded message; `child_frame_id` is '' if the message type does not have one."""
 
     stamp_ns: int
     frame_id: str
@@ -50,7 +50,7 @@ class Stamped(NamedTuple):
     values: Floats
 
 
-@dataclass(frozen=True, eq=False)  # otherwise each cache lookup would hash all fields
+@dataclass(frozen=True, eq=False)  # with eq, each cache lookup would hash all fields
 class MessageType:
     """
     A ROS message type: its definition, and how its messages are encoded and decoded.
@@ -60,15 +60,17 @@ class MessageType:
     name : str
         The ROS name, such as 'geometry_msgs/msg/WrenchStamped'.
     doubles : int
-        Number of doubles in a message.
+        The number of doubles in a message.
     has_child_frame : bool
-        Whether a second name follows the frame_id: a child frame or, in a Marker, a namespace.
+        Whether the frame_id is followed by a second name, which is a child frame or, in a Marker,
+        a namespace.
     is_list : bool
         Whether a message is a list with one entry.
     has_header : bool
         Whether a message has a header.
     before_doubles, after_doubles : bytes
-        Constant CDR bytes between the names and the doubles, and after the doubles.
+        The constant CDR bytes between the names and the doubles, and the constant CDR bytes after
+        the doubles.
 
     """
 
@@ -82,7 +84,7 @@ class MessageType:
 
     @property
     def type_hash(self) -> str:
-        """Return the hash by which ROS 2, since Iron, identifies the type (REP-2011)."""
+        """Return the hash that identifies the type in ROS 2 Iron and later releases (REP-2011)."""
         return definitions.HASHES[self.name]
 
     @property
@@ -92,14 +94,18 @@ class MessageType:
 
     def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
                child_frame_id: str = '') -> bytes:
-        """Return a message as CDR bytes; `values`, shape (doubles,), are in field order."""
+        """
+        Encode a message in CDR.
+
+        `values`, shape (doubles,), are the message's doubles, in field order.
+        """
         head, names = _around_stamp(self, frame_id, child_frame_id)
         stamp = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9))
         doubles = np.asarray(values, '<f8').tobytes()
         return head + stamp + names + doubles + self.after_doubles
 
     def layout(self, frame_id: str, child_frame_id: str = '') -> np.dtype[np.void]:
-        """Return the dtype of an array of encoded messages with these names, for `fill`."""
+        """Return the dtype of the array that `fill` needs for messages with these frame_ids."""
         head, names = _around_stamp(self, frame_id, child_frame_id)
         return np.dtype([('head', f'V{len(head)}'), ('sec', '<i4'), ('nanosec', '<u4'),
                          ('names', f'V{len(names)}'), ('doubles', '<f8', (self.doubles,)),
@@ -107,7 +113,12 @@ class MessageType:
 
     def fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64], values: Floats,
              frame_id: str, child_frame_id: str = '') -> None:
-        """Fill an array of n messages; `values`, shape (n, doubles), are in field order."""
+        """
+        Encode n messages into an array.
+
+        Each row of `values`, shape (n, doubles), contains the doubles of a message, in field
+        order.
+        """
         head, names = _around_stamp(self, frame_id, child_frame_id)
         rows['head'], rows['names'] = np.void(head), np.void(names)
         rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, 10 ** 9)
@@ -115,7 +126,7 @@ class MessageType:
 
     def decode(self, data: bytes) -> Stamped:
         """
-        Return the contents of a CDR message.
+        Decode a message from CDR.
 
         Raises
         ------
@@ -151,7 +162,11 @@ class MessageType:
 
 
 def _marker(shape: int, *color: float) -> MessageType:
-    """Return a Marker type with a shape and color (r, g, b, a); the doubles are pose and scale."""
+    """
+    Return a type for Markers that all have the given shape and color (r, g, b, a).
+
+    The doubles of such a Marker are its pose and its scale.
+    """
     no_text, no_list = struct.pack('<I4x', 1), bytes(4)
     texture = bytes(8) + no_text + no_text + no_list
     after = [struct.pack('<4f8xB3x', *color, 0), no_list, no_list, no_text, texture, no_list,
@@ -179,12 +194,12 @@ IMU = MessageType('sensor_msgs/msg/Imu', 37)
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
 #: tf2_msgs/msg/TFMessage with one transform; doubles: translation x y z, rotation x y z w.
 TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
-#: Types that are read but never written; doubles: position, orientation x y z w, and in
-#: PoseWithCovarianceStamped 36 covariances.
+#: These types are read but never written. Their doubles are the position, the orientation x y z w
+#: and, in PoseWithCovarianceStamped, 36 covariances.
 POSE = MessageType('geometry_msgs/msg/PoseStamped', 7)
 POSE_WITH_COVARIANCE = MessageType('geometry_msgs/msg/PoseWithCovarianceStamped', 43)
 TRANSFORM_STAMPED = MessageType('geometry_msgs/msg/TransformStamped', 7, has_child_frame=True)
-#: The arrows differ in lightness as well as in hue, for colour-blind users.
+#: The arrows differ in lightness as well as hue, so that colour-blind users can tell them apart.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
 TYPES = {kind.name: kind for kind in (
@@ -193,7 +208,8 @@ TYPES = {kind.name: kind for kind in (
 
 @lru_cache
 def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tuple[bytes, bytes]:
-    # Return the bytes of a message before its stamp, and between its stamp and its doubles.
+    # Return two sequences of bytes: those before the stamp of a message, and those between the
+    # stamp and the doubles.
     head = b'\1\0\0\0' if kind.is_list else b''
     begin, body = len(head) + 8, b''
     for name in (frame_id, child_frame_id)[:1 + kind.has_child_frame]:
@@ -204,14 +220,18 @@ def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tupl
 
 
 def opened(data: bytes) -> tuple[memoryview, str]:
-    """Return a message without its encapsulation header, and its byte order for `struct`."""
+    """
+    Strip the encapsulation header from an encoded message.
+
+    Return the rest of the message, and its byte order in the notation of `struct`.
+    """
     if data[0] != 0 or data[1] not in (0, 1):
         raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
     return memoryview(data)[4:], '<' if data[1] else '>'
 
 
 def header_at(body: memoryview, offset: int, order: str) -> tuple[int, str, int]:
-    """Return the stamp, ns, and the frame_id of a header, and the offset of its end."""
+    """Read a header; return its stamp, ns, its frame_id, and the offset at which it ends."""
     seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)
     if seconds < 0 or nanoseconds >= 10 ** 9:
         raise ValueError(f'invalid stamp: {seconds} s and {nanoseconds} ns')
@@ -220,7 +240,7 @@ def header_at(body: memoryview, offset: int, order: str) -> tuple[int, str, int]
 
 
 def text_at(body: memoryview, offset: int, order: str) -> tuple[str, int]:
-    """Return a string, and the offset of its end."""
+    """Read a string; return the string and the offset at which it ends."""
     offset += -offset % 4
     size, = struct.unpack_from(order + 'I', body, offset)
     start, end = offset + 4, offset + 4 + size

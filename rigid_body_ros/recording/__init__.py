@@ -15,15 +15,15 @@
 """
 Read torques and other messages from recordings, and write motions.
 
-Reading: `opening` opens the files of a recording of any format, and `source` reads one of its
-topics. `mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` read the files through the interface
-in `file`. `csv_columns` interprets the first line of a CSV file, and `unpack` decompresses files
-and messages. `bulk` decodes messages, and `transforms` decodes the transforms of one pair of
-frames. `torques` turns messages into a torque log, and divides the log of a node into epochs.
-`problem` combines torque logs with a scene.
+Reading: `opening` opens the files of a recording, whatever its format, and `source` reads one
+topic from them. `mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` each read one file format,
+and all of them implement the interface in `file`. `csv_columns` interprets the first line of a CSV
+file, and `unpack` decompresses files and messages. `bulk` decodes messages, and `transforms`
+decodes the transforms between one pair of frames. `torques` turns messages into a torque log and
+splits a node's log into epochs. `problem` combines torque logs with a scene.
 
-Writing: `writer` writes MCAP files, and uses `container` to write the records of a file. `folder`
-adds the metadata.yaml of a rosbag2 bag.
+Writing: `writer` writes MCAP files, using `container` for the individual records. `folder` adds
+the metadata.yaml file that makes the output a rosbag2 bag.
 """
 
 from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of

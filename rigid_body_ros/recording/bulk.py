@@ -15,8 +15,9 @@
 """
 Decode many messages at once, from bytes to arrays.
 
-A compiled loop decodes the messages, a hundred times faster than Python. A message that it cannot
-decode is passed to `MessageType.decode`, which raises an error with the reason.
+The messages are decoded in a compiled loop, which is a hundred times faster than Python. If the
+loop fails on a message, that message is passed to `MessageType.decode`, which raises an error that
+explains what is wrong with the message.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ from rigid_body_ros.messages import JointCommands, MessageType, Stamped
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
-#: Largest number of padding bytes that middleware appends to a message.
+#: Middleware may append up to this many bytes of padding to a message.
 _PADDING = 3
 
 
 class BadMessageError(ValueError):
-    """A message does not match its type; `row` is the index of the message."""
+    """Raised if a message does not match its type; `row` is the message's index."""
 
     def __init__(self, row: int, reason: str) -> None:
         super().__init__(reason)
@@ -47,13 +48,14 @@ class BadMessageError(ValueError):
 
 class Raw(NamedTuple):
     """
-    Messages of one topic as bytes.
+    The undecoded messages of one topic, stored in a single byte array.
 
     Attributes
     ----------
     data : array of uint8, shape (size,)
     starts, sizes : array of int64, shape (n,)
-        Position and size of each message in `data`, in bytes.
+        The offset in `data` at which each message starts, and the length of each message, in
+        bytes.
     log_ns, publish_ns : array of int64, shape (n,)
         Times at which each message was recorded and published.
 
@@ -68,7 +70,7 @@ class Raw(NamedTuple):
     @classmethod
     def from_bytes(cls, messages: Sequence[bytes], log_ns: Ints,
                    publish_ns: Ints) -> Raw:
-        """Concatenate separate messages."""
+        """Join separate messages into one byte array."""
         sizes = np.array([len(message) for message in messages], np.int64)
         return cls(np.frombuffer(b''.join(messages), np.uint8), np.cumsum(sizes) - sizes, sizes,
                    log_ns, publish_ns)
@@ -76,7 +78,11 @@ class Raw(NamedTuple):
     @classmethod
     def from_values(cls, kind: MessageType, stamps_ns: Ints, values: Floats,
                     logged_ns: Ints | None = None) -> Raw:
-        """Encode messages with empty frame_ids from `values`, (n, doubles), in field order."""
+        """
+        Encode each row of `values` as a message with an empty frame_id.
+
+        A row contains the doubles of its message, in field order.
+        """
         filled = np.empty(len(values), kind.layout(''))
         kind.fill(filled, stamps_ns, values, '')
         size = filled.dtype.itemsize
@@ -91,20 +97,20 @@ class Raw(NamedTuple):
 
 class Decoded(NamedTuple):
     """
-    The contents of messages of one topic.
+    The decoded messages of one topic.
 
     Attributes
     ----------
     stamps_ns : array of int64, shape (n,)
-        Stamps of the headers, ns; all zero if the type has no header.
+        The stamps from the message headers, ns; all zero if the type has no header.
     frames : array of int, shape (n,)
-        Index into `names` for each message.
+        For each message, the index of its frame_id in `names`.
     names : list of str
         The distinct frame_ids.
     values : array, shape (n, doubles)
-        The doubles of each message in field order.
+        The doubles in each message, in field order.
     longer : int
-        Number of messages in which more bytes follow the last field than padding can explain.
+        Number of messages that have more bytes after the last field than padding can explain.
 
     """
 
@@ -116,8 +122,8 @@ class Decoded(NamedTuple):
 
 
 def decode(kind: MessageType, raw: Raw) -> Decoded:
-    """Return the contents of messages; raise BadMessageError at the first invalid message."""
-    if isinstance(kind, JointCommands):  # the compiled loop does not decode names of joints
+    """Decode messages; raise BadMessageError at the first invalid message."""
+    if isinstance(kind, JointCommands):  # the compiled loop cannot decode joint names
         return _decode_each(kind, raw)
     count = len(raw.starts)
     contents = stamps, bits, texts, changes, after = Contents(
@@ -144,7 +150,7 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
 
 
 def _decode_each(kind: JointCommands, raw: Raw) -> Decoded:
-    """Return the contents of messages of a type that the compiled loop does not decode."""
+    """Decode messages one at a time, for a type that the compiled loop does not support."""
     found: list[Stamped] = []
     names: dict[str, int] = {}
     for row in range(len(raw.starts)):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write the records of an MCAP file from front to back: chunks with indexes, then the summary."""
+"""Write an MCAP file from front to back: first the chunks and their indexes, then the summary."""
 
 from __future__ import annotations
 
@@ -43,13 +43,14 @@ import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
-#: Level of zstd. Level -3 is twice as fast as level 1, and compresses doubles nearly as well.
+#: The zstd level. Compression at level -3 is twice as fast as at level 1 and compresses doubles
+#: nearly as well.
 _LEVEL = -3
 _INDEX = np.dtype([('time', '<u8'), ('offset', '<u8')])
 
 
 class Indexed(NamedTuple):
-    """The messages of a channel in a chunk: their times and their offsets in the chunk."""
+    """The times and offsets of one channel's messages in a chunk."""
 
     channel: int
     times_ns: NDArray[np.int64]
@@ -58,16 +59,17 @@ class Indexed(NamedTuple):
 
 class Container:
     """
-    Write an MCAP file with the profile of ROS 2.
+    Write an MCAP file with the ROS 2 profile.
 
-    A second thread compresses the chunks. `add_chunk` returns before the chunk is compressed. The
-    next call of `add_chunk`, `add_metadata` or `finish` first writes and flushes that chunk.
+    Chunks are compressed in a second thread, so `add_chunk` returns before its chunk is
+    compressed. The chunk is written and flushed at the beginning of the next call to `add_chunk`,
+    `add_metadata` or `finish`.
 
     Attributes
     ----------
     channels : list of Channel
     counts : dict
-        Number of messages of each channel, by channel id.
+        The number of messages in each channel, by channel id.
 
     """
 
@@ -87,7 +89,7 @@ class Container:
 
     def add_channel(self, topic: str, schema: Schema | None, metadata: dict[str, str],
                     encoding: str = 'cdr') -> int:
-        """Add a topic and, if the file lacks it, the schema; return the id of the channel."""
+        """Add a topic, and its schema if the file does not have it yet; return the channel id."""
         schema_id = 0
         if schema:
             content = schema.name, schema.encoding, schema.data
@@ -105,11 +107,11 @@ class Container:
         return channel.id
 
     def type_of(self, channel: Channel) -> str:
-        """Return the message type of a channel; '' if it has no schema."""
+        """Return the message type of a channel, or '' if the channel has no schema."""
         return self._schemas[channel.schema_id - 1].name if channel.schema_id else ''
 
     def add_chunk(self, data: bytes, indexed: list[Indexed]) -> None:
-        """Append a chunk of message records; `indexed` lists the messages of each channel."""
+        """Append a chunk of message records; `indexed` lists the chunk's messages by channel."""
         for channel, times_ns, _ in indexed:
             self.counts[channel] += len(times_ns)
         self._finish_chunk()
@@ -140,7 +142,7 @@ class Container:
         self.close()
 
     def close(self) -> None:
-        """Stop the second thread; a chunk that is not yet written is lost."""
+        """Stop the thread that compresses chunks; a chunk that is not written yet is lost."""
         self._compressor.shutdown(cancel_futures=True)
 
     def _finish_chunk(self) -> None:
@@ -148,8 +150,8 @@ class Container:
             return
         chunk, indexed = self._compressed.result()
         self._compressed = None
-        # Write the chunk and its index at once, so that a truncated file rarely ends between the
-        # two.
+        # Write the chunk and its index in one call. If the file gets cut off, this makes it
+        # unlikely that the file ends between the chunk and its index.
         start, data = self._position, _record(chunk)
         length, index_offsets = len(data), {}
         for channel, times_ns, offsets in indexed:
@@ -176,12 +178,12 @@ class Container:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Return the earliest and the latest message time, ns; (0, 0) if there are no messages."""
+        """Return the earliest and latest message times, ns; (0, 0) if there are no messages."""
         return (self._first_ns, self._last_ns) if self._chunks else (0, 0)
 
     @property
     def has_chunks(self) -> bool:
-        """Return whether a chunk was written to the file."""
+        """Return whether any chunk has been written to the file."""
         return bool(self._chunks)
 
     def _statistics(self) -> Statistics:

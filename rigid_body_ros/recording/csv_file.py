@@ -32,20 +32,21 @@ from rigid_body_ros.recording.csv_columns import Columns, columns
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.runtime.limits import open_file
 
-#: The only topic of a CSV file.
+#: The name of the only topic in a CSV file.
 _TOPIC = '/torque'
-#: Number of lines in a block.
+#: The number of lines that are read as one block.
 _BLOCK = 8192
-#: Limit on the length of a line, in characters.
+#: The longest line that is accepted, in characters.
 _LONGEST = 2 ** 16
 
 
 class CsvFile(File):
     """
-    A CSV file of torques, which are read as WrenchStamped messages in body axes.
+    A CSV file of torques.
 
-    The first line may name the columns; otherwise the columns are time (s), tx, ty, tz (N m).
-    Reading raises InputError at the first invalid line.
+    Each line is read as a WrenchStamped message in body axes. The first line may name the columns;
+    otherwise the columns are time (s), tx, ty, tz (N m). Reading raises InputError at the first
+    invalid line.
     """
 
     def __init__(self, path: Path) -> None:
@@ -53,11 +54,11 @@ class CsvFile(File):
         self.types = {_TOPIC: messages.WRENCH.name}
 
     def count(self, topic: str) -> int:
-        """Return 0: the number of lines is not known before they are read."""
+        """Return 0, because the lines cannot be counted without reading the file."""
         return 0
 
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
-        """Generate the torques in blocks, in the order of the file."""
+        """Generate the torques in blocks, in file order."""
         try:
             with TextIOWrapper(open_file(self.path, 'recording'), 'utf-8-sig',
                                newline='') as text:

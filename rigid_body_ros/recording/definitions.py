@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compare the definition of a message type in a recording with the standard definition."""
+"""Check whether a recording defines a message type in the same way as ROS does."""
 
 from __future__ import annotations
 
@@ -24,44 +24,48 @@ import re
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.messages import MessageType
 
-#: For each message type, the type and the name of each field.
+#: Maps each message type to the types and names of its fields.
 _Fields = dict[str, list[tuple[str, str]]]
 
-#: A line of `=`, then a line with the name of the type whose definition follows.
+#: Matches the start of a section: a line of `=` characters, then a line that names the type that
+#: the section defines.
 _SECTION = re.compile(r'^=+[ \t]*\n(?:MSG|IDL):[ \t]*(\S+)[ \t]*$', re.MULTILINE)
 _MSG_COMMENT = re.compile(r'#.*')
-#: Type and name of a field, but not of a constant; a default value is ignored.
+#: Matches the type and the name of a field, but not a constant. A default value is ignored.
 _MSG_FIELD = re.compile(r'^[ \t]*(\S+)[ \t]+(\w+)\b[ \t]*(?![ \t=])', re.MULTILINE)
-#: Strings and comments, matched together because each may contain the other.
+#: Matches strings and comments. One pattern must match both, because a string may contain text
+#: that looks like a comment, and vice versa.
 _IDL_TEXT = re.compile(r'"(?:\\.|[^"\\])*"|//[^\n]*|/\*.*?\*/|^#[^\n]*', re.DOTALL | re.MULTILINE)
 _IDL_ANNOTATION = re.compile(r'@\w+\s*(?:\([^()]*\))?')
 _IDL_ARRAY = re.compile(r'typedef\s+([\w:]+)\s+(\w+)\s*(\[\w+\])')
 _IDL_SEQUENCE = re.compile(r'sequence ?< ?([\w:]+) ?>')
-#: The ROS names of the primitive types of IDL.
+#: The ROS names of the primitive IDL types.
 _IDL_PRIMITIVES = {
     'double': 'float64', 'float': 'float32', 'boolean': 'bool', 'octet': 'byte',
     'short': 'int16', 'unsigned short': 'uint16', 'long': 'int32', 'unsigned long': 'uint32',
     'long long': 'int64', 'unsigned long long': 'uint64'}
-#: Limits on the bytes of a definition, and on the number of fields of a type, including the fields
-#: of nested types.
+#: The maximum length of a definition, in bytes, and the maximum number of fields in a type,
+#: including the fields of nested types.
 LONGEST, _MOST = 2 ** 16, 1000
 
 
 @lru_cache
 def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -> str:
     """
-    Return the first difference from the standard definition as text; '' if there is none.
+    Describe the first difference between a recorded definition and the standard definition.
+
+    Return '' if there is no difference.
 
     Comments, spacing, constants, default values and the order of nested definitions do not
-    matter. A nested type without a definition is assumed to have its standard definition.
+    matter. If the definition of a nested type is missing, the type is assumed to be standard.
 
     Parameters
     ----------
     kind : MessageType
         The message type that the caller expects.
     name, encoding : str
-        The name of the type in the recording, and the encoding of its definition, 'ros2msg' or
-        'ros2idl'.
+        The name that the recording gives the type, and the encoding of its definition: 'ros2msg'
+        or 'ros2idl'.
     definition : bytes
         The definition in the recording; empty if there is none.
 
@@ -86,7 +90,7 @@ def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -
 
 
 def _sections(root: str, text: str, is_idl: bool) -> _Fields:
-    """Return the fields of each type that a definition defines, the root type first."""
+    """Return the fields of every type in a definition, starting with the root type."""
     first, *others = _SECTION.split(text)
     sections = [*([(root, first)] if first.strip() else []), *zip(others[::2], others[1::2])]
     parsed = _idl_fields if is_idl else _msg_fields
@@ -103,7 +107,7 @@ def _msg_fields(name: str, body: str) -> list[tuple[str, str]]:
         base, bracket, size = kind.replace('/msg/', '/').partition('[')
         if base == 'Header':
             base = 'std_msgs/Header'
-        elif base[:1].isupper():  # a type of the same package
+        elif base[:1].isupper():  # a type from the same package
             base = f'{name.split("/")[0]}/{base}'
         found.append((base + bracket + size, field))
     return found
@@ -124,7 +128,7 @@ def _idl_fields(name: str, body: str) -> list[tuple[str, str]]:
 
 
 def _flat(fields: _Fields, root: str) -> Iterator[str]:
-    """Generate the type and the path of each primitive field of a type, in order."""
+    """Generate the type and path of every primitive field in a type, in order."""
     waiting, count = [(root, '')], 0
     while waiting and count < _MOST:
         kind, path = waiting.pop()

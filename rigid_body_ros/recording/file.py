@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The interface to a file of a recording, the same for every format."""
+"""The common interface to the files of a recording, whatever their format."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from rigid_body_ros.recording.definitions import difference
 
 class File(ABC):
     """
-    A file of a recording.
+    One file of a recording.
 
     Parameters
     ----------
     path : Path
-        The file that the user named. Error messages contain this name.
+        The file as the user named it; error messages use this name.
     unpacked : Path, optional
         The decompressed copy to read, if the file is compressed.
 
@@ -41,15 +41,15 @@ class File(ABC):
     ----------
     path : Path
     types : dict
-        The message type of each topic; '' if the file does not name one.
+        The message type of each topic; '' if the file does not name the topic's type.
     damage : str
-        What was lost and where; '' if nothing was lost. Known only after the messages have been
-        read.
+        What data was lost and where; '' if nothing was lost. This is not known until the messages
+        have been read.
 
     Raises
     ------
     InputError
-        The file cannot be read or has another format.
+        The file cannot be read, or is not in the format that the class reads.
 
     """
 
@@ -59,22 +59,23 @@ class File(ABC):
         self.damage = ''
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the metadata record called `name`; empty if the format has no such records."""
+        """Return the metadata record `name`, or {} if the format has no metadata records."""
         return {}
 
     @abstractmethod
     def count(self, topic: str) -> int:
-        """Return the number of messages of a topic; 0 if the file does not contain that number."""
+        """Return the number of messages on a topic, or 0 if the file does not store the number."""
 
     @abstractmethod
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
         """
-        Generate the messages of a topic in blocks, in the order of the file.
+        Generate the messages of a topic in blocks, in file order.
 
         Raises
         ------
         InputError
-            The messages are not in CDR, or the file defines the message type differently from ROS.
+            The messages are not encoded in CDR, or the file defines their type differently from
+            ROS.
 
         """
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write bags of rosbag2: a folder with an MCAP file and metadata.yaml."""
+"""Write rosbag2 bags: folders that contain an MCAP file and metadata.yaml."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.files import FOLDER, Part
 import yaml
 
-#: Version of the format of metadata.yaml. ROS 2 Humble cannot read newer versions.
+#: Format version of metadata.yaml. ROS 2 Humble cannot read newer versions.
 _VERSION = 5
 
 
 def suffix_of(output: str | Path) -> str:
     """Return the format of an output: '.mcap', or `files.FOLDER` for a rosbag2 folder."""
-    name = Path(output).name.lower()  # like rosbag2
+    name = Path(output).name.lower()  # ignore case, like rosbag2
     return '.mcap' if name.endswith('.mcap') else FOLDER
 
 
 def writer_of(output: str | Path) -> Writer:
-    """Return a writer for the format of an output."""
+    """Return a writer for an output, in the format that its name implies."""
     kind = FolderWriter if suffix_of(output) == FOLDER else Writer
     return kind(output, keep_partial=True)
 
 
 class FolderWriter(Writer):
     """
-    Write a bag of rosbag2: a folder with an MCAP file and metadata.yaml.
+    Write a rosbag2 bag: a folder that contains an MCAP file and metadata.yaml.
 
-    The methods and parameters are those of `Writer`; `path` is the folder.
+    The methods and parameters are the same as for `Writer`, except that `path` is the folder.
 
     Raises
     ------
     InputError
-        A file or folder of that name exists already, or the folder cannot be written.
+        A file or folder with that name already exists, or the folder cannot be written.
 
     """
 

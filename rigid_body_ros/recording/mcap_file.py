@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read MCAP files from front to back, in blocks of messages, up to the end or the first damage."""
+"""Read MCAP files in blocks, from front to back, up to the end or the first damaged record."""
 
 from __future__ import annotations
 
@@ -43,21 +43,26 @@ from rigid_body_ros.recording.unpack import LARGEST, unpack
 from rigid_body_ros.runtime.limits import open_file
 import zstandard
 
-#: Records outside chunks are collected, and passed on as a block if they exceed this size, bytes.
+#: Records outside chunks are collected until their total size exceeds this number of bytes. The
+#: collected records are then passed on as one block.
 _BLOCK = 2 ** 20
 _RECORD = struct.Struct('<BQ')
-#: The records needed to read messages.
+#: The types of the records that must be read to find and decode messages.
 _MESSAGES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
-#: Size of the footer and of the magic bytes after it, bytes.
+#: Total size, in bytes, of the footer and the magic bytes after it.
 _ENDING = 37
 
 
 class DamageError(Exception):
-    """The rest of the file cannot be read."""
+    """Raised if the rest of the file cannot be read."""
 
 
 class McapFile(File):
-    """An MCAP file. If the summary is not usable, the whole file is scanned to find the topics."""
+    """
+    An MCAP file.
+
+    If the summary is missing or unusable, the whole file is scanned to find the topics.
+    """
 
     def __init__(self, path: Path, unpacked: Path | None = None) -> None:
         super().__init__(path, unpacked)
@@ -86,7 +91,7 @@ class McapFile(File):
                       for channel in self._channels.values()}
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the last metadata record called `name`; empty if there is none."""
+        """Return the last metadata record called `name`, or {} if there is none."""
         found: dict[str, str] = {}
         with suppress(DamageError), open_file(self._content, 'recording') as stream:
             stream.seek(MAGIC_SIZE)
@@ -97,7 +102,7 @@ class McapFile(File):
         return found
 
     def count(self, topic: str) -> int:
-        """Return the number of messages of a topic."""
+        """Return the number of messages on a topic."""
         return sum(self._counts.get(number, 0) for number, channel in self._channels.items()
                    if channel.topic == topic)
 
@@ -121,7 +126,7 @@ class McapFile(File):
             self._check_definition(channel.topic, kind, schema.name, schema.encoding, schema.data)
 
     def read_all(self) -> Iterator[tuple[Channel, Schema | None, Raw]]:
-        """Generate blocks of messages of every topic, each with its channel and schema."""
+        """Generate blocks of messages from all topics, each with its channel and its schema."""
         for data, channels, found in self._blocks():
             for number in np.unique(channels).tolist():
                 channel = self._channels[number]
@@ -132,7 +137,7 @@ class McapFile(File):
     def _metadata(self, offset: int, record: bytes) -> Metadata:
         try:
             return Metadata.read(ReadDataStream(BytesIO(record)))
-        except Exception as error:  # mcap raises a dozen types on damaged bytes
+        except Exception as error:  # damaged bytes make mcap raise a dozen types of errors
             raise InputError(f'{self.path}: damaged metadata record at byte {offset} '
                              f'({reason(error)})') from error
 
@@ -144,7 +149,8 @@ class McapFile(File):
             raise InputError(f'{self.path}: expected an MCAP file, found {found}')
 
     def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
-        # Generate blocks: the data, and for each message its channel, position, size and times.
+        # Generate blocks. Each block is a tuple of the data and the channels, positions, sizes and
+        # times of the messages in the data.
         self.damage = ''
         self._counts = {}
         messages = 0
@@ -166,7 +172,8 @@ class McapFile(File):
                              f'{reason(error)}') from error
 
     def _record_blocks(self, stream: IO[bytes]) -> Iterator[tuple[int, bulk.Bytes]]:
-        # Generate the offset and records of each chunk and of each run of records outside chunks.
+        # Generate the offset and the records of each chunk, and of each run of records outside
+        # chunks.
         loose, begin = bytearray(), 0
         damage = None
         try:
@@ -191,7 +198,7 @@ class McapFile(File):
 
     def _records(self, stream: IO[bytes],
                  wanted: Collection[int] = _MESSAGES) -> Iterator[tuple[int, int, bytes]]:
-        # Generate offset, opcode and content of the records with the wanted opcodes.
+        # Generate the offset, opcode and content of every record whose opcode is in `wanted`.
         offset = MAGIC_SIZE
         while True:
             if offset + _RECORD.size > self._size:
@@ -232,7 +239,7 @@ class McapFile(File):
         return channels, (starts, sizes, log_ns, publish_ns)
 
     def _register(self, offset: int, data: bulk.Bytes, position: int) -> int:
-        # Store a schema or channel record, and return the position after it.
+        # Store a schema or channel record, and return the position where the record ends.
         if position + _RECORD.size > len(data):
             raise DamageError(f'damaged at byte {offset}: incomplete record')
         opcode, length = _RECORD.unpack(data[position:position + _RECORD.size].tobytes())
@@ -247,7 +254,7 @@ class McapFile(File):
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(content)
                 self._channels[channel.id] = channel
-        except Exception as error:  # mcap raises a dozen types on damaged bytes
+        except Exception as error:  # damaged bytes make mcap raise a dozen types of errors
             raise DamageError(f'damaged at byte {offset}: {reason(error)}') from error
         return position + length
 
@@ -275,8 +282,8 @@ def _decompressed(offset: int, record: bytes) -> bulk.Bytes:
 
 
 def _summary(stream: IO[bytes]) -> Summary | None:
-    # Parse in memory, so that a wrong length cannot make mcap allocate more than the size of the
-    # file.
+    # Parse the summary in memory, so that mcap cannot allocate more memory than the size of the
+    # file, even if a length in the summary is wrong.
     try:
         end = stream.seek(-_ENDING, os.SEEK_END)
         _, _, start, _, _, magic = struct.unpack('<BQQQI8s', stream.read())
@@ -285,7 +292,7 @@ def _summary(stream: IO[bytes]) -> Summary | None:
         stream.seek(start)
         content = BytesIO(stream.read())
         found = Summary()
-        # With emit_chunks, mcap does not decompress chunks, whose content could have any size.
+        # emit_chunks keeps mcap from decompressing the chunks, whose content could have any size.
         for record in StreamReader(content, skip_magic=True, emit_chunks=True).records:
             if isinstance(record, Schema):
                 found.schemas[record.id] = record
@@ -293,6 +300,6 @@ def _summary(stream: IO[bytes]) -> Summary | None:
                 found.channels[record.id] = record
             elif isinstance(record, Statistics):
                 found.statistics = record
-    except Exception:  # cut off or damaged: `McapFile` then scans the file
+    except Exception:  # the summary is cut off or damaged, so `McapFile` scans the file
         return None
     return found if start and found.channels and magic == MCAP0_MAGIC else None

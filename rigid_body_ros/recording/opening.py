@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Open the files of a recording in any format."""
+"""Open the files of a recording, whatever its format."""
 
 from __future__ import annotations
 
@@ -34,8 +34,13 @@ from yaml.constructor import BaseConstructor
 
 
 def open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, str]:
-    """Return the files, whether messages are compressed, and why files are missing, or ''."""
-    if name == '':  # as a path, it would be the current folder
+    """
+    Open the files of a recording.
+
+    Return three values: the files, whether their messages are compressed, and a text that says why
+    files are missing ('' if none are missing).
+    """
+    if name == '':  # Path('') would be the current folder
         raise InputError('expected a recording, found an empty name')
     path = Path(name)
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
@@ -54,7 +59,7 @@ def open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, st
 
 
 def _bag_files(folder: Path, names: object) -> list[Path]:
-    """Return the paths of the files of a bag; raise InputError unless they are in its folder."""
+    """Return the paths of a bag's files; raise InputError if a file is not in the bag's folder."""
     where = f'{folder}/metadata.yaml: relative_file_paths'
     if not names or not isinstance(names, list):
         raise InputError(f'{where}: expected file names, found {quoted(names)}')
@@ -66,7 +71,7 @@ def _bag_files(folder: Path, names: object) -> list[Path]:
         named = PurePath(name)
         if named.name in paths:
             raise InputError(f'{where}: expected each file once, found {quoted(name)} twice')
-        # Early versions of rosbag2 wrote the name of the folder before the name of the file.
+        # Early versions of rosbag2 put the folder name in front of the file name.
         path = paths[named.name] = folder / named.name
         if named.is_absolute() or '..' in named.parts \
                 or os.path.dirname(os.path.realpath(path)) != home:
@@ -81,7 +86,7 @@ def _metadata(path: Path) -> dict[str, Any]:
     root = read_yaml(path, 'metadata of the recording', aliases=True)
     try:
         found = BaseConstructor().construct_document(root) if root else None
-    except yaml.YAMLError as error:  # for example, a key that is not a name
+    except yaml.YAMLError as error:  # for example, because a key is not a name
         raise InputError(f'{path}: expected names as keys ({reason(error)})') from error
     about = found.get('rosbag2_bagfile_information') if isinstance(found, dict) else None
     if not isinstance(about, dict):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the problem that a recording and a scene define in each epoch: torques, start, body."""
+"""Combine a recording and a scene into problems: one for each epoch."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ from rigid_body_ros.recording.torques import check_stamped, epochs, torque_log
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import load, Scene
 
-#: Relative difference up to which two momenta of the rotors count as equal.
+#: Two rotor momenta count as equal if their relative difference is at most this.
 _SAME_MOMENTUM = 1e-6
 
 
 class Logged(NamedTuple):
-    """The problem of a recording, or of an epoch of a node, and how it was recorded."""
+    """The problem that a recording or an epoch of a node describes, and how it was recorded."""
 
     problem: Problem
-    #: Whether the torque on the rotors is derived from their measured momentum. Such a torque is
-    #: never interpolated.
+    #: Whether the rotor torque is derived from the measured rotor momentum. A rotor torque that is
+    #: derived in this way is never interpolated.
     is_measured: bool
     messages: int
-    #: Number of messages whose stamp is not later than the stamp of the previous message.
+    #: The number of messages whose stamp is not later than that of the message before.
     unordered: int
     #: Whether the start state comes from the marker of an epoch rather than from the scene.
     is_epoch: bool
@@ -59,7 +59,7 @@ class Logged(NamedTuple):
 
     @property
     def times_ns(self) -> NDArray[np.int64]:
-        """Return all stamps of the inputs, ascending, or the start time if there are no stamps."""
+        """Return the ascending stamps of all inputs, or the start time if there are no inputs."""
         stamps_ns = self.problem.stamps_ns
         return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
 
@@ -70,10 +70,10 @@ def read(path: str | Path, scene: str | Path | Scene, *,
          inertia: str | None = None, interpolation: str | None = None,
          time_source: str = 'header') -> Problem:
     """
-    Return the problem that `attitude_replay` solves for a recording and a scene.
+    Return the problem that the command `attitude_replay` solves for a recording and a scene.
 
-    If the recording contains several epochs of a node, the problem is that of the last epoch that
-    begins at the `start_time` of the scene.
+    A recording of a node may contain several epochs. In that case, return the problem of the last
+    epoch that begins at the scene's `start_time`.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
                 track: Track = no_progress, time_source: str = 'header',
                 skip: float = 0.0) -> list[Logged]:
     """
-    Read the problem of a recording or, if a node recorded it, the problem of each epoch.
+    Read the problem of a recording, or of each epoch if a node made the recording.
 
     Parameters
     ----------
@@ -118,11 +118,11 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
     topics : Topics
         The topics to read, as `Topics.found_in` returns them.
     interpolation : str, optional
-        Interpolation between samples; by default, the interpolation that the scene sets.
+        How to interpolate between samples; by default, as the scene specifies.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
     time_source, skip
-        See `recording.read`; use `skip` only with one topic.
+        See `recording.read`; use `skip` only with a single topic.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
     Raises
     ------
     InputError
-        The recording cannot be read or does not fit the scene, or its topics have different
+        The recording cannot be read or does not fit the scene, or its topics disagree about the
         epochs.
 
     """
@@ -155,12 +155,12 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
 def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
            may_change: bool = False, may_command: bool = False) -> Logged:
     """
-    Return the epoch for a command that needs one motion.
+    Choose one epoch, for a command that works on a single motion.
 
-    If there are several epochs, return the last one that begins at the `start_time` of the scene.
-    By default, raise an error if the body changes or if the scene has named wheels. A command that
-    supports a changing body sets `may_change`, and a command that supports named wheels sets
-    `may_command`.
+    If there are several epochs, return the last one that begins at the scene's `start_time`. By
+    default, this function raises an error if the body changes or if the scene has named wheels.
+    Commands that can handle a changing body set `may_change`, and commands that can handle named
+    wheels set `may_command`.
 
     Raises
     ------
@@ -191,10 +191,10 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
 def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
             momentum: Messages | None, interpolation: str) -> Logged:
     """
-    Return the problem of an epoch.
+    Return the problem of one epoch.
 
-    `parts` contains the torques on the body, followed by the torque on the rotors, the inertia and
-    the commands to named wheels, if these topics are read.
+    `parts` contains the messages of each topic that is read: first the torques on the body, then
+    the rotor torque, the inertia and the commands to named wheels, in this order.
     """
     body, measured = [*parts], None
     every = [*parts, *([] if momentum is None else [momentum])]
@@ -232,10 +232,10 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
 def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
             has_stamps: bool) -> list[tuple[Messages, ...]]:
     """
-    Return the torques of all topics in each epoch.
+    Match up the epochs of all topics; return a tuple per epoch, with the messages of each topic.
 
-    If a node is killed while it begins an epoch, only some topics contain the marker of that
-    epoch. The other topics then have no torques in that epoch.
+    If a node is killed while it begins an epoch, the marker of that epoch may be missing from some
+    topics. A topic without the marker has no torques in that epoch.
 
     Parameters
     ----------
@@ -244,13 +244,13 @@ def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
     topics : sequence of sequence of Messages
         The epochs of each topic.
     has_stamps : bool
-        Whether the stamps come from the headers. Otherwise, the stamps of a marker differ between
-        topics.
+        Whether the stamps come from the message headers. Otherwise, the marker of an epoch has a
+        different stamp on each topic.
 
     Raises
     ------
     InputError
-        An epoch does not begin with the same state on all topics.
+        An epoch begins with different states on different topics.
 
     """
     longest = max(topics, key=lambda parts: sum(part.start is not None for part in parts),
@@ -283,7 +283,7 @@ def _check_same_start(path: str | Path, part: Messages, expected: Messages,
 
 
 def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str) -> TorqueLog:
-    """Return the torque log of a topic; it is empty if there are no messages."""
+    """Return the torque log of a topic; the log is empty if there are no messages."""
     if not len(recorded):
         return TorqueLog([], [], interpolation=interpolation)
     return torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
@@ -297,14 +297,18 @@ def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
 
 
 def _efforts(path: str | Path, recorded: Messages) -> EffortLog:
-    """Return the commands of a topic, in the order of the wheels; ignore their frame_ids."""
+    """
+    Return the wheel commands on a topic, in the order of the wheels.
+
+    The frame_ids of the commands are ignored.
+    """
     if len(recorded) and not recorded.start:
         check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
     return EffortLog(recorded.stamps_ns, recorded.values)
 
 
 def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:
-    """Return the bodies from a topic of inertia, with the damping of the scene."""
+    """Return the bodies that an inertia topic describes; all have the damping of the scene."""
     check_axes(path, recorded, scene)
     if len(recorded) and not recorded.start:
         check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
@@ -319,7 +323,7 @@ def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:
 
 
 def check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
-    """Raise InputError if a vector of the rotors, or an inertia, is not in body axes."""
+    """Raise InputError unless all messages (rotor vectors or inertias) are in body axes."""
     body = scene.body_frame
     for code, name in enumerate(recorded.names):
         if name not in ('', body):
@@ -329,7 +333,7 @@ def check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
 
 
 def _momentum(path: str | Path, recorded: Messages, scene: Scene) -> TorqueLog:
-    """Return the measured momenta, N m s, as a log that is linear between samples."""
+    """Return the measured rotor momenta, N m s, as a log with linear interpolation."""
     where = f'{path}: {recorded.topic}'
     if not len(recorded):
         raise InputError(f'{where}: expected the momentum of the rotors, found no messages')
@@ -363,10 +367,10 @@ def _from_momentum(path: str | Path, recorded: Messages, measured: TorqueLog,
 
 def _started(start: State, measured: TorqueLog) -> State:
     """
-    Return the start state with the measured momentum.
+    Return the start state with the measured rotor momentum.
 
-    The measured momentum is taken at the start or, if the first sample is later, from the first
-    sample.
+    The momentum is taken from the measurements at the start time. If the measurements begin later,
+    the momentum of their first sample is used.
     """
     time_ns = max(start.time_ns, int(measured.times_ns[0]))
     momentum: Floats = measured.at([time_ns])[0][0]

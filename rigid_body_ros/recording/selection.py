@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Choose the topics of a recording from which the torques of a scene are read."""
+"""Decide which topics of a recording provide the torques and other inputs of a scene."""
 
 from __future__ import annotations
 
@@ -28,41 +28,43 @@ from rigid_body_ros.recording import source
 from rigid_body_ros.recording.source import TORQUES
 from rigid_body_ros.scene import Scene
 
-#: The topics of the torque on the rotors, of the commands of wheels, and of the inertia.
+#: Default names of the topics for the rotor torque, the commands to named wheels, and the inertia.
 _WHEEL_TORQUE, _WHEEL_COMMAND, _INERTIA = 'wheel_torque', 'wheel_command', 'inertia'
-#: For each option that names a topic: the scene parameter that enables this topic, and the value
-#: that the parameter needs.
+#: For each option that names a topic: the scene parameter that enables the topic, and the value
+#: that this parameter must have.
 _NEEDED = {'--wheel-torque': ('wheels', 'true'), '--wheel-momentum': ('wheels', 'true'),
            '--wheel-command': ('wheel_names', 'names'), '--inertia': ('inertia_topic', 'true')}
-#: Pattern of the topics on which a node logs accepted torques. A number at the end of the name is
-#: the index of the torque topic; a name without a number belongs to the first torque topic.
+#: Matches the topics on which a node logs the torques that it accepts. A number at the end of the
+#: name is the index of the torque topic whose torques are logged. A name without a number belongs
+#: to the first torque topic.
 _ACCEPTED = re.compile('.*/accepted_torque(?:_([0-9]+))?')
 
 
 @dataclass(frozen=True)
 class Topics:
     """
-    The topics to read: of the torques, the rotors, the inertia and the commands to named wheels.
+    The topics to read: torques, rotor data, inertia, and commands to named wheels.
 
     Attributes
     ----------
     torques : tuple of str
-        Topics whose torques are added up; if empty, the torque topics of the scene.
+        The topics whose torques are added up. If the tuple is empty, they are the torque topics of
+        the scene.
     wheel_torque, wheel_momentum : str, optional
-        Topic of the torque on the rotors, and topic of the momentum of the rotors. At most one of
-        these two is given.
+        The rotor torque topic and the rotor momentum topic. At most one of the two is given.
     inertia : str, optional
-        Topic of the inertia, if the inertia changes.
+        The inertia topic, if the inertia changes.
     wheel_command : str, optional
-        Topic of the commands to named wheels.
+        The topic with the commands to named wheels.
     preferred : str
-        If set, the torques are read from the only torque topic of the recording or, if there are
-        several, from the topic with this name.
+        If `preferred` is set and the recording has only one torque topic, the torques are read
+        from that topic. If `preferred` is set and the recording has several torque topics, the
+        torques are read from the topic called `preferred`.
 
     Raises
     ------
     InputError
-        A topic is given twice, or a name is empty.
+        A topic is given twice, or the name of a topic is empty.
 
     """
 
@@ -88,7 +90,7 @@ class Topics:
     def given(cls, topic: str | Sequence[str] | None, wheel_torque: str | None = None,
               wheel_momentum: str | None = None, inertia: str | None = None,
               wheel_command: str | None = None) -> Topics:
-        """Return the topics that a caller names."""
+        """Return the topics that the caller has named."""
         names = (topic,) if isinstance(topic, str) else tuple(topic or ())
         return cls(names, wheel_torque, wheel_momentum, inertia, wheel_command=wheel_command)
 
@@ -99,7 +101,7 @@ class Topics:
 
     @property
     def wheel_source(self) -> str:
-        """Return where the torque on the rotors comes from, for a summary."""
+        """Return a phrase that says where the rotor torque comes from, for use in a summary."""
         if self.wheel_momentum:
             return f'momentum on {self.wheel_momentum}, linear between samples'
         if self.wheel_command:
@@ -108,13 +110,13 @@ class Topics:
 
     def found_in(self, path: str | Path, scene: Scene) -> Topics:
         """
-        Return the topics to read in a recording, by default the torque topics of the scene.
+        Return the topics to read from a recording, by default the torque topics of the scene.
 
         Raises
         ------
         InputError
-            The recording cannot be read or lacks a topic of the scene; or the scene does not
-            enable a given topic of rotors, wheels or inertia.
+            The recording cannot be read, or lacks a topic of the scene; or the scene does not
+            enable a given rotor, wheel or inertia topic.
 
         """
         self.check(scene)
@@ -136,13 +138,13 @@ class Topics:
                        wheel_command=command)
 
     def command_in(self, path: str | Path, scene: Scene) -> str | None:
-        """Return the topic of the commands to named wheels, or None if there is none."""
+        """Return the topic with the commands to named wheels, or None if there is none."""
         if self.wheel_command or not scene.named_wheels:
             return self.wheel_command
         return self._beside(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
 
     def _beside(self, name: str, recorded: Sequence[str]) -> str | None:
-        """Return the topic called `name`, or the topic on which a node logs it, or None."""
+        """Return the topic called `name` or a node's log of that topic; None if neither exists."""
         logs = [topic for topic in recorded if topic.endswith(f'/accepted_{name}')]
         nodes = {topic.rpartition('/')[0] for topic in self.torques if _ACCEPTED.fullmatch(topic)}
         if nodes:
@@ -152,12 +154,12 @@ class Topics:
         if len(logs) > 1:
             raise InputError(f'expected the {name} of one node, found {listed(logs)}; choose one '
                              f'with --{name.replace("_", "-")}')
-        # Without this log, the motion would lack an input of the node. If another node recorded
-        # the torques, `aligned` rejects the log.
+        # Read this log too, because the motion depends on everything that the node received. If
+        # the torques were recorded by another node, `aligned` rejects the log.
         return logs[0] if logs else None
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if the scene does not enable a topic of rotors, wheels or inertia."""
+        """Raise InputError if the scene does not enable a given rotor, wheel or inertia topic."""
         for option, topic in self._options:
             parameter, expected = _NEEDED[option]
             if topic and not (found := scene.values[parameter]):
@@ -166,11 +168,11 @@ class Topics:
 
     def actuators(self, scene: Scene) -> tuple[Actuator | None, ...] | None:
         """
-        Return the actuator of each topic of torques, or None if the scene has no actuators.
+        Return the actuator for each torque topic, or None if the scene has no actuators.
 
-        The scene assigns an actuator to the name of a topic. The log of a node has the actuator of
-        the topic whose torques the log contains. If the recording and the scene have one
-        topic each, the names may differ.
+        A scene assigns its actuators to topic names. A node's log of a topic gets the actuator of
+        that topic. If the recording and the scene have only one topic each, the names of the two
+        topics need not agree.
         """
         found, names = scene.actuators, [absolute(name) for name in scene.torque_topics]
         if found is None:
@@ -181,13 +183,17 @@ class Topics:
 
     @property
     def wrenches(self) -> list[str | None]:
-        """Return the torque topics, that of the rotors last; for None, use `preferred`."""
+        """
+        Return the torque topics, with the rotor torque topic last.
+
+        None stands for the torque topic that `preferred` selects.
+        """
         return [*([None] if self.preferred else self.torques),
                 *filter(None, [self.wheel_torque])]
 
 
 def absolute(topic: str) -> str:
-    """Return the full name of a topic, as a node without a namespace resolves it."""
+    """Return the full name of a topic, as resolved by a node without a namespace."""
     return topic if topic.startswith('/') else f'/{topic}'
 
 
@@ -205,7 +211,7 @@ def _match(name: str, recorded: Sequence[str]) -> str | None:
 
 def _torques_of(path: str | Path, names: Sequence[str], recorded: list[str],
                 optional: bool) -> tuple[str, ...]:
-    """Return the torque topics of the scene in a recording; a single topic may have any name."""
+    """Find the scene's torque topics in a recording; a single topic may have any name."""
     found = [_match(name, recorded) for name in names]
     missing = [name for name, topic in zip(names, found) if topic is None]
     for topic in found:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read a topic of a recording in any format, at once or in blocks."""
+"""Read the messages on one topic of a recording, all at once or in blocks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from rigid_body_ros.recording.unpack import unpack_each
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.terminal import no_progress, Track
 
-#: The possible sources of the stamp of a message.
+#: The possible sources of a message's stamp.
 TIME_SOURCES = ('header', 'log', 'publish')
 #: The message types that carry a torque.
 TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
@@ -46,29 +46,30 @@ TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
 @dataclass(frozen=True, eq=False)
 class Messages:
     """
-    Messages of a topic, in the order of the recording.
+    Messages of one topic, in the order in which they were recorded.
 
     Attributes
     ----------
     topic : str
     stamps_ns : array of int64, shape (n,)
-        Stamps, ns, by default from the headers. If the type has no header, or if the caller chose
-        another source, the stamps are the times at which the messages were recorded or published.
+        The stamps, ns. By default they come from the message headers. If the type has no header,
+        or if the caller chose another source, they are the times at which the messages were
+        recorded or published.
     frames : array of int, shape (n,)
-        Index into `names` for each message.
+        For each message, the index of its frame_id in `names`.
     names : list of str
         The distinct frame_ids.
     values : array, shape (n, d)
-        The doubles of each message in field order.
+        The doubles in each message, in field order.
     damage : str
         What was lost and where; '' if nothing was lost.
     before : int
-        Number of messages of the topic that come before these messages.
+        The number of earlier messages on the same topic.
     start : State, optional
-        Start state of the epoch, if the messages are one epoch of the log of a node; see `epochs`.
+        The start state, if the messages are one epoch of a node's log; see `torques.epochs`.
     pairs : tuple of (str, str)
-        The first few distinct pairs of frame_id and child_frame_id, if the type has both names and
-        the caller chose no pair.
+        The first few distinct pairs of frame_id and child_frame_id. Set only if the message type
+        has both names and the caller did not choose a pair.
 
     """
 
@@ -86,7 +87,7 @@ class Messages:
         return len(self.stamps_ns)
 
     def rows(self, chosen: slice | NDArray[np.bool_]) -> Messages:
-        """Return the chosen messages; `names` then lists only the frame_ids of these messages."""
+        """Return the chosen messages; `names` then lists only the frame_ids in these messages."""
         used, frames = np.unique(self.frames[chosen], return_inverse=True)
         return replace(self, stamps_ns=self.stamps_ns[chosen], frames=frames,
                        names=[self.names[code] for code in used], values=self.values[chosen])
@@ -99,7 +100,9 @@ class Messages:
 
 class Source:
     """
-    A topic of a recording: a context manager whose iteration yields blocks of `Messages`.
+    A reader for one topic of a recording.
+
+    A `Source` is a context manager; iterate over it to read the messages in blocks of `Messages`.
 
     Parameters
     ----------
@@ -108,18 +111,18 @@ class Source:
         metadata.yaml; a PX4 log (.ulg); or a CSV file of torques. The first line of a CSV file may
         name the columns and their units; otherwise the columns are time (s), tx, ty, tz (N m).
     topic : str, optional
-        The topic to read. It may be omitted if only one topic has a type that `kinds` contains.
+        The topic to read. You may omit it if only one topic has a type from `kinds`.
     kinds : sequence of MessageType
         The message types to accept.
     time_source : str
-        'header', 'log' (time of recording) or 'publish' (time of publishing).
+        Where the stamps come from: 'header', 'log' (time of recording) or 'publish' (time of
+        publishing).
     skip : float, s
-        Skip the messages of the first `skip` seconds of the topic.
+        Skip the messages in the first `skip` seconds of the topic.
     preferred : str
-        The topic to read if `topic` is omitted and several topics have a type that `kinds`
-        contains.
+        The topic to read if `topic` is omitted and several topics have a type from `kinds`.
     frames : tuple of str, optional
-        Frame and child frame of the transforms to read, if the messages contain transforms.
+        The frame and child frame of the transforms to read, if the messages contain transforms.
 
     Attributes
     ----------
@@ -129,10 +132,11 @@ class Source:
     types : dict
         The type of each topic of the recording.
     count : int
-        Number of messages of the topic. Files that do not store their number of messages count as
-        0.
+        The number of messages on the topic. The messages in a file that does not store their
+        number are not counted.
     damage : str
-        What was lost and where; '' if nothing was lost. Complete only after iteration.
+        What was lost and where; '' if nothing was lost. This is complete only once all messages
+        have been read.
 
     Raises
     ------
@@ -169,18 +173,18 @@ class Source:
 
     @property
     def damage(self) -> str:
-        """Return what was lost and where; '' if nothing was lost."""
+        """Return what data was lost and where; '' if nothing was lost."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
         longer = f'{self._path}: {self.topic}: {self._longer} messages are longer than ' \
             f'{self.kind.name}; the bytes after its last field are ignored' if self._longer else ''
         return shortened('; '.join([*found, *filter(None, [self._missing, longer])]))
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the metadata record called `name`; empty if there is none."""
+        """Return the metadata record `name`, or {} if there is none."""
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
 
     def check_copied(self, topics: Collection[str]) -> None:
-        """Raise InputError if `copy_to` cannot copy into a file that contains `topics`."""
+        """Raise InputError if the recording cannot be copied to a file that has `topics`."""
         for file in self._files:
             if not isinstance(file, McapFile):
                 raise InputError(f'{file.path}: expected an MCAP file, because only its messages '
@@ -207,7 +211,7 @@ class Source:
             for raw in file.read(self.topic, self.kind):
                 block = self._messages(raw, number)
                 number += len(raw.starts)
-                if not len(block):  # no transform between the chosen frames
+                if not len(block):  # the block has no transform between the chosen frames
                     continue
                 if self._skip_ns and any(map(messages.is_epoch_marker, block.names)):
                     raise InputError(f'{self._path}: {self.topic}: --start: expected no time to '
@@ -242,7 +246,7 @@ class Source:
                         before=number, pairs=tuple(pairs))
 
     def _decompressed(self, raw: Raw, topic: str, number: int) -> Raw:
-        """Return the messages decompressed; `number` messages of the topic precede them."""
+        """Decompress messages; `number` is the number of earlier messages on the same topic."""
         try:
             return unpack_each(raw) if self._compressed else raw
         except bulk.BadMessageError as error:
@@ -256,7 +260,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
          track: Track = no_progress, time_source: str = 'header',
          skip: float = 0.0, preferred: str = '') -> Messages:
     """
-    Read the messages of a topic.
+    Read all messages of a topic.
 
     Parameters
     ----------
@@ -264,13 +268,13 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
         A recording: an MCAP file; a SQLite file of rosbag2; a folder that contains MCAP or SQLite
         files and metadata.yaml; a PX4 log (.ulg); or a CSV file of torques.
     topic : str, optional
-        The topic to read. It may be omitted if only one topic has the type `kind`.
+        The topic to read. You may omit it if only one topic has the type `kind`.
     kind : MessageType, optional
         The message type, such as `messages.QUATERNION`; by default WrenchStamped or Wrench.
     track : callable, optional
         Wraps the iteration over blocks of messages, to show progress.
     time_source : str
-        Source of the stamps: 'header', 'log' (time of recording) or 'publish' (time of
+        Where the stamps come from: 'header', 'log' (time of recording) or 'publish' (time of
         publishing).
     skip, preferred
         See `Source`.
@@ -292,7 +296,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
 
 
 def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
-    """Return the topics of a recording that have a type in `kinds`; raise the errors of `read`."""
+    """Return the topics whose type is in `kinds`; raise the same errors as `read`."""
     names = {kind.name for kind in kinds}
     with ExitStack() as stack:
         files, _, _ = open_files(path, stack)
@@ -301,7 +305,7 @@ def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
 
 
 def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -> Messages:
-    """Concatenate blocks of messages."""
+    """Join blocks of messages into a single `Messages` object."""
     names: dict[str, int] = {}
     frames = [np.array([names.setdefault(name, len(names)) for name in block.names],
                        np.intp)[block.frames] for block in blocks]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read SQLite files of rosbag2 in blocks of messages, without writing files next to them."""
+"""Read rosbag2's SQLite files in blocks of messages, without writing to their folder."""
 
 from __future__ import annotations
 
@@ -33,21 +33,24 @@ from rigid_body_ros.recording.unpack import copy_file, temporary
 from rigid_body_ros.runtime.limits import open_file
 from rigid_body_ros.runtime.protection import real_path
 
-#: Limits on a block: number of messages, and bytes of their data.
+#: Largest number of messages in a block, and approximate amount of data in a block, bytes.
 _BLOCK, _BYTES = 8192, 2 ** 24
-#: Limit on the bytes of a message. A message without a long frame_id is smaller than 1 kB.
+#: Size of the largest message that is read, bytes. A message is smaller than 1 kB unless its
+#: frame_id is very long.
 _LARGEST = 2 ** 24
-#: Position of the journal mode in a database file, and the value that means a write-ahead log.
+#: The offset at which a database file stores its journal mode, and the value that means that the
+#: database uses a write-ahead log.
 _MODE_OFFSET, _WRITE_AHEAD = 18, b'\2\2'
 #: Size of the header of a write-ahead log, bytes.
 _LOG_HEAD = 32
-#: Number of SQLite instructions between two checks, and largest number of instructions per byte of
-#: the file (a message of 30 bytes takes about 30 instructions). Their number is limited,
-#: because reading damaged pages that refer to each other would never end.
+#: SQLite may execute at most _STEPS_A_BYTE instructions per byte of the file. The number of
+#: instructions is checked every _STEPS instructions. A message of 30 bytes takes about 30
+#: instructions. Without the limit, reading would never end if damaged pages referred to each
+#: other.
 _STEPS, _STEPS_A_BYTE = 100_000, 100
 _TOO_MUCH = 'its pages are damaged: they yield more data than the file can hold'
-#: Explanations of SQLite errors. A journal (-journal) is not applied, because applying a journal
-#: may delete any file that the journal names.
+#: Explanations of SQLite errors. A rollback journal (-journal) is never applied, because applying
+#: it could delete any file that is named in the journal.
 _REASONS = {'interrupted': _TOO_MUCH, 'attempt to write a readonly database':
             'the recorder was killed and left a -journal; apply it with: sqlite3 FILE .tables'}
 _MESSAGES = """
@@ -61,11 +64,11 @@ _DEFINITIONS = """
 
 class SqliteFile(File):
     """
-    A SQLite file of rosbag2.
+    A SQLite file written by rosbag2.
 
-    The file is opened read-only, and nothing is written next to it. If a killed recorder left a
-    write-ahead log, the file and the log are copied to a temporary folder, which is removed when
-    `stack` is closed.
+    The file is opened read-only, and nothing is written to its folder. A recorder that was killed
+    may have left a write-ahead log. In that case, both the file and the log are copied to a
+    temporary folder, which is removed when `stack` is closed.
     """
 
     def __init__(self, path: Path, unpacked: Path, stack: ExitStack) -> None:
@@ -82,7 +85,7 @@ class SqliteFile(File):
                              f'({_reason(error)})') from error
 
     def count(self, topic: str) -> int:
-        """Return the number of messages of a topic."""
+        """Return the number of messages on a topic."""
         return int(self._counts.get(topic, 0))
 
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
@@ -109,14 +112,14 @@ class SqliteFile(File):
                 self._check_definition(topic, kind, kind.name, *found)
 
     def _apply_log(self, stack: ExitStack) -> str:
-        """If a write-ahead log exists, copy the file and apply the log; return what was lost."""
-        path = Path(real_path(self._content))  # SQLite expects the log next to this file
+        """Apply the write-ahead log, if any, to a copy of the file; return which data was lost."""
+        path = Path(real_path(self._content))  # SQLite puts the log next to this file
         log = Path(f'{path}-wal')
         if not os.path.exists(log) or not os.path.getsize(log):
             return ''
         folder, begin = temporary(stack), _begin(log)
         self._content = copy_file(path, folder)
-        if _begin(copy_file(log, folder)) != begin:  # a checkpoint wrote to the copied file
+        if _begin(copy_file(log, folder)) != begin:  # a checkpoint changed the file
             raise InputError(f'{self.path}: a recorder is writing to this file; stop it, or try '
                              'again')
         with closing(sqlite3.connect(self._content)) as database:
@@ -129,7 +132,7 @@ class SqliteFile(File):
         with open_file(self._content, 'recording') as stream:
             size = self._size = os.fstat(stream.fileno()).st_size
             stream.seek(_MODE_OFFSET)
-            # Without immutable=1, SQLite creates a log in the folder of the file.
+            # Without immutable=1, SQLite would create a write-ahead log in the folder of the file.
             options = '&immutable=1' if stream.read(2) == _WRITE_AHEAD else ''
         address = f'{self._content.resolve().as_uri()}?mode=ro{options}'
         database = sqlite3.connect(address, uri=True)
@@ -140,12 +143,12 @@ class SqliteFile(File):
         return database
 
     def _topics(self, database: sqlite3.Connection) -> tuple[dict[str, str], dict[str, str]]:
-        """Return the type and the encoding of each topic."""
+        """Return two dictionaries: the type of each topic, and the encoding of each topic."""
         for table in ('topics', 'messages', 'message_definitions'):
-            # In `hidden`, 0 stands for an ordinary column; any other value means that the column
+            # An ordinary column is marked by 0 in `hidden`. Any other value means that the column
             # is computed or belongs to a virtual table.
             hidden = [row[-1] for row in database.execute(f'PRAGMA table_xinfo({table})')]
-            # SQLite before version 3.37 does not know table_list; `kinds` is then empty.
+            # `kinds` is empty before SQLite 3.37, which introduced table_list.
             kinds = {row[2] for row in database.execute(f'PRAGMA table_list({table})')}
             if any(hidden) or not kinds <= {'table'}:
                 raise sqlite3.DatabaseError(f'expected {table} to be an ordinary table, found '
@@ -189,13 +192,17 @@ class SqliteFile(File):
             yield time_ns, data
 
     def _check_size(self, size: int) -> None:
-        # The file may have grown since it was opened.
+        # Check the size again, because the file may have grown since it was opened.
         if size > self._size and size > os.path.getsize(self._content):
             raise sqlite3.DatabaseError(_TOO_MUCH)
 
 
 def _begin(log: Path) -> bytes:
-    """Return the header of a write-ahead log, which changes when SQLite restarts the log."""
+    """
+    Return a write-ahead log's header.
+
+    SQLite changes this header whenever it starts to overwrite the log from the beginning.
+    """
     with open_file(log, 'write-ahead log') as stream:
         return stream.read(_LOG_HEAD)
 

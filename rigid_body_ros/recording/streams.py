@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the torques of several topics piece by piece, so that they need not fit in memory."""
+"""Read the torques of several topics piece by piece, so that they do not have to fit in memory."""
 
 from __future__ import annotations
 
@@ -35,7 +35,11 @@ from rigid_body_ros.scene import Scene
 
 @dataclass
 class Counts:
-    """Number of messages, and number of messages with a stamp not later than the previous one."""
+    """
+    The number of messages read, and the number of messages that are out of order.
+
+    A message is out of order if its stamp is not later than that of the message before.
+    """
 
     messages: int = 0
     unordered: int = 0
@@ -43,18 +47,18 @@ class Counts:
 
 class Stream:
     """
-    The torques of a topic, piece by piece.
+    The torques on one topic, one piece at a time.
 
     Parameters
     ----------
     pieces : iterator of Piece
     on_rotors : bool
-        Whether the torques are those of the motors on the rotors.
+        Whether these are the torques that the motors apply to the rotors.
     is_held : bool
-        Whether the torques are never interpolated, because they are commands to an actuator or
-        are derived from the momentum of the rotors.
+        Whether the torques are never interpolated. Commands to an actuator are never interpolated,
+        and neither are torques that are derived from the rotor momentum.
     counts : Counts, optional
-        The counts of the messages read so far.
+        The counts for the messages read so far.
     topic : str
         The name of the topic, for error messages.
 
@@ -74,7 +78,7 @@ class Stream:
 
     @property
     def end_ns(self) -> int | None:
-        """Return the stamp at which the next piece continues; None in the last piece."""
+        """Return the stamp at which the next piece takes over; None if this is the last piece."""
         return None if self.piece.stop is None else int(self.piece.times_ns[self.piece.stop])
 
     def advance(self) -> None:
@@ -82,12 +86,12 @@ class Stream:
         self.piece = next(self._pieces)
 
     def log(self, interpolation: str) -> TorqueLog:
-        """Return the current piece as a log; raise the errors of `Piece.log`."""
+        """Return the current piece as a torque log; raise the same errors as `Piece.log`."""
         return self.piece.log('hold' if self._is_held else interpolation)
 
 
 def whole(logged: Logged) -> list[Stream]:
-    """Return the torques of a problem, with each source as one piece."""
+    """Return the torques of a problem as streams, each of which is a single piece."""
     problem, wheels = logged.problem, logged.problem.wheels
     held = [log for log, actuator in zip(problem.logs, problem.actuators) if actuator]
     held += [wheels] if wheels and logged.is_measured else []
@@ -97,7 +101,7 @@ def whole(logged: Logged) -> list[Stream]:
 
 class Streams:
     """
-    The torques of all topics of a recording with one epoch; a context manager.
+    The torques on all topics of a recording that has only one epoch; a context manager.
 
     Parameters
     ----------
@@ -105,7 +109,8 @@ class Streams:
         The recording.
     scene : Scene
     topics : Topics
-        The topics to read, as `Topics.found_in` returns them, without measured momentum.
+        The topics to read, as returned by `Topics.found_in`. They must not include a rotor
+        momentum topic.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
     time_source, skip
@@ -114,7 +119,7 @@ class Streams:
     Attributes
     ----------
     start : State, optional
-        The start state, if a node recorded the epoch. `opened` sets this attribute.
+        The start state, if a node recorded the epoch; set by `opened`.
     topics : tuple of str
 
     """
@@ -143,11 +148,11 @@ class Streams:
         Raises
         ------
         InputError
-            `first_epoch` or `torque_pieces` rejects a message, or a torque on the rotors is not
-            in body axes.
+            `first_epoch` or `torque_pieces` rejects a message, or a rotor torque is not in body
+            axes.
         NotInOrderError
-            The recording has to be read as a whole: the stamps are not in order, the topics begin
-            with different start states, or there are no messages.
+            The recording has to be read as a whole, because its stamps are not in order, because
+            its topics begin with different start states, or because it has no messages.
 
         """
         begun = [self._begun(source) for source in self._sources]
@@ -158,7 +163,7 @@ class Streams:
         self.start, streams = begun[0][0], [stream for _, stream in begun]
         if len(starts) > 1 or not (self.start or any(len(stream.piece.times_ns)
                                                      for stream in streams)):
-            raise NotInOrderError  # reading the whole recording reports the problem
+            raise NotInOrderError  # any error is reported when the whole recording is read
         return streams
 
     def _begun(self, source: Source) -> tuple[State | None, Stream]:
@@ -181,5 +186,9 @@ class Streams:
 
     @property
     def damage(self) -> str:
-        """Return what was lost and where, '' if nothing; complete only after the last piece."""
+        """
+        Return what data was lost and where; '' if nothing was lost.
+
+        The text is complete only after the last piece has been read.
+        """
         return '; '.join(dict.fromkeys(filter(None, (each.damage for each in self._sources))))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Turn recorded torques into a torque log, at once or in pieces; divide them into epochs."""
+"""Turn recorded torques into a torque log, all at once or in pieces; split them into epochs."""
 
 from __future__ import annotations
 
@@ -33,13 +33,14 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.source import Messages
 
-#: Ten years, ns. Simulated time stays below this limit, and wall-clock time, which counts from
-#: 1970, exceeds it.
+#: Ten years, ns. A stamp below this limit is simulated time. Wall-clock time counts from 1970 and
+#: is always above it.
 _SIMULATED_NS = 315_576_000 * 10 ** 9
 #: Approximate number of samples in a piece.
 _SAMPLES = 2 ** 13
-#: The next piece repeats this many samples on each side of the sample at which it continues
-#: (`Piece.stop`), because cubic interpolation needs them.
+#: Consecutive pieces overlap, because cubic interpolation needs neighbouring samples. The next
+#: piece takes over at the sample `Piece.stop`, and repeats this many samples on each side of that
+#: sample.
 _NEIGHBOURS = 3
 #: The topics on which a node logs the torques that it accepts.
 _NODE_LOG = re.compile(r'(.*/)?accepted_(torque(_[0-9]+)?|wheel_torque|wheel_command|inertia)')
@@ -47,21 +48,23 @@ _NODE_LOG = re.compile(r'(.*/)?accepted_(torque(_[0-9]+)?|wheel_torque|wheel_com
 
 def epochs(path: str | Path, recorded: Messages) -> list[Messages]:
     """
-    Divide the log of a node into epochs with start states; return other torques unchanged.
+    Split a node's log into epochs, each with its start state.
 
-    A node begins every epoch in its log with a marker; see `messages.epoch_marker`.
+    Torques that a node did not log are returned unchanged, as a single epoch.
+
+    A node writes a marker to its log at the beginning of every epoch; see `messages.epoch_marker`.
 
     Parameters
     ----------
     path : str or Path
         Path of the recording, for error messages.
     recorded : Messages
-        Torques, as `read` returns them.
+        The torques, as returned by `read`.
 
     Raises
     ------
     InputError
-        The log of a node does not begin with a marker, or a marker is not valid.
+        A node's log does not begin with a marker, or a marker is not valid.
 
     """
     is_marker = np.array([messages.is_epoch_marker(name) for name in recorded.names], np.bool_)
@@ -79,7 +82,7 @@ def epochs(path: str | Path, recorded: Messages) -> list[Messages]:
 
 
 def _start(path: str | Path, recorded: Messages, row: int) -> State:
-    """Return the start state in a marker; raise InputError if the marker is not valid."""
+    """Read the start state from a marker; raise InputError if the marker is not valid."""
     frame_id, values = recorded.names[recorded.frames[row]], recorded.values[row]
     try:
         if values.any():
@@ -93,9 +96,12 @@ def _start(path: str | Path, recorded: Messages, row: int) -> State:
 def first_epoch(path: str | Path, blocks: Iterator[Messages]
                 ) -> tuple[State | None, Iterator[Messages]]:
     """
-    Return the start state of the first epoch of a node (None for other torques), and the torques.
+    Return the start state and the torques of the first epoch in a node's log.
 
-    If a later block contains the marker of another epoch, `torque_pieces` raises NotInOrderError.
+    If a node did not log the torques, the start state is None.
+
+    Only the first block is checked here. If a later block contains the marker of another epoch,
+    `torque_pieces` raises NotInOrderError.
 
     Raises
     ------
@@ -117,21 +123,21 @@ def first_epoch(path: str | Path, blocks: Iterator[Messages]
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
                interpolation: str = 'hold', links: Frames = NO_FRAMES) -> TorqueLog:
     """
-    Return the torque log of the WrenchStamped messages of one epoch (see `epochs`).
+    Turn the WrenchStamped messages of one epoch (see `epochs`) into a torque log.
 
     Parameters
     ----------
     path : str or Path
         Path of the recording, for error messages.
     recorded : Messages
-        Torques, as `read` returns them.
+        The torques, as returned by `read`.
     body_frame, space_frame : str
-        The frame_ids of torques in body axes and in space axes. An empty frame_id means body axes.
+        The frame_ids that mean body axes and space axes. An empty frame_id also means body axes.
     interpolation : str
         'hold', 'linear' or 'cubic'.
     links : Frames
-        The frames of the links of a URDF (see `urdf.fixed_frames`). A wrench in the frame of a
-        link acts at the origin of that frame.
+        The link frames of a URDF (see `urdf.fixed_frames`). A wrench in a link frame acts at the
+        origin of that frame.
 
     Returns
     -------
@@ -141,9 +147,9 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     ------
     InputError
         `recorded` has neither messages nor a start state; a message has an unknown frame_id, no
-        stamp, or a torque that is not finite; a wrench in a turning frame is not along the axis of
-        that frame; or some torques are in body axes and others in space axes, but the
-        interpolation is not 'hold'.
+        stamp, or a torque that is not finite; a wrench in a turning frame does not point along
+        the axis of that frame; or the torques mix body axes and space axes, which only the
+        interpolation 'hold' allows.
 
     """
     where = f'{path}: {recorded.topic}'
@@ -151,7 +157,7 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
         lost = f' ({recorded.damage})' if recorded.damage else ''
         raise InputError(f'{where}: expected torques, found no messages{lost}')
     torques, axes = _torques(where, recorded, (body_frame, space_frame, links))
-    if not recorded.start:  # a node accepts no torque without a stamp
+    if not recorded.start:  # a node never accepts a torque without a stamp
         check_stamped(where, recorded.stamps_ns)
     in_space = np.array([name == 'space' for name in axes], np.bool_)[recorded.frames]
     try:
@@ -163,10 +169,10 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
 def _torques(where: str, recorded: Messages,
              frames: tuple[str, str, Frames]) -> tuple[Floats, list[str]]:
     """
-    Return the torques about the centre of mass, N m, shape (n, 3), and the axes of each frame.
+    Return the torques about the centre of mass, N m, shape (n, 3), and the axes of each frame_id.
 
-    `frames` are the body frame, the space frame and the frames of the links. An InputError names
-    the first invalid message.
+    `frames` contains the body frame, the space frame and the link frames. If a message is invalid,
+    raise an InputError that names the first such message.
     """
     axes, moved = [], {}
     for code, frame_id in enumerate(recorded.names):
@@ -184,7 +190,7 @@ def _torques(where: str, recorded: Messages,
 
 
 def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Floats:
-    """Return the torques about the centre of mass, N m, shape (n, 3), of wrenches in `frames`."""
+    """Convert wrenches in `frames` to torques about the centre of mass, N m, shape (n, 3)."""
     torques, off_axis = recorded.values[:, 3:].copy(), {}
     for code, frame in frames.items():
         rows = recorded.frames == code
@@ -215,7 +221,7 @@ def _check_finite(where: str, recorded: Messages, torques: Floats,
 def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
     """Raise InputError if there are several messages and one of them has no stamp."""
     unstamped = np.flatnonzero(stamps_ns == 0)
-    # A log of simulated time may begin with the stamp 0.
+    # The stamp 0 is allowed at the beginning of a log of simulated time.
     begins = stamps_ns[0] == 0 < stamps_ns.max() < _SIMULATED_NS
     if unstamped.size and not begins and len(stamps_ns) > 1:
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in the header, '
@@ -224,21 +230,21 @@ def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
 
 
 class NotInOrderError(Exception):
-    """The log cannot be read in pieces; the recording has to be read as a whole."""
+    """Raised if a log cannot be read in pieces, so that the whole recording has to be read."""
 
 
 class Piece(NamedTuple):
     """
-    Consecutive samples of a log; the last samples are repeated in the next piece.
+    Consecutive samples of a torque log. The next piece repeats the last few samples of this piece.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
     torques : array, shape (n, 3), N m
     in_space : array of bool, shape (n,)
-        Whether a torque is given in space axes.
+        Whether each torque is given in space axes.
     stop : int, optional
-        Index of the sample at which the next piece continues; None in the last piece.
+        The index of the sample at which the next piece takes over; None in the last piece.
 
     """
 
@@ -248,18 +254,17 @@ class Piece(NamedTuple):
     stop: int | None = None
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Piece:
-        """Return the chosen samples."""
+        """Return a piece that contains only the chosen samples."""
         return Piece(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen])
 
     def log(self, interpolation: str) -> TorqueLog:
         """
-        Return the samples as a log.
+        Return the samples as a torque log.
 
         Raises
         ------
         ValueError
-            Some samples are in body axes and others in space axes, but the interpolation is not
-            'hold'.
+            The samples mix body axes and space axes, which only the interpolation 'hold' allows.
 
         """
         return TorqueLog(self.times_ns, self.torques, self.in_space, interpolation)
@@ -268,19 +273,19 @@ class Piece(NamedTuple):
 def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space_frame: str,
                   links: Frames = NO_FRAMES) -> Iterator[Piece]:
     """
-    Generate the torque log in pieces from blocks of messages, so that it need not fit in memory.
+    Turn blocks of messages into the pieces of a torque log that need not fit in memory.
 
-    Samples are sorted by stamp, also across two neighbouring blocks. If samples have equal stamps,
-    only the last in the recording is kept.
+    The samples are sorted by stamp, within each block and across two neighbouring blocks.
+    If several samples have the same stamp, only the one that was recorded last is kept.
 
     Raises
     ------
     InputError
         A message has an unknown frame_id, a torque is not finite, or a wrench in a turning frame
-        is not along the axis of that frame.
+        does not point along the axis of that frame.
     NotInOrderError
-        A message begins another epoch, has no stamp, or has a stamp that is not later than those
-        of all samples in earlier pieces.
+        A message begins another epoch, has no stamp, or has a stamp that is not later than the
+        last stamp in earlier pieces.
 
     """
     piece = _EMPTY
@@ -298,8 +303,8 @@ def _ascending(where: str, blocks: Iterable[Messages],
     """
     Generate the samples of all blocks, sorted by stamp.
 
-    After reading a block, generate the samples before the earliest stamp of that block. Keep the
-    other samples until the next block is read.
+    Once a block has been read, yield the samples whose stamps are before the block's earliest
+    stamp, and keep the rest until the next block has been read.
     """
     waiting, last_ns = _EMPTY, -2 ** 63
     for block in blocks:
@@ -327,7 +332,7 @@ def _concatenated(one: Piece, other: Piece) -> Piece:
 
 
 def _sorted(piece: Piece) -> Piece:
-    # If samples have equal stamps, keep the last in the recording.
+    # If several samples have the same stamp, keep the one that was recorded last.
     if np.all(np.diff(piece.times_ns) > 0):
         return piece
     order = np.argsort(piece.times_ns, kind='stable')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decode the transforms between two frames from messages that may contain many transforms."""
+"""Pick the transforms between two frames out of messages that may contain many others."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from rigid_body_ros.engine import kernels, RawMessages
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import BadMessageError, Decoded, Raw
 
-#: Smallest number of bytes before the doubles of a transform: a stamp and two empty names.
+#: The doubles of a transform are preceded by at least this many bytes: a stamp and two empty
+#: names.
 _LEAST = 8 + 2 * 5
-#: Largest number of pairs of frames to list.
+#: The largest number of pairs of frames that `pairs` returns.
 _PAIRS = 7
 
 
 def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, Decoded]:
     """
-    Return the transforms from one frame to another, and the messages that contain them.
+    Decode the transforms from one frame to another, and find the messages that contain them.
 
     Parameters
     ----------
@@ -38,13 +39,14 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
     raw : Raw
         The messages.
     frames : tuple of str
-        The frame_id and the child_frame_id.
+        The frame_id and the child_frame_id of the transforms to decode.
 
     Returns
     -------
     messages : Raw
         For each transform, the message that contains it.
     decoded : Decoded
+        The transforms.
 
     Raises
     ------

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read attitude, angular velocity and torque from logs of PX4 (ULog), with pyulog."""
+"""Read attitude, angular velocity and torque from PX4 logs (ULog), using pyulog."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ from rigid_body_ros.runtime.limits import open_file
 
 _SUFFIXES = '.ulg', '.ulog'
 _XYZ = 'xyz[0]', 'xyz[1]', 'xyz[2]'
-#: For each topic of PX4: the type of the converted messages, and the ULog fields that become the
-#: last doubles of a message.
+#: For each PX4 topic: the type that its messages are converted to, and the ULog fields that
+#: provide the last doubles of each message.
 _QUATERNION = messages.QUATERNION, ('q[1]', 'q[2]', 'q[3]', 'q[0]')
 _RATE, _TORQUE = (messages.VECTOR3, _XYZ), (messages.WRENCH, _XYZ)
 _TOPICS: dict[str, tuple[MessageType, tuple[str, ...]]] = {
@@ -47,7 +47,7 @@ _TOPICS: dict[str, tuple[MessageType, tuple[str, ...]]] = {
     'vehicle_torque_setpoint': _TORQUE}
 #: Number of messages in a block.
 _BLOCK = 8192
-#: The latest time that is accepted in a log, us.
+#: The latest time that a log may contain, us.
 _LAST_US = messages.LAST_NS // 1000
 #: Errors that pyulog raises for a damaged file.
 _ERRORS = (AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError,
@@ -55,12 +55,12 @@ _ERRORS = (AttributeError, LookupError, OSError, RecursionError, TypeError, Valu
 
 
 def is_ulog(path: str | Path) -> bool:
-    """Return whether the suffix of a file name is that of a PX4 log."""
+    """Return whether a file is a PX4 log, according to its suffix."""
     return Path(path).suffix.lower() in _SUFFIXES
 
 
 class _Topic(NamedTuple):
-    """The messages of a topic: type, stamps, times of logging, and doubles, shape (n, d)."""
+    """The messages on a topic: their type, stamps, logging times, and doubles, shape (n, d)."""
 
     kind: MessageType
     stamps_ns: NDArray[np.int64]
@@ -70,13 +70,13 @@ class _Topic(NamedTuple):
 
 class UlogFile(File):
     """
-    A log of PX4, read as messages in the frames of PX4.
+    A PX4 log, read as messages in the frames that PX4 uses.
 
     The body axes are front, right, down, and the space axes are north, east, down. An attitude q
-    rotates from body to space axes, as in PX4; only the order of the components changes, from
-    scalar first to scalar last. A torque is normalized, not in N m. Times count from the boot of
-    the autopilot. The stamp of a measurement is the time at which it was sampled; the stamp of a
-    torque is the time at which it was published.
+    rotates from body to space axes, as in PX4, but its components are reordered from scalar first
+    to scalar last. Torques are normalized; they are not in N m. Times are counted from the boot
+    of the autopilot. Measurements are stamped with the time at which they were sampled, and
+    torques with the time at which they were published.
     """
 
     def __init__(self, path: Path) -> None:
@@ -88,7 +88,7 @@ class UlogFile(File):
         self.types = {name: topic.kind.name for name, topic in self._topics.items()}
 
     def count(self, topic: str) -> int:
-        """Return the number of messages of a topic."""
+        """Return the number of messages on a topic."""
         return len(self._topics[topic].stamps_ns)
 
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
@@ -102,7 +102,11 @@ class UlogFile(File):
 
 @lru_cache(1)  # a command reads several topics, and pyulog reads the whole file each time
 def _parsed(path: Path, identity: tuple[int, ...]) -> tuple[Mapping[str, _Topic], str]:
-    """Return the topics of a file, and what was lost; `identity` changes if the file changes."""
+    """
+    Return the topics in a file, and a description of the data that was lost.
+
+    `identity` is part of the cache key, so that a file is read again if it changes.
+    """
     from pyulog import ULog
     from pyulog.exceptions import ULogException
     try:

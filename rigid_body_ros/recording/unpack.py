@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decompress zstd data, and copy files into a temporary folder, within limits on their size."""
+"""Decompress zstd data and copy files to a temporary folder, with limits on their size."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from rigid_body_ros.recording.bulk import BadMessageError, Raw
 from rigid_body_ros.runtime.limits import open_file
 import zstandard
 
-#: Largest size of a chunk, or of all messages in a block, bytes. The chunks that rosbag2 and mcap
-#: write are about 1 MB long.
+#: Largest accepted size, in bytes, of a chunk or of all messages in a block together. The chunks
+#: that rosbag2 and mcap write are only about 1 MB long.
 LARGEST = 2 ** 30
-#: Largest possible compression ratio: zstd needs 4 bytes for a block of 128 KiB.
+#: The largest compression ratio that zstd can reach: a block of 128 KiB takes at least 4 bytes.
 _DENSEST = 2 ** 15
-#: Limit on the compression ratio of a file that decompresses to more than LARGEST bytes.
+#: The largest compression ratio accepted for a file that decompresses to more than LARGEST bytes.
 _RATIO = 1000
 _BLOCK = 2 ** 20
 
@@ -46,12 +46,12 @@ def unpack(data: bytes, most: int, unpacker: zstandard.ZstdDecompressor) -> byte
     Raises
     ------
     ValueError
-        The content has more than `most` bytes.
+        The decompressed content has more than `most` bytes.
     ZstdError
         The data is not a zstd frame.
 
     """
-    room = min(most, _DENSEST * len(data))  # a damaged header can state any size
+    room = min(most, _DENSEST * len(data))  # a damaged header can claim any size
     if zstandard.frame_content_size(data) > room:
         raise ValueError(f'expected at most {room} bytes, found more')
     return unpacker.decompress(data, max_output_size=room)
@@ -70,7 +70,11 @@ def unpack_each(raw: Raw) -> Raw:
 
 
 def temporary(stack: ExitStack) -> Path:
-    """Return a new temporary folder that the stack removes; raise InputError on failure."""
+    """
+    Create a temporary folder, which is removed when `stack` is closed.
+
+    Raise InputError if the folder cannot be created.
+    """
     try:
         return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.')))
     except OSError as error:
@@ -80,7 +84,7 @@ def temporary(stack: ExitStack) -> Path:
 
 def unpack_file(path: Path, folder: Path) -> Path:
     """
-    Decompress a zstd file into a temporary folder, and return the path of the result.
+    Decompress a zstd file into a temporary folder, and return the path of the new file.
 
     Raises
     ------
@@ -104,7 +108,7 @@ def copy_file(path: Path, folder: Path) -> Path:
     """
     Copy a file into a temporary folder, and return the path of the copy.
 
-    Data that another process appends in the meantime is not copied.
+    If another process appends to the file in the meantime, the new data is not copied.
 
     Raises
     ------

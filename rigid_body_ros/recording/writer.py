@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write MCAP files for `ros2 bag play`, Foxglove and PlotJuggler."""
+"""Write MCAP files that `ros2 bag play`, Foxglove and PlotJuggler can read."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
 from rigid_body_ros.runtime.files import Part, reported
 
-#: Topics of a recorded motion.
+#: The topics on which a motion is recorded.
 ATTITUDE, ANGULAR_VELOCITY = '/attitude', '/angular_velocity'
-#: Messages are collected, and written as a chunk when they reach this size, bytes.
+#: Messages are collected and written as a chunk once they reach this total size, bytes.
 _CHUNK = 2 ** 20
-#: The start of a message record: opcode, length, channel, sequence, log time, publish time.
+#: How a message record starts: opcode, length, channel, sequence, log time, publish time.
 _HEAD = struct.Struct('<BQHIQQ')
 _HEAD_FIELDS = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                          ('sequence', '<u4'), ('log', '<u8'), ('publish', '<u8')])
-#: The QoS with which a player publishes: reliable, volatile, keep last 10. Each policy
-#: is a number, because rosbag2 of ROS 2 Humble reads no names; later versions also read names.
+#: The QoS with which a player publishes: reliable, volatile, keep last 10. Policies are given as
+#: numbers, because the rosbag2 of ROS 2 Humble cannot read their names; later versions read both.
 _QOS = '\n'.join([
     '- history: 1', '  depth: 10', '  reliability: 1', '  durability: 2',
     '  deadline:', '    sec: 9223372036', '    nsec: 854775807',
@@ -55,7 +55,11 @@ _QOS = '\n'.join([
 
 
 class Column(NamedTuple):
-    """Messages of a topic with the same frame_id; `values`, shape (n, d), are their doubles."""
+    """
+    The messages on one topic, which all have the same frame_id.
+
+    The array `values`, shape (n, d), holds the doubles of each message.
+    """
 
     topic: str
     frame_id: str
@@ -67,17 +71,17 @@ class Writer:
     """
     Write an MCAP file; a context manager.
 
-    The file appears under its name only when it is complete. If writing fails, an existing file of
-    that name is unchanged, and no partial file is left unless `keep_partial` is set.
+    The file gets its final name only when it is complete. If writing fails, an existing file with
+    that name is left unchanged, and no partial file remains unless `keep_partial` is set.
 
     Parameters
     ----------
     path : str or Path
         The file to write.
     keep_partial : bool
-        If writing fails or is interrupted, keep the chunks written so far in a new file that ends
-        in `.partial.mcap`. The last argument of the KeyboardInterrupt or the message of the
-        InputError names this file.
+        If writing fails or is interrupted, keep the chunks written so far in a new file whose name
+        ends in `.partial.mcap`. The last argument of the KeyboardInterrupt, or the message of the
+        InputError, names this file.
 
     Raises
     ------
@@ -94,7 +98,8 @@ class Writer:
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, MessageType] = {}
         self._sequence: dict[str, int] = {}
-        #: Messages that wait for the next chunk: the records, and (channel, time, offset) of each.
+        #: The messages for the next chunk: their records, and the channel, time and offset of each
+        #: record.
         self._records = bytearray()
         self._waiting: list[tuple[int, int, int]] = []
 
@@ -111,11 +116,11 @@ class Writer:
         return self
 
     def _file_of(self, part: Part) -> Path:
-        """Return the path of the MCAP file within the temporary output."""
+        """Return the path of the MCAP file inside the temporary output."""
         return part.path
 
     def add_topic(self, topic: str, kind: MessageType) -> None:
-        """Add a topic; call this once for each topic, before writing its first message."""
+        """Add a topic; call this once per topic, before you write its first message."""
         schema = Schema(id=0, name=kind.name, encoding='ros2msg', data=kind.definition.encode())
         self._channels[topic] = self._container.add_channel(
             topic, schema, {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.type_hash})
@@ -131,7 +136,7 @@ class Writer:
         self._append(topic, time_ns, time_ns, data)
 
     def copy(self, channel: Channel, schema: Schema | None, raw: Raw) -> None:
-        """Append messages of a topic of another file, with the channel and schema of that file."""
+        """Append messages that were read from another file, with the same channel and schema."""
         topic = channel.topic
         if topic not in self._channels:
             self._channels[topic] = self._container.add_channel(
@@ -152,9 +157,9 @@ class Writer:
     def write_columns(self, stamps_ns: NDArray[np.int64], columns: Sequence[Column],
                       delay_ns: int = 0) -> None:
         """
-        At each stamp, ns, append one message of each column.
+        Append one message from each column at every stamp, ns.
 
-        The log time and the publish time of a message are `delay_ns` later than the stamp.
+        The log time and publish time of a message are `delay_ns` later than its stamp.
         """
         self._flush()
         fields = [(str(k), self._fields(column)) for k, column in enumerate(columns)]
@@ -212,7 +217,7 @@ class Writer:
             failure = failed
         finally:
             self._container.close()
-            with suppress(OSError):  # closing flushes, and fails again on a full disk
+            with suppress(OSError):  # closing flushes, which fails again if the disk is full
                 self._stream.close()
             if failure or isinstance(error, KeyboardInterrupt):
                 kept = self._kept_partial()
@@ -225,7 +230,7 @@ class Writer:
             raise InputError(f'{failure}{kept}') from failure
 
     def _finish(self) -> None:
-        """Write the waiting messages and the end of the file, and close the file."""
+        """Write the remaining messages and the end of the file, and close it."""
         self._flush()
         self._container.finish()
         self._stream.close()

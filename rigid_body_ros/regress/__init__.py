@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-Run a controller again in lockstep, and compare its closed loop with a recorded closed loop.
+Run a controller again in lockstep, and compare its closed loop with a recorded loop.
 
-`domain` reserves a ROS domain. In this domain, `controller` runs the command of the controller,
-and `node_process` runs a node that the caller provides. `session` runs the controller and the node
-as a closed loop, and records the loop. `loop` reads the recording. `differences` compares two
-loops. `regression` decides which loops to compare. `page` shows the loops.
+First, `domain` reserves a ROS domain. Two processes run in this domain: `controller` starts the
+controller's command, and `node_process` runs a node that the caller provides. `session` connects
+the two processes in a closed loop and records the loop. Then `loop` reads the recording, and
+`differences` compares two loops. `regression` decides which loops to compare, and `page` shows the
+loops on an HTML page.
 """
 
 from rigid_body_ros.regress.differences import Differences, differences

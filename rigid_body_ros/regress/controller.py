@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Run the command of a controller, and end all processes that the command started."""
+"""Run a controller's command in a process session of its own, and end that session's processes."""
 
 from __future__ import annotations
 
@@ -27,16 +27,18 @@ from types import TracebackType
 
 from rigid_body_ros.common.errors import InputError, printable, reason
 
-#: Time, s, from SIGINT, the signal of Ctrl-C, to SIGKILL.
+#: How long to wait after SIGINT, the signal of Ctrl-C, before sending SIGKILL, s.
 _GRACE = 3.0
 _PERIOD = 0.02
-#: Maximum number of output lines that are shown, and of characters in each line.
+#: Maximum number of output lines to show, and maximum number of characters per line.
 _LINES, _WIDTH = 20, 200
 
 
 class ControllerProcess:
     """
-    A command in a new process session; a context manager that ends the command on exit.
+    A command that runs in a new process session.
+
+    Use this class as a context manager, which ends the command on exit.
 
     Parameters
     ----------
@@ -52,7 +54,8 @@ class ControllerProcess:
 
     def __init__(self, words: Sequence[str]) -> None:
         self.words = words
-        # Use a file, because a pipe that nobody reads would block the command.
+        # Use a file, not a pipe. Nobody reads the output during the run, so a full pipe would
+        # block the command.
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 (`__exit__` closes it)
         try:
             self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=self._output,
@@ -71,13 +74,13 @@ class ControllerProcess:
 
     @property
     def status(self) -> int | None:
-        """Return the exit code: None during the run, negative if a signal ended the command."""
+        """Return the exit code: None while the command runs, negative if a signal has ended it."""
         return self._process.poll()
 
     @property
     def output(self) -> list[str]:
         """Return the last lines that the command printed."""
-        # Use pread: unlike read, it does not move the file position, where the command writes.
+        # Use pread, because read would move the file position at which the command writes.
         descriptor = self._output.fileno()
         size = os.fstat(descriptor).st_size
         wanted = _LINES * _WIDTH
@@ -85,7 +88,7 @@ class ControllerProcess:
         return [printable(line[:_WIDTH]) for line in text.splitlines()[-_LINES:]]
 
     def end(self) -> None:
-        """End the command and all its processes: send SIGINT and, after 3 s, SIGKILL."""
+        """End all processes of the session: send SIGINT and, if that fails, SIGKILL after 3 s."""
         until = time.monotonic() + _GRACE
         self._send(signal.SIGINT)
         while self._alive() and time.monotonic() < until:
@@ -100,7 +103,7 @@ class ControllerProcess:
     def _send(self, number: int) -> None:
         for process in {self._process.pid, *_members(self._process.pid)}:
             try:
-                # If the first process has ended, send nothing: its ID may be in use again.
+                # Do not signal the first process if it has ended: its ID may be in use again.
                 if process != self._process.pid or self._process.poll() is None:
                     os.kill(process, number)
             except ProcessLookupError:
@@ -108,13 +111,13 @@ class ControllerProcess:
 
 
 def _members(session: int) -> list[int]:
-    """Return the IDs of the running processes of a session; empty without /proc."""
+    """Return the IDs of the running processes in a session; an empty list without /proc."""
     found = []
     for stat in Path('/proc').glob('[0-9]*/stat'):
         try:
             text = stat.read_text(errors='replace')
         except OSError:
-            continue  # the process has ended
+            continue  # the process has ended in the meantime
         state, _, _, number, *_ = text.rpartition(')')[2].split()
         if int(number) == session and state not in 'ZX':
             found.append(int(stat.parent.name))

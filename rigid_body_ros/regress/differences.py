@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compare two closed loops torque by torque and state by state."""
+"""Compare the torques and the states of two closed loops, stamp by stamp."""
 
 from __future__ import annotations
 
@@ -37,25 +37,26 @@ class Differences:
     Attributes
     ----------
     torques, states : int
-        Number of torques and of states that were compared: those with stamps in both loops.
+        The number of torques and the number of states that were compared: those whose stamps occur
+        in both loops.
     same_torques, same_states : int
-        Number of compared torques and of compared states with equal bits.
+        The number of compared torques, and of compared states, that agree in every bit.
     first_ns : int, optional
-        The first stamp at which any bit differs, or that occurs in only one of the two loops. None
-        if all bits are equal.
+        The first stamp where the loops differ, either because some bits are different or because
+        the stamp occurs in only one loop. None if all bits are equal.
     first : str
-        What differs at `first_ns`: the name of a torque log, 'state', or 'stamp' if the stamp
-        occurs in only one of the two loops. Empty if nothing differs.
+        What differs at `first_ns`: the name of a torque log; 'state'; or 'stamp', if the stamp
+        occurs in only one loop. Empty if nothing differs.
     missing : int
-        Number of stamps that occur in only one of the two loops.
+        The number of stamps that occur in only one of the two loops.
     torque, attitude, rate : float, optional
-        The largest differences of torques (N m), attitudes (rad) and angular velocities (rad/s).
-        None if the two loops have no stamps in common.
+        The largest differences between the torques (N m), the attitudes (rad) and the angular
+        velocities (rad/s) of the two loops. None if the loops have no stamps in common.
     start_ns, end_ns : int
-        The time of the start and the time of the last state, both of the reference.
+        The times of the start and of the last state of the reference.
     versions : dict
-        For each package whose version has changed, the version that made the reference, and the
-        version in use.
+        For each package whose version has changed, the version that made the reference and the
+        version in use now.
 
     """
 
@@ -80,17 +81,17 @@ class Differences:
 
     def within(self, tolerance: float | None) -> bool:
         """
-        Return whether all bits are equal or, with a tolerance, whether the attitudes are close.
+        Return whether the loops agree. Without a tolerance, all bits must be equal.
 
-        The tolerance is an angle, rad. Attitudes may differ by at most this angle, and all stamps
-        must be equal.
+        The tolerance is the largest angle by which attitudes may differ, rad. Stamps must be equal
+        even if there is a tolerance.
         """
         if self.equal or tolerance is None:
             return self.equal
         return not self.missing and self.attitude is not None and self.attitude <= tolerance
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the facts as pairs of a name and a text."""
+        """Return the differences as rows to print, each with a name and a text."""
         span = (self.end_ns - self.start_ns) * 1e-9
         found = [('compared', f'{self.torques} torques and {self.states} states over {span:.9g} '
                               's of the loop'),
@@ -118,7 +119,7 @@ class Differences:
         return f'the {log} at equal states, so the controller differs,'
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the numbers as JSON types; the keys include the units."""
+        """Return the differences as a dictionary of JSON types; the keys contain the units."""
         return {'torques': self.torques, 'states': self.states,
                 'first_difference_ns': self.first_ns,
                 'largest': {'torque_N_m': self.torque, 'attitude_rad': self.attitude,
@@ -126,13 +127,14 @@ class Differences:
 
 
 def differences(reference: Loop, loop: Loop) -> Differences:
-    """Return how a loop differs from a reference, up to the last state of the reference."""
+    """Compare a loop with a reference, up to the last state of the reference."""
     last_ns = int(reference.states.times_ns[-1])
     pairs = {name: Pair.of(*(one.torques.get(name, EMPTY).until(last_ns)
                              for one in (reference, loop)))
              for name in {**reference.torques, **loop.torques}}
     states = Pair.of(reference.states, loop.states.until(last_ns))
-    # States come first, because a torque is a consequence of the state with the same stamp.
+    # If a state and a torque differ at the same stamp, report the state, because the controller
+    # computes the torque from this state.
     every = {_STATE: states, **pairs}
     first = {name: pair.first_ns for name, pair in every.items() if pair.first_ns is not None}
     name = min(first, key=lambda one: first[one], default='')
@@ -158,7 +160,7 @@ def differences(reference: Loop, loop: Loop) -> Differences:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The values of two series at common stamps, and the first stamp at which they differ."""
+    """The values of two series at their common stamps, and the first stamp where they differ."""
 
     times_ns: NDArray[np.int64]
     reference: Floats
@@ -169,12 +171,12 @@ class Pair:
 
     @classmethod
     def of(cls, reference: Signal, found: Signal) -> Pair:
-        """Return the values of two series as a pair."""
+        """Pair the values of two series by their stamps."""
         times_ns, rows, others = np.intersect1d(
             reference.times_ns, found.times_ns, assume_unique=True, return_indices=True)
         values, other_values = (np.ascontiguousarray(samples.values[chosen]) for samples, chosen
                                 in ((reference, rows), (found, others)))
-        if not times_ns.size:  # `EMPTY` may have another number of columns
+        if not times_ns.size:  # one series may be `EMPTY`, with a different number of columns
             other_values = values
         same = (values.view(np.int64) == other_values.view(np.int64)).all(axis=1) \
             & (reference.frames[rows] == found.frames[others])

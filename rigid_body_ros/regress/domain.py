@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A private ROS domain, in which no other processes receive or send messages."""
+"""Reserve a private ROS domain, in which no other processes send or receive messages."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ import socket
 
 from rigid_body_ros.common.errors import InputError
 
-#: Domains whose ports are below the ports that Linux uses for outgoing connections. The search
-#: begins with the highest number, because users tend to choose low numbers.
+#: The domains to try. Their ports are below the range that Linux uses for outgoing connections.
+#: The search begins with the highest number, because users tend to choose low numbers.
 _DOMAINS = range(100, 0, -1)
-#: First port of domain 0, and number of ports per domain. Participants use the lowest free ports.
+#: The first port of domain 0, and the number of ports per domain. ROS nodes use the lowest free
+#: ports of their domain.
 _FIRST, _PORTS = 7400, 250
-#: The environment variable that keeps all packets on this machine; Humble uses another variable
-#: than later releases.
+#: The environment variable that keeps all packets on this machine. The name of this variable in
+#: ROS 2 Humble differs from its name in later releases.
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-#: Environment variables that would connect nodes with other machines.
+#: Environment variables that would connect the nodes to other machines.
 _ELSEWHERE = 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER'
 
 
 @contextmanager
 def private_domain() -> Iterator[int]:
     """
-    Reserve a free ROS domain, and set the environment so that new nodes use this domain.
+    Reserve a free ROS domain, and set up the environment so that new nodes use it.
 
     Raises
     ------
@@ -62,14 +63,15 @@ def private_domain() -> Iterator[int]:
 
 
 def _reserved() -> tuple[int, socket.socket]:
-    """Return a domain without nodes, and a socket that keeps others from reserving the domain."""
+    """Find an unused domain; return it, and a socket that keeps others from reserving it."""
     ours = os.environ.get('ROS_DOMAIN_ID')
     for number in _DOMAINS:
         if str(number) == ours:
             continue
         lock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         with suppress(OSError):
-            # The last port of a domain is its lock. The system frees it when this process ends.
+            # The last port of a domain serves as its lock. The system frees this port when our
+            # process ends.
             lock.bind(('127.0.0.1', _FIRST + _PORTS * (number + 1) - 1))
             if not _used(number):
                 return number, lock
@@ -79,10 +81,10 @@ def _reserved() -> tuple[int, socket.socket]:
 
 
 def _used(number: int) -> bool:
-    """Return whether a process on this machine uses a port of a domain, except the lock port."""
+    """Return whether any process on this machine uses a port of a domain, except its lock port."""
     first = _FIRST + _PORTS * number
     for name in ('udp', 'udp6'):
-        with suppress(OSError):  # only Linux has these tables
+        with suppress(OSError):  # these tables exist only on Linux
             for line in Path('/proc/net', name).read_text().splitlines()[1:]:
                 if first <= int(line.split()[1].rpartition(':')[2], 16) < first + _PORTS - 1:
                     return True

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A recorded closed loop: the torques that a node accepted, and the states that it committed."""
+"""Read a closed loop from a recording: the torques and the states in a node's log."""
 
 from __future__ import annotations
 
@@ -38,18 +38,19 @@ _TORQUE = 'accepted_'
 @dataclass(frozen=True, eq=False)
 class Signal:
     """
-    The torques of a topic, the states, or another series of samples.
+    A series of samples, such as the torques on one topic, or the states of the body.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
-        Strictly ascending times.
+        The times of the samples, strictly ascending.
     values : array, shape (n, d)
-        One row for each sample. A row contains a torque, N m (d = 3); a state, with attitude
-        x y z w and angular velocity, rad/s, body axes (d = 7); an inertia, kg m^2 (d = 6); or the
-        commands that named wheels follow, N m (one column for each wheel).
+        One row for each sample. For torques, d is 3 and the unit is N m. For states, d is 7: the
+        attitude x y z w and the angular velocity, rad/s, in body axes. For inertias, d is 6 and
+        the unit is kg m^2. For the commands that named wheels follow, there is one column for each
+        wheel, and the unit is N m.
     frames : array of str, shape (n,)
-        The frame of each sample.
+        The frame_id of each sample.
 
     """
 
@@ -61,7 +62,7 @@ class Signal:
         return len(self.times_ns)
 
     def until(self, last_ns: int) -> Signal:
-        """Return the samples up to a time."""
+        """Return the samples up to and including the given time."""
         kept = slice(int(np.searchsorted(self.times_ns, last_ns, 'right')))
         return Signal(self.times_ns[kept], self.values[kept], self.frames[kept])
 
@@ -72,19 +73,19 @@ EMPTY = Signal(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0, np.str_))
 @dataclass(frozen=True, eq=False)
 class Loop:
     """
-    The last epoch in the log of a node.
+    A closed loop: the last epoch in the log of a node.
 
     Attributes
     ----------
     start : State
     torques : dict
-        Torques by the name of the log, such as 'accepted_torque'.
+        The torques in each log, keyed by the name of the log, such as 'accepted_torque'.
     states : Signal
     made_by : dict
-        The versions on which the last bits of the states depend, from the metadata of the
-        recording.
+        The software versions that the last bits of the states depend on, as stored in the metadata
+        of the recording.
     node : str
-        The name of the node. The names of its topics begin with this name.
+        The name of the node. All of its topic names begin with this name.
     wheels : tuple of str
         The names of the wheels.
 
@@ -99,27 +100,27 @@ class Loop:
 
     @property
     def spans_ns(self) -> dict[str, int]:
-        """Return the time, ns, from the start to the last torque, for each log with torques."""
+        """For each log that has torques, return the time from the start to the last torque, ns."""
         return {name: int(samples.times_ns[-1]) - self.start.time_ns
                 for name, samples in self.torques.items() if len(samples) and name != INERTIA}
 
 
 def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
     """
-    Read the last epoch of a loop.
+    Read the last epoch of a closed loop from a recording.
 
     Parameters
     ----------
     path : str or Path
         The recording.
     wheels : tuple of str
-        The names of the wheels of the scene.
+        The names of the wheels in the scene.
 
     Raises
     ------
     InputError
-        The recording cannot be read, is not the complete log of one node, or contains wheels other
-        than the given ones.
+        The recording cannot be read, does not contain the complete log of exactly one node, or
+        contains wheels that are not in `wheels`.
 
     """
     log = committed(path)
@@ -143,13 +144,18 @@ def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
     if not begun.size:
         raise InputError(f'{path}: {log}: expected the start state at {start.time_ns} ns, '
                          'found none: a part of the recording is missing')
-    # If several states have the start time, the last one begins the last epoch.
+    # Earlier epochs may have had the same start time. The last state at this time begins the last
+    # epoch.
     rows = states.rows(slice(int(begun[-1]), None))
     return Loop(start, torques, _samples(rows, messages.ODOMETRY), made_by, node, wheels)
 
 
 def committed(path: str | Path) -> str:
-    """Return the topic of the states; raise InputError unless exactly one node wrote a log."""
+    """
+    Return the topic of the committed states.
+
+    Raise InputError unless the recording contains the log of exactly one node.
+    """
     logs = [topic for topic in recording.topics(path, [messages.ODOMETRY])
             if topic.rpartition('/')[2] == COMMITTED]
     if len(logs) != 1:
@@ -169,7 +175,7 @@ def _samples(found: Messages, kind: messages.MessageType) -> Signal:
                    found.values[:, messages.ANGULAR_VELOCITY]])
     order = np.argsort(found.stamps_ns, kind='stable')
     stamps_ns = found.stamps_ns[order]
-    # Of torques with equal stamps, the last one acts.
+    # If several torques have the same stamp, only the last of these torques acts.
     order = order[np.append(np.diff(stamps_ns) != 0, True)[:len(order)]]
     frames = np.array(found.names, np.str_)[found.frames[order]] if len(order) else \
         np.empty(0, np.str_)

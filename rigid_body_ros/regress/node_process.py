@@ -15,7 +15,7 @@
 """
 Run a node in a separate process.
 
-A process can be killed even if threads of the middleware deadlock.
+A separate process can be killed even if threads of the ROS middleware deadlock.
 """
 
 from __future__ import annotations
@@ -31,61 +31,64 @@ from typing import NamedTuple, Protocol
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 
-#: s; time between two checks for a message from the parent process.
+#: Time between two checks for a message from the parent process, s.
 _PERIOD = 0.02
-#: s; how long the node may take to end.
+#: How long to wait for the node to end, s.
 _PATIENCE = 20.0
-#: The message that the process of the node sends after it has written the log.
+#: The message that the node's process sends after it has written the log.
 _WRITTEN = 'written'
 
 
 class Node(Protocol):
-    """A node in lockstep that keeps a log."""
+    """The interface of a node that runs in lockstep and keeps a log."""
 
     @property
     def elapsed_ns(self) -> dict[str, int]:
-        """Return the time, ns, from the start to the newest torque, for each log with torques."""
+        """Return, for each log with torques, the time from the start to the newest torque, ns."""
 
     @property
     def unpublished(self) -> list[str]:
-        """Return the torque topics to which no node publishes."""
+        """Return the torque topics that have no publisher."""
 
     @property
     def has_rival(self) -> bool:
-        """Return whether another node also publishes the states."""
+        """Return whether another node also publishes on the topic of the states."""
 
     def spin(self, seconds: float) -> None:
-        """Run the node for `seconds`."""
+        """Run the node for this many seconds."""
 
     def finish(self) -> None:
-        """Commit the last states."""
+        """Commit the last states before the log is written."""
 
     def write(self, path: str | Path, last_ns: int) -> None:
-        """Write the log to a recording, up to `last_ns` after the start."""
+        """Write the log to a recording, up to the time `last_ns` after the start."""
 
 
 class Status(NamedTuple):
-    """The report of a `Node`."""
+    """The progress of a node, as reported by the methods of `Node`."""
 
     elapsed_ns: dict[str, int]
     unpublished: list[str]
     has_rival: bool
 
 
-#: A function that is called in the process of the node, and returns a context manager that yields
-#: the node. Its argument contains the names of logs; it is empty if the names are unknown. Before
-#: it starts, the node waits until the topics of these logs have publishers.
+#: A function that creates a node. The function is called in the node's process, and returns a
+#: context manager that yields the node. The argument of the function contains the names of some
+#: logs, or is empty if the names are not known. The node does not start until the topics of these
+#: logs have publishers.
 Start = Callable[[Collection[str]], AbstractContextManager[Node]]
 
 
 class NodeProcess:
     """
-    The process of a node; a context manager.
+    A process that runs a node.
+
+    Use this class as a context manager, which ends the process on exit.
 
     Parameters
     ----------
     start : callable
-        A function that is called with `logs` in the process of the node.
+        The function that creates the node. It is called with `logs` in the node's process.
     logs : collection of str
         The names of the logs whose topics must have publishers before the node starts.
 
@@ -98,14 +101,15 @@ class NodeProcess:
 
     def __init__(self, start: Start, logs: Collection[str] = ()) -> None:
         self.status = Status({}, [], False)
-        # Use spawn: a fork would copy the locks of other threads, but not the threads themselves.
+        # Use spawn, not fork. A fork copies the locks that other threads hold but not the threads,
+        # so these locks would never be released.
         context = multiprocessing.get_context('spawn')
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, start, [*logs]),
                                         daemon=True)
         with interrupts.blocked_in_children():
             self._process.start()
-        theirs.close()  # otherwise, this process would not notice the end of the other process
+        theirs.close()  # otherwise, we would not notice when the other process ends
 
     def __enter__(self) -> NodeProcess:
         return self
@@ -116,12 +120,12 @@ class NodeProcess:
         if kind:
             self._process.kill()
         self._process.join(_PATIENCE)
-        self._process.kill()  # the process may hang
+        self._process.kill()  # in case the process hangs
         self._process.join()
 
     def watch(self, seconds: float) -> None:
         """
-        Receive reports of the node; wait at most `seconds` for the first report.
+        Receive reports from the node; wait at most `seconds` for the first report.
 
         Raises
         ------
@@ -134,7 +138,7 @@ class NodeProcess:
 
     def write(self, path: str | Path, last_ns: int) -> None:
         """
-        Let the node write the log up to `last_ns` after the start, and end the node.
+        Tell the node to write its log, up to the time `last_ns` after the start, and to end.
 
         Raises
         ------
@@ -142,10 +146,10 @@ class NodeProcess:
             The node cannot write the log, or does not end.
 
         """
-        with suppress(OSError):  # the process has ended; its last message contains the reason
+        with suppress(OSError):  # if the process has ended, its last message gives the reason
             self._connection.send((path, last_ns))
         while isinstance(found := self._received(_PATIENCE), Status):
-            self.status = found  # the node sent this report before it received the request
+            self.status = found  # the node sent this report before it received our request
         if found != _WRITTEN:
             raise InputError(f'expected the node to end within {_PATIENCE:g} s, found that it '
                              'hangs')
@@ -164,7 +168,7 @@ class NodeProcess:
 
 
 def _serve(connection: Connection, start: Start, logs: Collection[str]) -> None:
-    """Run a node and report its status until the parent process asks for the log or exits."""
+    """Run a node, and report its status until the parent process asks for the log or exits."""
     with suppress(KeyboardInterrupt, EOFError, OSError), interrupts.deferred(until_exit=True):
         try:
             with start(logs) as node:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The page that shows two closed loops and the differences between them."""
+"""Assemble the HTML page that shows two closed loops and their differences."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ _AXES = tuple(name.strip('|') for name in style.ERRORS[1:])
 
 def page(regression: Regression, name: str, scene: Scene, command: str) -> Page:
     """
-    Return the page of a regression.
+    Return a page that shows the result of a regression.
 
     Parameters
     ----------
     regression : Regression
         The two loops and their differences.
     name : str
-        Name of the reference.
+        The name of the reference.
     scene : Scene
         The scene of both loops.
     command : str
-        The command line.
+        The command line that ran the regression.
 
     """
     shown = [('moving body', 'the loop, not the reference')]
@@ -82,7 +82,7 @@ def _panels(regression: Regression) -> Iterator[Panel]:
 
 def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str], columns: slice,
            start_ns: int, lines: Mapping[str, float]) -> Panel:
-    """Return a panel with the loop drawn over the reference."""
+    """Return a panel in which the curves of the loop are drawn over those of the reference."""
     curves = [Curves.thinned(samples.times_ns, samples.values[:, columns],
                              [f'{name}{of}' for name in names], start_ns, drawn)
               for samples, of, drawn in zip(loops, (' of the reference', ''), ('broad', 'line'))
@@ -92,14 +92,14 @@ def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str],
 
 def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int,
                 lines: Mapping[str, float], names: Sequence[str] = _AXES) -> Panel:
-    """Return a panel with the loop minus the reference at common stamps."""
+    """Return a panel that shows the loop minus the reference at the stamps that both have."""
     return Panel(f'difference: {label}', unit,
                  [Curves.thinned(pair.times_ns, errors, names, start_ns)] if len(errors) else [],
                  lines=lines)
 
 
 def _body(regression: Regression, scene: Scene) -> dict[str, Any]:
-    """Return an animation of the loop, with the motion computed again from the torques."""
+    """Return an animation of the loop, whose motion is recomputed from the torques."""
     loop = regression.loop
     problem = recording.read_epochs(regression.path, scene, _topics(loop))[-1].problem
     step = -(-len(loop.states) // moving_body.MOST)
@@ -110,7 +110,7 @@ def _body(regression: Regression, scene: Scene) -> dict[str, Any]:
 
 
 def _topics(loop: Loop) -> recording.Topics:
-    """Return the topics of the log of a loop."""
+    """Return the topics of the node's log that contains a loop."""
     def full(name: str) -> str | None:
         return f'{loop.node}/{name}' if name in loop.torques else None
     others = _WHEELS, INERTIA, COMMANDS

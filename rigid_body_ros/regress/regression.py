@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compare the closed loop of a controller with a reference, or create a reference."""
+"""Compare the closed loop of a controller with a reference, or create a new reference."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Regression:
     Attributes
     ----------
     reference, loop : Loop
-        The reference and the first run of the controller. For a new reference, the first and the
-        second run of the controller.
+        The reference and the first run of the controller. If a new reference is created, these are
+        the first and the second run of the controller.
     path : Path
         The recording of the first run.
     found : Differences
@@ -45,7 +45,7 @@ class Regression:
     again : Differences or None
         The differences between two runs of the controller; None if the controller ran only once.
     tolerance : float or None, rad
-        The angle by which attitudes may differ. None if all bits must be equal.
+        The largest angle by which attitudes may differ. None if all bits must be equal.
 
     """
 
@@ -58,12 +58,16 @@ class Regression:
 
     @property
     def is_same(self) -> bool:
-        """Return whether the loop equals the reference, within the tolerance if one is given."""
+        """
+        Return whether the loop agrees with the reference.
+
+        If `tolerance` is None, all bits must agree; otherwise, see `Differences.within`.
+        """
         return self.found.within(self.tolerance)
 
     @property
     def verdict(self) -> str:
-        """Return the result in one sentence."""
+        """Summarize the result in one sentence."""
         if self.again is not None and not self.again.equal:
             same = 'within the tolerance, but ' if self.is_same else ''
             return f'{same}the controller is not reproducible: two runs differ from ' \
@@ -75,45 +79,45 @@ class Regression:
         return 'the loop differs from the reference'
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the facts as pairs of a name and a text."""
+        """Return the result as rows to print, each with a name and a text."""
         found = [('result', self.verdict), *self.found.rows()]
         if self.again is not None and self.again.equal:
             found.append(('second run', 'has the same bits as the first'))
         return found
 
     def text(self) -> str:
-        """Return the facts, one line per fact."""
+        """Return the result as text, with one fact per line."""
         return lines(f'{name:14}{text}' for name, text in self.rows())
 
     __str__ = text
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the content of the file that --json writes."""
+        """Return the content of the file that the option --json writes, as JSON types."""
         return {'equal': self.is_same, **self.found.as_dict()}
 
 
 def compare(session: Session, path: str | Path, folder: Path,
             tolerance: float | None = None) -> Regression:
     """
-    Run a controller for the duration of a reference, and compare its loop with the reference.
+    Run a controller for as long as a reference, and compare its loop with the reference.
 
-    If the loops differ, run the controller again to find out whether its loop is reproducible.
+    If the loops differ, the controller is run again to find out whether its loop is reproducible.
 
     Parameters
     ----------
     session : Session
-        The controller and its node.
+        The controller, and the node to run it with.
     path : str or Path
         The recording of the reference.
     folder : Path
-        The folder for the recordings of the runs.
+        The folder where the runs are recorded.
     tolerance : float, optional, rad
-        The angle by which attitudes may differ. Without a tolerance, all bits must be equal.
+        The largest angle by which attitudes may differ. By default, all bits must be equal.
 
     Raises
     ------
     InputError
-        The reference cannot be read, or `Session.record` raises this error.
+        The reference cannot be read, or `Session.record` raises InputError.
 
     """
     reference = read(path, session.wheels)
@@ -128,11 +132,11 @@ def compare(session: Session, path: str | Path, folder: Path,
 def update(session: Session, span: Span, folder: Path,
            tolerance: float | None = None) -> Regression:
     """
-    Run a controller twice, and compare the runs; the first run may become a reference.
+    Run a controller twice, and compare the runs. The first run can serve as a new reference.
 
-    The arguments and the errors are those of `compare`, but `span` replaces the path of the
-    reference, and defines the duration of the loop. If the controller ends early without an error,
-    the loop is shorter.
+    The arguments and errors are the same as for `compare`, except that `span` replaces the path of
+    the reference and sets the duration of the loop. The loop ends before this duration if the
+    controller ends early without an error.
     """
     first = folder / 'first.mcap'
     reference = _recorded(session, first, span, may_end=True)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Run a controller and a node as a closed loop, and record the loop."""
+"""Run a controller and a node in a closed loop, and record the loop."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from rigid_body_ros.regress.node_process import NodeProcess, Start, Status
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import report
 
-#: s; time between checks for signals and for the end of the controller.
+#: Time between two checks for signals and for the end of the controller, s.
 _PERIOD = 0.05
-#: s; maximum time from the end of the controller to the arrival of its last torque.
+#: How long the last torque of a controller may take to arrive after the controller has ended, s.
 _IN_TRANSIT = 1.0
 
 
 @dataclass(frozen=True)
 class Span:
     """
-    How long a loop runs.
+    The duration of a closed loop.
 
     Attributes
     ----------
     last_ns : int
-        The time from the start to the last torque.
+        The time from the start to the last torque of any log, ns.
     by_log : dict
-        The time from the start to the last torque of each log, by name. If the dict is empty, all
-        logs with torques run to `last_ns`.
+        For each log, the time from the start to the last torque, ns, keyed by the name of the log.
+        If `by_log` is empty, every log with torques must reach `last_ns`.
 
     """
 
@@ -59,7 +59,11 @@ class Span:
         return cls(max(loop.spans_ns.values()), loop.spans_ns)
 
     def is_over(self, elapsed_ns: Mapping[str, int]) -> bool:
-        """Return whether a loop is over, given the time from the start to the last torques, ns."""
+        """
+        Return whether a loop has run for this span.
+
+        `elapsed_ns` contains the time from the start to the latest torque of each log, ns.
+        """
         expected = self.by_log or dict.fromkeys(elapsed_ns, self.last_ns)
         return bool(elapsed_ns) and all(elapsed_ns.get(name, -1) >= last_ns
                                         for name, last_ns in expected.items())
@@ -68,18 +72,19 @@ class Span:
 @dataclass(frozen=True)
 class Session:
     """
-    The command of a controller, and a function that starts a node for the controller.
+    A controller's command, and a function that creates the node that the controller works with.
 
     Attributes
     ----------
     command : list of str
+        The controller's command and its arguments.
     start : callable
-        A function that is called in a separate process, and returns a context manager that yields
-        a node.
+        The function that creates the node. It is called in a separate process, and returns a
+        context manager that yields the node.
     timeout : float, s
-        The maximum duration of a loop, in wall time.
+        The longest wall time that a loop may take.
     wheels : tuple of str
-        The names of the wheels of the scene.
+        The names of the wheels in the scene.
 
     """
 
@@ -90,14 +95,14 @@ class Session:
 
     def record(self, path: str | Path, span: Span, may_end: bool = False) -> None:
         """
-        Run the loop, and write it to a recording.
+        Run the closed loop once, and write the loop to a recording.
 
         Parameters
         ----------
         path : str or Path
-            The recording.
+            The recording to write.
         span : Span
-            How long the loop runs.
+            How long to run the loop.
         may_end : bool
             Whether to accept a shorter loop if the controller ends early without an error.
 
@@ -105,7 +110,7 @@ class Session:
         ------
         InputError
             The command cannot be started, ends before the loop is over, sends no torques, takes
-            too long, or starts a second node that publishes odometry.
+            too long, or starts another node that publishes odometry.
 
         """
         with NodeProcess(self.start, span.by_log) as node, \
@@ -116,7 +121,7 @@ class Session:
                 for line in controller.output:
                     report(f'    {line}')
                 raise
-            controller.end()  # the controller may wait for messages forever
+            controller.end()  # without the node, the controller might wait for messages forever
             node.write(path, span.last_ns)
 
     def _run(self, node: NodeProcess, controller: ControllerProcess, span: Span,

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures, pages and wording that the reports of several commands share."""
+"""Create the figures, HTML pages and texts for the reports of several commands."""

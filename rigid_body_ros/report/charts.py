@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Charts of a page: panels with curves, as data for charts.js.
+Prepare the charts of a page: panels with curves, as data for the script charts.js.
 
-The script charts.js in this package draws the charts. docs/report.md explains why the script uses
-no library.
+The script, which is part of this package, draws the charts in the browser. docs/report.md explains
+why it does not use a library.
 """
 
 from __future__ import annotations
@@ -31,34 +31,35 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.report.thinning import Extremes
 
-#: A curve is interrupted between two samples if the interval exceeds this many median intervals.
+#: A curve has a gap wherever the time between two samples exceeds this multiple of the median time
+#: between samples.
 _GAP = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
     """
-    Curves that share their x values.
+    Curves with common x values.
 
     Attributes
     ----------
     x : array, shape (n,)
     low, high : array, shape (n, k)
-        Smallest and largest values from each x to the next x. `low` equals `high`
-        where an interval contains only one sample.
+        The smallest and the largest value between each x and the next. The two are equal where the
+        interval contains only one sample.
     names : sequence of str
         The names of the k curves.
     step : bool
-        Whether the value at each x holds until the next x.
+        Whether each value holds until the next x.
     style : str
-        How the curves are drawn. 'line' draws lines. 'broad' draws broad lines, with which other
-        lines are compared. 'front' draws a broad line behind the points that it connects. 'band'
-        fills the area from `low` to `high` or, with `step`, draws the bars of a histogram. 'marks'
-        draws single points, which do not extend the range of the y axis. 'limits' draws `low` and
-        `high` as two dashed lines. Column k of broad lines, of marks or of limits has the colour
-        of line k. A single limit is black, or white on a dark page.
+        How to draw the curves. 'line' draws lines. 'broad' draws broad lines, for curves that
+        other lines are compared with. 'front' draws a broad line behind the points that it
+        connects. 'band' fills the area between `low` and `high` or, with `step`, draws the bars of
+        a histogram. 'marks' draws single points, which do not extend the range of the y axis.
+        'limits' draws `low` and `high` as two dashed lines. Broad lines, marks and limits in
+        column k have the same colour as line k. A single limit is black, or white on a dark page.
     gap : float, optional
-        Points are not joined if their x values differ by more than this number.
+        Do not join neighbouring points whose x values differ by more than `gap`.
 
     """
 
@@ -73,7 +74,7 @@ class Curves:
     @classmethod
     def thinned(cls, times_ns: NDArray[np.int64], values: Floats, names: Sequence[str],
                 start_ns: int, style: str = 'line') -> Curves:
-        """Thin any number of samples, and return curves over the time since the start, s."""
+        """Thin a series of any length, and return its curves over the time since `start_ns`, s."""
         extremes = Extremes(values.shape[1])
         extremes.add(times_ns, values)
         found = cls.of(extremes, names, start_ns, style=style)
@@ -83,17 +84,17 @@ class Curves:
     @classmethod
     def of(cls, extremes: Extremes, names: Sequence[str], start_ns: int, step: bool = False,
            style: str = 'line') -> Curves:
-        """Return the curves of a thinned series."""
+        """Return the curves of a series that has already been thinned."""
         times, low, high = extremes.result()
         seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
         return cls(seconds, low, high, names, step, style)
 
     def times(self, factor: float) -> Curves:
-        """Return the curves with their values multiplied by a factor."""
+        """Return a copy of the curves with all values multiplied by a factor."""
         return replace(self, low=factor * self.low, high=factor * self.high)
 
     def as_data(self) -> dict[str, Any]:
-        """Return data for the page, with the values as 32-bit differences from an offset."""
+        """Return the curves as data for the page; values are 32-bit differences from an offset."""
         offsets = _offsets(self.low, self.high)
         single = np.array_equal(self.low, self.high)
         return {'x': packed(self.x), 'names': [*self.names], 'step': self.step,
@@ -110,18 +111,18 @@ class Panel:
     Attributes
     ----------
     label, unit : str
-        Label and unit of the y axis. The unit of plain numbers is empty.
+        The label and the unit of the y axis. The unit is empty for plain numbers.
     curves : sequence of Curves
     x_label : str
-        Label of the x axis, including the unit. Panels with the same `x_label` share the range of
-        the x axis and the cursor.
+        The label of the x axis, including the unit. Panels with the same `x_label` are zoomed
+        together and share a cursor.
     kind : str
-        The kind of the axes: 'linear', 'angle' (jumps by a full turn are not drawn), 'log', 'logx'
-        or 'loglog'.
+        The kind of axes: 'linear', 'log', 'logx', 'loglog' or 'angle'. With 'angle', the y axis is
+        linear, and jumps by a full turn are not drawn.
     lines : dict
-        x values to mark; the keys describe them.
+        The x values to mark with vertical lines. The keys are shown next to the lines.
     texts : sequence of sequence of str
-        For each curve, a description of each point. Points with descriptions have markers.
+        A description of each point, for each curve. Points with a description have markers.
 
     """
 
@@ -134,7 +135,7 @@ class Panel:
     texts: Sequence[Sequence[str]] = ()
 
     def as_data(self) -> dict[str, Any]:
-        """Return data for the page."""
+        """Return the panel as data for the page."""
         return {'label': self.label, 'unit': self.unit, 'xLabel': self.x_label,
                 'kind': self.kind, 'lines': dict(self.lines), 'texts': [*map(list, self.texts)],
                 'curves': [each.as_data() for each in self.curves]}
@@ -150,6 +151,6 @@ def _offsets(low: Floats, high: Floats) -> Floats:
 
 
 def packed(values: ArrayLike, kind: type = np.float64) -> str:
-    """Encode an array as little-endian bytes in base64, which the scripts decode."""
+    """Encode an array as little-endian bytes in base64, the format that the scripts decode."""
     found = np.ascontiguousarray(values, np.dtype(kind).newbyteorder('<'))
     return base64.b64encode(found.tobytes()).decode()

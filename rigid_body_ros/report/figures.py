@@ -44,7 +44,7 @@ from rigid_body_ros.report.style import (
 )
 
 _GREYS = ('#333333', '#999999')
-#: Maximum number of points in a curve. More points would not be visible.
+#: Maximum number of points in a curve. Drawing more points would make no visible difference.
 _POINTS = 20_000
 
 
@@ -52,9 +52,9 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
            sequence: str, title: str, timeout_ns: int = 0,
            fields: Floats | None = None) -> None:
     """
-    Draw Euler angles, quaternion, angular velocity and torque over time into a PNG file.
+    Draw a motion: Euler angles, quaternion, angular velocity and torque over time, in a PNG file.
 
-    If the rotors have momentum, draw the momentum as well.
+    If the rotors have momentum, the figure also shows the rotor momentum.
 
     Parameters
     ----------
@@ -63,15 +63,16 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     trajectory : Trajectory
         The motion, in ascending order of time.
     log : TorqueLog or sequence of TorqueLog
-        The torques, drawn in the axes of their samples. Each log has a separate panel.
+        The torques. Each sample is drawn in the axes in which it is given. Each log has its own
+        panel.
     sequence : str
-        Sequence of the Euler angles.
+        The sequence of the Euler angles.
     title : str
         The title. It is drawn literally: a $ does not start a formula.
     timeout_ns : int
         The maximum time for which a sample acts, ns, as for `TorqueLog.segments`.
     fields : array, shape (m, 3), N m, body axes, optional
-        The torque of the fields at the times of the trajectory.
+        The torque that the fields apply at the times of the trajectory.
 
     Raises
     ------
@@ -111,19 +112,19 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
 def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
                    Sequence[float]]], title: str, lines: Mapping[str, float]) -> None:
     """
-    Draw cost over error, one curve per solver, into a PNG file.
+    Draw the cost of solvers against their error into a PNG file, with one curve per solver.
 
     Parameters
     ----------
     path : str or Path
         The PNG file. Its name may have any suffix, and an existing file is overwritten.
     curves : dict
-        For each solver, a list of attitude errors, rad, and a list of costs, s of wall time per
-        simulated second. Both lists are in the order of the settings of the solver.
+        For each solver, a list of attitude errors, rad, and a list of costs, in seconds of wall
+        time per simulated second. Item i of both lists belongs to setting i of the solver.
     title : str
         The title. It is drawn literally: a $ does not start a formula.
     lines : dict
-        Attitude errors, rad, drawn as vertical lines; the keys describe them.
+        Attitude errors to mark with vertical lines, rad. The keys are shown next to the lines.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     figure = Figure(figsize=(7.2, 5.0), layout='constrained')
     figure.suptitle(literal(title), fontsize=10)
     panel = figure.subplots()
-    least = float(np.finfo(float).eps)  # smaller errors are not meaningful
+    least = float(np.finfo(float).eps)  # smaller errors have no meaning
     for number, (name, (errors, costs)) in enumerate(curves.items()):
         panel.loglog(np.maximum(errors, least), costs, STYLES[number % len(STYLES)],
                      linewidth=1.4, markersize=4.5, color=COLOURS[number],
@@ -154,7 +155,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
 
 
 class Series(NamedTuple):
-    """Vectors over time: name, unit, times in ns, shape (n,), and values, shape (n, 3)."""
+    """Vectors over time: a name, a unit, times in ns, shape (n,), and values, shape (n, 3)."""
 
     label: str
     unit: str
@@ -166,20 +167,20 @@ def errors(path: str | Path, panels: Sequence[Series], others: Sequence[Series],
            logs: Sequence[TorqueLog], horizons: Mapping[float, Floats], title: str,
            timeout_ns: int = 0) -> None:
     """
-    Draw errors over time on logarithmic axes, with the torques below, into a PNG file.
+    Draw errors over time into a PNG file, on logarithmic axes and with the torques below them.
 
     Parameters
     ----------
     path : str or Path
         The PNG file. Its name may have any suffix, and an existing file is overwritten.
     panels : sequence of Series
-        Errors in body axes, at least one.
+        The errors in body axes. There must be at least one series.
     others : sequence of Series
-        Other torques in body axes, drawn on linear axes below the torques of the logs.
+        Further torques in body axes. They are drawn on linear axes below the torques of the logs.
     logs : sequence of TorqueLog
         The torques, drawn as in `motion`.
     horizons : dict
-        The median and the 95th percentile of the attitude error, rad, by horizon, s.
+        The median and the 95th percentile of the attitude error, rad, for each horizon, s.
     title : str
         The title. It is drawn literally: a $ does not start a formula.
     timeout_ns : int
@@ -273,7 +274,7 @@ def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]
 
 
 def _without_jumps(angles: Floats) -> Floats:
-    # A line from 2 pi back to 0 would suggest a rotation that does not happen.
+    # Do not draw a line from 2 pi back to 0, since it would look like a rotation.
     broken = angles.copy()
     broken[1:][np.abs(np.diff(angles, axis=0)) > np.pi] = np.nan
     return broken
@@ -281,8 +282,8 @@ def _without_jumps(angles: Floats) -> Floats:
 
 def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
                   timeout_ns: int) -> NDArray[np.int64]:
-    # Sample the torque on a grid and, unless there are too many changes, just before and after
-    # each change, so that steps are vertical.
+    # Sample the torque on a grid. Unless there are too many changes, also sample it just before
+    # and after each change, so that steps are vertical.
     changes, _ = log.segments(timeout_ns)
     grid = start_ns + np.linspace(0, end_ns - start_ns, _POINTS // 4).astype(np.int64)
     if 2 * len(changes) <= _POINTS:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Add titles, legends and axis labels to figures, and write figures to files."""
+"""Add titles, legends and axis labels to figures, and save figures to files."""
 
 from __future__ import annotations
 
@@ -31,24 +31,25 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import shortened
 
-#: Number of characters of a title that fit into the picture, even if they are wide.
+#: The number of characters that fit into the title of a picture even if all characters are wide.
 _TITLE = 50
 
 
 def literal(title: str) -> str:
-    """Cut a title to fit, and replace bytes that are not text, as in some file names."""
+    """Shorten a title to fit into the picture, and replace bytes that are not text."""
     return shortened(title.encode(errors='replace').decode(), _TITLE)
 
 
 def save(figure: Figure, path: str | Path, dpi: int) -> None:
     """
-    Write a figure to a PNG file.
+    Save a figure to a PNG file.
 
-    A $ in a name does not start a formula. Characters that the font lacks are drawn as boxes.
+    Names are drawn literally, so a $ does not start a formula. Characters that are missing from
+    the font are drawn as boxes.
     """
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        if text.get_text():  # most ticks get text later, which may contain powers of ten
+        if text.get_text():  # ticks get their text later, often with powers of ten
             text.set_parse_math(False)
     with warnings.catch_warnings():
         warnings.filterwarnings('ignore', 'Glyph|Matplotlib currently does not support')
@@ -56,12 +57,12 @@ def save(figure: Figure, path: str | Path, dpi: int) -> None:
 
 
 def legend(panel: Axes, **options: Any) -> None:
-    """Draw the legend to the right of a panel."""
+    """Draw a legend to the right of a panel."""
     panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, **options)
 
 
 def label(axis: Axis, text: str, unit: str, values: Floats) -> None:
-    """Label an axis; if all values are small, add a prefix to the unit, as in mrad/s."""
+    """Label an axis; if all values are small, use a unit with a prefix, such as mrad/s."""
     largest = float(np.abs(values).max())
     exponent = min(3 * math.floor(math.log10(largest) / 3.0), 0) if largest else 0
     exponent = max(exponent, min(EngFormatter.ENG_PREFIXES))
@@ -71,4 +72,4 @@ def label(axis: Axis, text: str, unit: str, values: Floats) -> None:
 
 
 def _scaled(value: float, scale: float) -> str:
-    return f'{round(value / scale, 9) + 0.0:g}'.replace('-', '−')  # + 0.0 removes negative zeros
+    return f'{round(value / scale, 9) + 0.0:g}'.replace('-', '−')  # + 0.0 turns -0 into 0

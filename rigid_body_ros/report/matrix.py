@@ -13,7 +13,7 @@
 # limitations under the License.
 
 
-"""Draw a matrix of correlations."""
+"""Draw a matrix of correlations as an SVG picture for a page."""
 
 from __future__ import annotations
 
@@ -23,26 +23,28 @@ import math
 
 from rigid_body_ros.common.arrays import Floats
 
-#: Width of a cell, and width of a character of a name, px.
+#: The width of a cell, and the width of a character in a name, px.
 _CELL, _CHARACTER = 30, 6.6
-#: Maximum number of rows. If there are more parameters, only the first parameters are shown.
+#: Maximum number of rows. If there are more parameters than this, only the first parameters are
+#: shown.
 _MOST = 40
-#: A cell shows a number if the magnitude of its correlation is at least this large.
+#: A cell shows the correlation as a number if the magnitude of the correlation is at least this
+#: large.
 _NUMBERED = 0.1
 
 
 def picture(title: str, names: Sequence[str], values: Floats) -> str:
     """
-    Return a heading and a picture of a matrix as HTML.
+    Return HTML with a heading and a picture of a correlation matrix.
 
     Parameters
     ----------
     title : str
         The heading.
     names : sequence of str
-        Names of the n rows and columns.
+        The names of the n rows and columns.
     values : array, shape (n, n)
-        Correlations from -1 to 1; NaN for unknown correlations.
+        The correlations, from -1 to 1, or NaN where a correlation is unknown.
 
     """
     shown = names[:_MOST]

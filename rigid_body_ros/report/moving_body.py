@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The data of a motion for the animated body of a page."""
+"""Prepare a motion as data for the animated body on a page."""
 
 from __future__ import annotations
 
@@ -26,32 +26,35 @@ from rigid_body_ros.mechanics.body import RigidBody, uniform_box
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.charts import packed
 
-#: Columns of the data: attitude, and angular velocity, torque and rotor momentum in body axes.
+#: The columns of the data: the attitude, and the angular velocity, torque and rotor momentum in
+#: body axes.
 ATTITUDE, RATE, TORQUE, ROTORS = slice(4), slice(4, 7), slice(7, 10), slice(10, 13)
 COLUMNS = 13
 #: Maximum number of attitudes on a page.
 MOST = 2 ** 14
-#: Where the error of interpolation exceeds this, rad, the page shows only computed attitudes.
+#: Where the interpolation error exceeds this angle, rad, the page does not interpolate between
+#: attitudes. In such an interval, the page shows only computed attitudes.
 _WORST = 1e-7
-#: Minimum length of an edge of the drawn box, whose longest edge is 1, so that a thin plate
-#: stays visible.
+#: Minimum length of an edge of the box, so that a thin plate stays visible. The longest edge has
+#: length 1.
 _THINNEST = 0.05
-#: Relative change of energy and momentum up to which a motion counts as nearly torque-free.
+#: A motion counts as nearly torque-free if its energy and its angular momentum change by less than
+#: this fraction.
 _NEARLY = 0.05
 
 
 def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[str, Any]:
     """
-    Return the data of a motion for the page.
+    Return the data that a page needs to animate a motion.
 
     Parameters
     ----------
     body : RigidBody
         The body.
     times_ns : array of int64, shape (n,)
-        Ascending times.
+        The times, ascending.
     rows : array, shape (n, 13)
-        Values, in the columns `ATTITUDE`, `RATE`, `TORQUE` and `ROTORS`.
+        The values at these times, in the columns `ATTITUDE`, `RATE`, `TORQUE` and `ROTORS`.
 
     """
     seconds = (times_ns - times_ns[0]) * 1e-9
@@ -66,7 +69,7 @@ def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[
 
 
 def of_motion(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """Compute a motion at some of the given ascending times; return the data for the page."""
+    """Compute a motion at some of the ascending times `stamps_ns`; return the data for a page."""
     step = -(-len(stamps_ns) // MOST)
     times_ns = np.union1d(stamps_ns[::step], stamps_ns[-1:])
     motion = problem.propagate(at=times_ns)
@@ -77,18 +80,18 @@ def of_motion(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
 
 def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[str, Any]:
     """
-    Return the data of a second body for the page.
+    Return the data that a page needs to draw the outline of a second body.
 
-    The page draws the outline of this body, with the attitude of the sample nearest in time.
+    The outline has the attitude of the nearest sample; attitudes are not interpolated.
 
     Parameters
     ----------
     start_ns : int
-        Time at which the motion of the page begins, ns.
+        The time at which the motion on the page begins, ns.
     times_ns : array of int64, shape (n,)
-        Ascending times.
+        The times of the samples, ascending.
     attitude : array, shape (n, 4)
-        Quaternions x y z w.
+        The attitudes of the samples, as quaternions x y z w.
 
     """
     rows = slice(None, None, -(-len(times_ns) // MOST))
@@ -100,10 +103,11 @@ def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[
 
 def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:
     """
-    Return whether the page may interpolate in each interval between samples, shape (n - 1,).
+    Return a mask of the intervals in which the page may interpolate, shape (n - 1,).
 
-    To check a sample, its attitude is also interpolated between the two neighbouring samples. Both
-    attitudes must agree at each end of an interval.
+    A sample is checked by interpolating its attitude from its two neighbours. An interval is
+    smooth if, at both of its ends, the interpolated attitude agrees with the attitude of the
+    sample.
     """
     states = rows[:, ATTITUDE], rows[:, RATE]
     if len(seconds) < 3:
@@ -112,7 +116,8 @@ def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:
     spans = seconds[2:] - seconds[:-2]
     attitude, _ = hermite.between(first, last, spans, (seconds[1:-1] - seconds[:-2]) / spans)
     good = so3.angle_between(attitude, states[0][1:-1]) < _WORST
-    good &= np.linalg.norm(states[1][1:-1], axis=1) * spans < 1.0  # 1 rad: no turn is missed
+    # Limit the rotation between samples to 1 rad, so that no full turn is missed.
+    good &= np.linalg.norm(states[1][1:-1], axis=1) * spans < 1.0
     return np.append(good[:1], good) & np.append(good, good[-1:])
 
 

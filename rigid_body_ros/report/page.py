@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Assemble a page: one HTML file that needs no network, no ROS and no installation.
+Assemble a page: a single HTML file that needs no network, no ROS and no installation.
 
-All text from recordings and scenes is escaped. The content security policy of the page allows only
-the scripts and the style of this package, by their hashes, and no network requests.
+All text from recordings and scenes is escaped. In addition, the page has a content security policy
+that blocks network requests and allows only the scripts and styles of this package. The policy
+identifies them by their hashes.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ from rigid_body_ros.runtime.fingerprint import fingerprint
 from rigid_body_ros.scene import Scene
 
 _WEB = Path(__file__).with_name('web')
-#: Characters inside a JSON text that could end a script or a line of a script.
+#: Characters in a JSON text that could end the script, or end a line of the script.
 _UNSAFE = {ord(char): f'\\u{ord(char):04x}' for char in '<>&\u2028\u2029'}
-#: Number of characters after which a parameter, such as a URDF, is cut.
+#: A longer parameter, such as a URDF, is cut off after this many characters.
 _LONGEST = 200
 
-#: Facts as names and texts; an empty name continues the previous fact.
+#: Facts, each with a name and a text. If the name is empty, the text continues the previous fact.
 Rows = Sequence[tuple[str, object]]
 
 
@@ -55,21 +56,23 @@ class Page:
     Attributes
     ----------
     title : str
-        The subject of the page.
+        What the page is about.
     headline : str
-        The result in one sentence without a full stop. It may begin in lower case.
+        The result in one sentence, without a full stop. It may begin with a lower-case letter.
     story : sequence of (str, object)
-        The facts as names and texts. An empty name continues the previous fact.
+        The facts, each with a name and a text. If the name is empty, the text continues the
+        previous fact.
     panels : sequence of Panel
+        The charts.
     body : dict, optional
-        The motion to animate, from `moving_body.as_data`.
+        The motion to animate, as returned by `moving_body.as_data`.
     warnings : sequence of str
     copied : sequence of str
-        Texts that are shown with a button to copy them.
+        Texts to show with a button that copies them.
     table : str
-        HTML from `table`; empty if there is no table.
+        The table, as HTML returned by the function `table`; empty if there is no table.
     picture : str
-        HTML of a picture below the charts; empty if there is no picture.
+        HTML of a picture to show below the charts; empty if there is no picture.
 
     """
 
@@ -87,12 +90,12 @@ class Page:
 
 
 class Markup(str):
-    """HTML in a cell of a `table`. Strings of other types are plain text."""
+    """A string that contains HTML. `table` treats all other strings as plain text."""
 
 
 def write(path: str | Path, page: Page) -> None:
     """
-    Write a page.
+    Write a page to an HTML file.
 
     Raises
     ------
@@ -105,7 +108,7 @@ def write(path: str | Path, page: Page) -> None:
 
 
 def html(page: Page) -> str:
-    """Return a page as HTML."""
+    """Return the HTML of a page."""
     style, charts, body = (
         ''.join(f'\n{(_WEB / name).read_text(encoding="utf-8")}' for name in names)
         for names in (['page.css'], ['tools.js', 'charts.js'], ['body.js']))
@@ -123,7 +126,7 @@ def html(page: Page) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as HTML; cells are plain text or `Markup`."""
+    """Return the HTML of a table. Each cell is plain text or `Markup`."""
     head, *body = (''.join(f'<{tag}>{_cell(cell)}</{tag}>' for cell in row)
                    for tag, row in [('th', header), *(('td', row) for row in rows)])
     lines = ''.join(f'<tr>{row}</tr>' for row in body)
@@ -136,17 +139,17 @@ def _cell(cell: str) -> str:
 
 
 def _shown(text: str) -> str:
-    """Return a text as HTML, with the unit of inertia as kg m²."""
+    """Escape a text for HTML, and write the unit of inertia as kg m²."""
     return escape(text).replace('kg m^2', 'kg m²')
 
 
 def _layout(page: Page) -> str:
-    """Return the name of the layout, which depends on whether the page has a motion or charts."""
+    """Return the name of the page's layout: with a moving body, with charts, or with neither."""
     return 'moving' if page.body else 'charted' if page.panels else 'listed'
 
 
 def embedded(data: object) -> str:
-    """Return data as JSON without characters that have a meaning in HTML or scripts."""
+    """Return data as JSON that is safe to embed in HTML and in scripts."""
     return json.dumps(data, allow_nan=False).translate(_UNSAFE)
 
 

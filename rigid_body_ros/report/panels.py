@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Panels that the pages of several commands share."""
+"""Chart panels that the pages of several commands share."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.text import scaled
 from rigid_body_ros.report.thinning import Extremes
 
-#: The label of a time axis that begins at the first measurement.
+#: The label of a time axis that starts at the first measurement.
 SINCE_FIRST = 'time from the first measurement (s)'
-#: Number of times at which the curve of a torque is sampled.
+#: The number of times at which a torque is sampled to draw its curve.
 _SAMPLES = 5000
 
 
 class Drawn(NamedTuple):
     """
-    The times of drawn samples, and whether each sample is an outlier.
+    The times of the samples to draw, and whether each sample is an outlier.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
     inliers : array of bool, shape (n,)
-        Which samples are not outliers. Outliers are drawn as marks.
+        A mask of the samples that are not outliers. Outliers are drawn as marks.
 
     """
 
@@ -53,7 +53,7 @@ class Drawn(NamedTuple):
 
     def curves(self, values: Floats, names: Sequence[str], start_ns: int,
                style: str = 'line') -> Iterator[Curves]:
-        """Generate curves through the inliers, and marks at outliers (if there are outliers)."""
+        """Generate curves through the inliers and, if there are outliers, marks for them."""
         kept = self.inliers
         if kept.any():
             yield Curves.thinned(self.times_ns[kept], values[kept], names, start_ns, style)
@@ -65,19 +65,19 @@ class Drawn(NamedTuple):
 def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, computed: Floats,
                   start_ns: int) -> Panel:
     """
-    Return a panel with computed curves drawn over measured curves.
+    Return a panel in which computed curves are drawn over measured curves.
 
     Parameters
     ----------
     label, unit : str
-        Label and unit of the y axis.
+        The label and the unit of the y axis.
     samples : Drawn
         The times of the samples, and whether each sample is an outlier.
     measured, computed : array, shape (n, 4) or (n, 3)
-        Quaternions x y z w, or vectors. The signs of quaternions are chosen so that the curves do
-        not jump.
+        Quaternions x y z w, or vectors. The signs of quaternions are chosen so that their curves
+        do not jump.
     start_ns : int
-        The time at which the time axis begins.
+        The time at which the time axis starts.
 
     """
     names: Sequence[str] = style.QUATERNION if measured.shape[1] == 4 else style.RATES
@@ -92,7 +92,7 @@ def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, compu
 
 
 def _without_jumps(attitude: Floats, chosen: NDArray[np.bool_] | None = None) -> Floats:
-    """Choose the sign of each `chosen` quaternion, so that it is close to the previous one."""
+    """Flip signs so that each of the `chosen` quaternions is close to the one before."""
     found = attitude.copy()
     rows = slice(None) if chosen is None else np.flatnonzero(chosen)
     part = attitude[rows]
@@ -103,7 +103,11 @@ def _without_jumps(attitude: Floats, chosen: NDArray[np.bool_] | None = None) ->
 
 def error_panel(label: str, unit: str, samples: Drawn, errors: Floats,
                 band: tuple[str, float], start_ns: int) -> Panel:
-    """Return a panel with errors, shape (n, 3), and a band, given by its name and half width."""
+    """
+    Return a panel with errors, shape (n, 3), and with limits at plus and minus a half width.
+
+    `band` contains the name of the limits and the half width.
+    """
     name, size = band
     curves = [*samples.curves(errors, style.SIGNED, start_ns)]
     if size:
@@ -112,7 +116,11 @@ def error_panel(label: str, unit: str, samples: Drawn, errors: Floats,
 
 
 def limits(times_ns: NDArray[np.int64], sizes: Floats, name: str, start_ns: int) -> Curves:
-    """Return curves at plus and minus `sizes`, shape (n, k); for constant limits, (2, k)."""
+    """
+    Return dashed curves at plus and minus `sizes`.
+
+    The shape of `sizes` is (n, k), or (2, k) if the limits are constant.
+    """
     times_ns = times_ns[[0, -1]] if len(sizes) == 2 else times_ns
     extremes = Extremes(sizes.shape[1])
     extremes.add(times_ns, sizes)
@@ -121,14 +129,14 @@ def limits(times_ns: NDArray[np.int64], sizes: Floats, name: str, start_ns: int)
 
 
 def in_degrees(panel: Panel) -> Panel:
-    """Return a copy of a panel with angles in degrees."""
+    """Return a copy of a panel that shows angles in degrees."""
     factor, unit = scaled(panel.unit, True)
     return replace(panel, unit=unit, curves=[each.times(factor) for each in panel.curves])
 
 
 def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
                   timeout_ns: int = 0) -> Iterator[Panel]:
-    """Generate a panel for each log that has samples."""
+    """Generate a panel for each torque log that has samples."""
     logs = [log for log in logs if len(log)]
     times = np.unique(np.linspace(0, end_ns - start_ns, _SAMPLES).astype(np.int64)) + start_ns
     for log, name in zip(logs, style.torque_names(len(logs))):
@@ -139,7 +147,7 @@ def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
 
 def field_panels(problem: Problem, times_ns: NDArray[np.int64],
                  start_ns: int) -> Iterator[Panel]:
-    """Generate a panel with the torque of the fields at ascending times, if there are fields."""
+    """Generate a panel with the torque of the fields at ascending times; none without fields."""
     if problem.fields:
         times_ns = times_ns[::-(-len(times_ns) // _SAMPLES)]
         torques = problem.field_torque(times_ns, problem.propagate(at=times_ns).attitude)
@@ -149,7 +157,7 @@ def field_panels(problem: Problem, times_ns: NDArray[np.int64],
 
 class ThinnedTorque:
     """
-    The torque of one log during a motion, which is thinned as parts of the log are added.
+    The torque of a log, which is thinned as the parts of the log are added one by one.
 
     Parameters
     ----------
@@ -165,7 +173,7 @@ class ThinnedTorque:
         self._step = True
 
     def add(self, log: TorqueLog, times: NDArray[np.int64]) -> None:
-        """Add the torque of a log up to the last time in `times`."""
+        """Add the torque in the next part of the log, up to the last time in `times`."""
         end_ns = int(times[-1])
         changes, _ = log.segments(self._timeout_ns)
         known = changes[(changes > (times[0] if self._taken_ns is None else self._taken_ns))
@@ -179,7 +187,7 @@ class ThinnedTorque:
         self._taken_ns, self._step = end_ns, log.interpolation == 'hold'
 
     def panel(self, name: str, start_ns: int, x_label: str = Panel.x_label) -> Panel:
-        """Return a panel with the torque that `add` has collected."""
+        """Return a panel with the torque that has been added so far."""
         axes = style.axes_name(np.array([*self._frames], np.bool_))
         return Panel(f'{name}, {axes}', 'N m', [Curves.of(
             self._extremes, style.TORQUES, start_ns, self._step)], x_label)

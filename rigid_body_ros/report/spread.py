@@ -26,7 +26,7 @@ import numpy as np
 from rigid_body_ros.report.labels import label, legend, literal, save
 from rigid_body_ros.report.style import COLOURS, MARKED, STYLES
 
-#: Maximum number of rank correlations that are drawn. Weaker correlations are not drawn.
+#: The largest number of rank correlations that are drawn, beginning with the strongest.
 _SHOWN = 10
 
 
@@ -38,14 +38,14 @@ def draw(path: str | Path, found: Mapping[str, Any], correlations: Sequence[tupl
     Parameters
     ----------
     path : str or Path
-        The PNG file. Its name may have any suffix, and an existing file is overwritten.
+        The PNG file, with any suffix. An existing file is overwritten.
     found : mapping
         The results, as in summary.json. At least one run must have succeeded.
     correlations : sequence of (str, float)
-        Names and rank correlations, strongest first.
+        The names and rank correlations of the parameters, beginning with the strongest.
     title : str
-        The title, to which the number of runs is appended. The title is drawn literally: a $ does
-        not start a formula.
+        The title, to which the number of runs is appended. The title is drawn literally, so a $
+        does not start a formula.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _draw_correlations(panel: Axes, correlations: Sequence[tuple[str, float]]) -
     panel.bar_label(bars, texts, padding=3, fontsize=8)
     panel.set_yticks(range(len(names)), [literal(name) for name in names])
     panel.invert_yaxis()
-    panel.set_xlim(min(0.0, min(values) - 0.15), 1.1)  # leaves room for the numbers
+    panel.set_xlim(min(0.0, min(values) - 0.15), 1.1)  # leave room for the numbers
     panel.set_xlabel('rank correlation of this angle with the distance from the nominal value')
     panel.grid(alpha=0.3, axis='x')
     panel.set_axisbelow(True)

@@ -19,16 +19,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: The palette of Okabe and Ito, whose colours colour-blind readers can distinguish. In greyscale,
-#: readers distinguish curves by line styles.
+#: The palette of Okabe and Ito, which is suitable for colour-blind readers. In greyscale, curves
+#: can be told apart by their dashes.
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
 STYLES = ('-', '--', '-.', ':')
 MARKERS = ('o', 's', '^', 'D', 'v', 'x')
-#: Percentiles that the histogram of an ensemble marks, and their names.
+#: The percentiles to mark in the histogram of an ensemble, and their names.
 MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
 QUATERNION = ('x', 'y', 'z', 'w')
 RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'), ('τ₁', 'τ₂', 'τ₃')
-#: The label of the torque of the fields, which depends on the attitude.
+#: The label for the torque that the fields apply. This torque depends on the attitude.
 FIELDS = 'torque of the fields'
 ERRORS = ('|e|', '|e₁|', '|e₂|', '|e₃|')
 SIGNED = ('e₁', 'e₂', 'e₃')
@@ -41,10 +41,10 @@ def euler_names(sequence: str) -> tuple[str, ...]:
 
 
 def torque_names(count: int) -> list[str]:
-    """Return names for `count` torques; a single torque has no number."""
+    """Return names for `count` torques; the names are numbered unless there is only one torque."""
     return ['torque'] if count == 1 else [f'torque {number}' for number in range(1, count + 1)]
 
 
 def axes_name(in_space: NDArray[np.bool_]) -> str:
-    """Return the name of the axes of some torques: body, space or mixed axes."""
+    """Return a name for the axes of some torques: body axes, space axes or mixed axes."""
     return 'body axes' if not in_space.any() else 'space axes' if in_space.all() else 'mixed axes'

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Wording that the reports of several commands share."""
+"""Format the numbers and texts in the reports of several commands."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ import math
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import printable
 
-#: Factors from units in radians to units in degrees, and the names of the units in degrees.
+#: For each unit with radians, the factor that converts to degrees, and the unit with degrees.
 _ANGLES = {'rad': (math.degrees(1.0), 'deg'), 'rad/s': (math.degrees(1.0), 'deg/s')}
-#: Maximum number of digits of a value, and the powers of ten of the numbers that are written
-#: without an exponent.
+#: Maximum number of digits in a value, and the range of decimal exponents for which a number is
+#: written without an exponent.
 _DIGITS, _PLAIN = 15, range(-4, 7)
 
 
 def scaled(unit: str, degrees: bool) -> tuple[float, str]:
-    """Return the factor that converts to the displayed unit, and the name of this unit."""
+    """Return the factor that converts a value from `unit` to the displayed unit, and that unit."""
     return _ANGLES.get(unit, (1.0, unit)) if degrees else (1.0, unit)
 
 
 def numbers(values: Floats, digits: int, between: str = ' ') -> str:
-    """Return the numbers of an array as text, rounded to `digits` significant digits."""
+    """Format the numbers in an array, rounded to `digits` significant digits."""
     return between.join(f'{value:.{digits}g}' for value in values)
 
 
 def rounded(value: float, sigma: float) -> str:
     """
-    Return a value as text, rounded to the second digit of its standard deviation.
+    Format a value, rounded to the second significant digit of its standard deviation.
 
-    See JCGM 100 (GUM), 7.2.6. If the standard deviation is not finite and positive, the text
-    contains seven digits.
+    See JCGM 100 (GUM), 7.2.6. If the standard deviation is not finite or not positive, the value
+    is rounded to seven digits.
     """
     if not (0.0 < sigma < math.inf):
         return f'{value:.7g}'
     place = int(f'{sigma:.1e}'.partition('e')[2]) - 1
-    value = round(value, -place) + 0.0  # + 0.0 removes negative zeros
+    value = round(value, -place) + 0.0  # + 0.0 turns -0 into 0
     if place > 0 and abs(value) < 10.0 ** _PLAIN.stop:
         return f'{value:.0f}'
     first = int(f'{value:.{_DIGITS}e}'.partition('e')[2]) if value else place
@@ -60,7 +60,7 @@ def rounded(value: float, sigma: float) -> str:
 
 
 def lines(texts: Iterable[str]) -> str:
-    """Join texts, one per line; escape line breaks in a text, which a name may contain."""
+    """Join texts, one per line. A line break inside a text, for example in a name, is escaped."""
     return '\n'.join(map(printable, texts))
 
 
@@ -71,10 +71,10 @@ def interpolation_row(interpolation: str, differences: Mapping[str, float | None
     Parameters
     ----------
     interpolation : str
-        The interpolation in use.
+        The interpolation that was used.
     differences : dict
-        For each other interpolation, the angle between the final attitudes, rad. None if the body
-        would spin too fast to compute its motion.
+        For each other interpolation, the angle by which the final attitude would change, rad. The
+        value is None if the body would spin too fast for its motion to be computed.
 
     """
     others = [f'{name} would spin the body too fast' if angle is None else

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Thin long series while they are computed, so that they need not fit into memory."""
+"""Thin a long series while it is being computed, so that it need not fit into memory."""
 
 from __future__ import annotations
 
@@ -20,22 +20,25 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Maximum number of intervals of a series, about ten per pixel column of a chart.
+#: Maximum number of intervals in a series. This number is about ten times the width of a chart in
+#: pixels.
 _INTERVALS = 2 ** 13
 
 
 class Extremes:
     """
-    Minimum and maximum of columns in intervals with equal numbers of samples.
+    The minimum and maximum of each column of a series, in intervals of 2^k samples.
 
-    Each interval contains 2^k samples. When there are too many intervals, pairs of neighbouring
-    intervals are merged. Therefore, a spike of one sample is visible in a series of any length.
+    When there are too many intervals, each pair of neighbouring intervals is merged, and k
+    increases by one. No extreme value is lost in this way, so a spike of a single sample stays
+    visible in a series of any length.
 
     Parameters
     ----------
     columns : int
+        Number of columns.
     most : int
-        Maximum number of intervals; an even number.
+        Maximum number of intervals, which must be even.
 
     """
 
@@ -43,11 +46,15 @@ class Extremes:
         self._most, self._size = most, 1
         self._times = np.empty(0, np.int64)
         self._low = self._high = np.empty((0, columns))
-        #: The samples in the last, incomplete interval.
+        #: The samples of the last interval, which is not complete yet.
         self._rest = np.empty(0, np.int64), np.empty((0, columns))
 
     def add(self, times_ns: NDArray[np.int64], values: Floats) -> None:
-        """Add later samples: times, shape (n,), and values, shape (n, columns)."""
+        """
+        Add the next samples of the series.
+
+        The times have shape (n,), and the values have shape (n, columns).
+        """
         times = np.concatenate([self._rest[0], times_ns])
         values = np.concatenate([self._rest[1], values])
         count = len(times) // self._size
@@ -59,7 +66,11 @@ class Extremes:
             self._merge()
 
     def result(self) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Return the start times, shape (n,), and the minima and maxima, shape (n, columns)."""
+        """
+        Return the start time of each interval, and its minima and maxima.
+
+        The times have shape (n,), and the minima and the maxima have shape (n, columns).
+        """
         times, values = self._rest
         if not len(times):
             return self._times, self._low, self._high
@@ -72,8 +83,8 @@ class Extremes:
         self._high = np.concatenate([self._high, high])
 
     def _merge(self) -> None:
-        # Intervals are merged in pairs. If the last interval has no partner, turn its extremes
-        # back into samples of the incomplete interval.
+        # Merge the intervals in pairs. If the last interval has no partner, put its minima and
+        # maxima back into the incomplete interval as samples.
         odd = len(self._times) % 2
         if odd:
             time, low, high = self._times[-1:], self._low[-1:], self._high[-1:]
@@ -92,12 +103,12 @@ class Extremes:
 
 class EveryNth:
     """
-    Evenly spaced rows of a series, including the first and the last row.
+    A selection of evenly spaced rows of a series, including the first and the last row.
 
     Parameters
     ----------
     most : int
-        Maximum number of rows, not counting the last row.
+        Maximum number of selected rows, not counting the last row.
 
     """
 
@@ -107,12 +118,16 @@ class EveryNth:
         self._last: tuple[NDArray[np.int64], Floats] | None = None
 
     def chosen(self, count: int) -> NDArray[np.intp]:
-        """Return which of the next `count` rows to pass to `add`, including the last row."""
+        """
+        Return the indices of the rows to pass to `add`, out of the next `count` rows.
+
+        The last row is always included.
+        """
         rows = np.arange(-self._count % self._step, count, self._step)
         return np.union1d(rows, [count - 1]) if count else rows
 
     def add(self, count: int, times_ns: NDArray[np.int64], values: Floats) -> None:
-        """Add the `chosen` rows of `count` rows: times, shape (n,), and values, shape (n, k)."""
+        """Add the rows that `chosen` selected: times, shape (n,), and values, shape (n, k)."""
         regular = len(times_ns) - ((self._count + count - 1) % self._step != 0)
         self._parts.append((times_ns[:regular], values[:regular]))
         self._last = times_ns[-1:], values[-1:]
@@ -123,7 +138,7 @@ class EveryNth:
             self._step *= 2
 
     def result(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return times, shape (n,), and values, shape (n, k)."""
+        """Return the times, shape (n,), and the values, shape (n, k), of the selected rows."""
         times, rows = self._joined()
         assert self._last is not None
         if self._last[0][0] > times[-1]:

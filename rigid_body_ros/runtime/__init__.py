@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the commands and nodes share: files, parameters, signals, workers and versions."""
+"""Code that the commands and nodes share: files, parameters, signals, workers and versions."""

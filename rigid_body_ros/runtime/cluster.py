@@ -36,7 +36,7 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, package_hash
 from rigid_body_ros.runtime.pool import WorkerError, Workers
 
-if TYPE_CHECKING:  # distributed takes a second to import, and only --scheduler needs it
+if TYPE_CHECKING:  # importing distributed takes a second, and only --scheduler needs it
     from distributed import Client
 
 #: How long to try to connect, s.
@@ -48,8 +48,8 @@ class Cluster(Workers):
     """
     The workers of a Dask scheduler; see `connected`.
 
-    If a worker dies, other workers compute its items. Functions, items and results are pickled; a
-    function is sent only once to each worker.
+    If a worker dies, its items are computed by other workers. Functions, items and results are
+    pickled, and each worker receives a function only once.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Cluster(Workers):
         The name of the scheduler, for messages.
     client : distributed.Client
     note : callable
-        Takes a line of text for the user.
+        Shows a line of text to the user.
 
     """
 
@@ -68,7 +68,11 @@ class Cluster(Workers):
         self._versions = _versions()
 
     def ahead(self) -> int:
-        """Return the number of items to submit; workers may join at any time."""
+        """
+        Return how many items to submit, by the same rule as `Workers`.
+
+        Each call counts the workers again, because more workers may join at any time.
+        """
         threads = sum(self.client.nthreads().values())
         if self._has_workers and not threads:
             self._note(f'{self._name}: no workers; waiting for one')
@@ -78,18 +82,19 @@ class Cluster(Workers):
     def results(self, function: Callable[[Any], Any], items: Iterable[Any],
                 died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
-        Generate the results of a function for all items, as `Workers` does.
+        Generate the results of a function for all items, like `Workers.results`.
 
         Raises
         ------
         InputError
-            A worker has other versions, the connection is lost, or the function raised InputError.
+            The software versions on a worker differ from those of this process, the connection is
+            lost, or the function raised InputError.
         KeyboardInterrupt
             A signal was received.
 
         """
-        # Submit the function as a task, not as scattered data. If all workers that hold the
-        # function die, Dask repeats the task, whereas scattered data would be lost.
+        # Submit the function as a task. If all workers that hold the function die, Dask runs the
+        # task again; if the function were scattered as data, it would be lost.
         self._function = self.client.submit(bytes, pickle.dumps(function), pure=False)
         try:
             yield from super().results(function, items, died)
@@ -118,19 +123,20 @@ class Cluster(Workers):
 @contextmanager
 def connected(scheduler: str, note: Callable[[str], None]) -> Iterator[Cluster]:
     """
-    Connect to a Dask scheduler, without any output of Dask.
+    Connect to a Dask scheduler, and silence the output of Dask.
 
     Parameters
     ----------
     scheduler : str
-        The address of the scheduler, such as tcp://10.0.0.1:8786, or the file that it wrote.
+        The address of the scheduler, such as tcp://10.0.0.1:8786, or the path of the file to which
+        the scheduler has written its address.
     note : callable
-        Takes a line of text for the user.
+        Shows a line of text to the user.
 
     Raises
     ------
     InputError
-        The file cannot be read, or there is no scheduler at the address.
+        The scheduler file cannot be read, or no scheduler responds at the address.
 
     """
     address = scheduler if _ADDRESS.fullmatch(scheduler) else _address_in(scheduler)
@@ -141,7 +147,7 @@ def connected(scheduler: str, note: Callable[[str], None]) -> Iterator[Cluster]:
 
 
 def _address_in(path: str) -> str:
-    """Return the address in the file that a scheduler wrote."""
+    """Read the address of a scheduler from the file that the scheduler has written."""
     try:
         address = json.loads(Path(path).read_text(encoding='utf-8'))['address']
     except OSError as error:
@@ -172,7 +178,12 @@ def _client(scheduler: str, address: str) -> Client:
 
 
 async def _kind(address: str) -> str:
-    """Return the kind of server at an address; an unconnected `Client` would block at exit."""
+    """
+    Find out what kind of server is at an address.
+
+    The address is contacted without a `Client`, because a `Client` that cannot connect makes
+    Python hang at exit.
+    """
     from distributed import rpc, Security
     remote = rpc(address, connection_args=Security().get_connection_args('client'))
     try:
@@ -184,7 +195,7 @@ async def _kind(address: str) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the loggers and warnings of Dask; errors that matter are also raised."""
+    """Silence Dask's loggers and warnings within a context; exceptions are still raised."""
     import dask
     from distributed.versions import VersionMismatchWarning
     before = logging.root.manager.disable
@@ -199,7 +210,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions that all processes must share to compute the same bits."""
+    """Return the versions that must agree so that all processes compute the same bits."""
     return {**fingerprint(), 'scipy': version('scipy'),
             f'sources of {NAME}': package_hash()[:12]}
 
@@ -207,12 +218,12 @@ def _versions() -> dict[str, str]:
 @dataclass(frozen=True)
 class _Call:
     """
-    An item to compute: loading the pickle of this object calls `_compute`.
+    An item to compute: when a worker unpickles this object, `_compute` is called.
 
-    The user's function is passed as a buffer of the pickle, so the scheduler and the workers
-    receive only bytes and `pickle.loads`. A worker without this package, or with another version
-    of the package, therefore reports an error. If the worker received the function itself, Dask
-    would end the process of the worker.
+    The user's function is passed as an out-of-band buffer, so the scheduler and the workers only
+    see bytes and `pickle.loads`. A worker that has a different version of this package, or does
+    not have the package at all, can then report an error. If such a worker received the function
+    itself, Dask would end the worker process.
     """
 
     versions: Mapping[str, str]
@@ -223,11 +234,11 @@ class _Call:
 
 
 def _out_of_band(buffer: pickle.PickleBuffer) -> None:
-    """Return None, which tells `pickle.dumps` to leave the buffer out of the pickle."""
+    """Return None, which makes `pickle.dumps` keep the buffer out of the pickle."""
 
 
 def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:
-    """Return the result of the function for an item; called in a worker."""
+    """Apply the function to an item; called in a worker."""
     for name, found in _versions().items():
         if found != versions.get(name):
             raise InputError(f'{socket.gethostname()}: expected the versions of this command, '
@@ -236,6 +247,6 @@ def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:
     return _loaded(function)(item)
 
 
-@lru_cache(maxsize=1)  # all tasks of a worker have the same function
+@lru_cache(maxsize=1)  # all tasks on a worker share one function
 def _loaded(function: bytes) -> Any:
     return pickle.loads(function)

@@ -15,8 +15,8 @@
 """
 Write output files and folders safely.
 
-An output gets its final name only when it is complete. It never replaces an input, and a command
-replaces an existing file only with --overwrite.
+An output gets its final name only when it is complete. An output never replaces an input. A
+command replaces an existing file only if you pass --overwrite.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ import weakref
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime.protection import check_apart, protected, real_path
 
-#: Used in place of a suffix for an output that is a folder.
+#: The value that takes the place of the suffix if an output is a folder.
 FOLDER = ''
 #: Suffixes that name a file format. Any other suffix, as in `run.1`, is part of the name.
 _FORMATS = frozenset([
@@ -46,14 +46,14 @@ _FORMATS = frozenset([
     '.sqlite3', '.svg', '.tar', '.tif', '.tiff', '.toml', '.tsv', '.txt', '.ulg', '.urdf', '.webp',
     '.xlsx', '.xml', '.xz', '.yaml', '.yml', '.zarr', '.zip', '.zst', '.zstd',
 ])
-#: Errors that a file system raises if it cannot flush a folder.
+#: The error numbers with which file systems report that they cannot flush a folder.
 _CANNOT_FLUSH = (errno.EINVAL, errno.EACCES, errno.ENOTSUP)
 _may_overwrite: ContextVar[bool] = ContextVar('_may_overwrite', default=True)
 
 
 @contextmanager
 def overwriting(allowed: bool) -> Iterator[None]:
-    """Within the context, allow or forbid outputs to replace existing files (default: allow)."""
+    """Set whether outputs in this context may replace existing files; by default, they may."""
     token = _may_overwrite.set(allowed)
     try:
         yield
@@ -73,7 +73,7 @@ def check_new(path: str | Path) -> None:
     Raises
     ------
     InputError
-        The output exists.
+        The output exists, and must not be overwritten.
 
     """
     if not may_overwrite() and os.path.exists(path):
@@ -81,25 +81,25 @@ def check_new(path: str | Path) -> None:
 
 
 def format_of(path: str | Path) -> str:
-    """Return the suffix of a name if it names a file format, otherwise ''."""
+    """Return the suffix of a name if that suffix stands for a file format, otherwise ''."""
     suffix = Path(path).suffix.lower()
     return suffix if suffix in _FORMATS else ''
 
 
 def check(*outputs: tuple[str | Path, str]) -> None:
     """
-    Check, before any work, that outputs can be written and are distinct files.
+    Check that outputs can be written and are distinct files, before any work is done.
 
     Parameters
     ----------
     outputs : tuples of path and suffix
-        The arguments of `Part`, for each output.
+        For each output, the arguments of `Part`.
 
     Raises
     ------
     InputError
-        An output exists and must not be overwritten, cannot be written, would replace a
-        protected file, or is named twice.
+        An output exists and must not be overwritten, cannot be written, would replace a protected
+        file, or is named twice.
 
     """
     with ExitStack() as earlier:
@@ -112,9 +112,9 @@ def check(*outputs: tuple[str | Path, str]) -> None:
 @contextmanager
 def atomic_output(path: str | Path, suffix: str) -> Iterator[Path]:
     """
-    Yield a temporary path to write to; at the end, rename it to the final name.
+    Yield a temporary path to write to, and give the output its final name at the end.
 
-    If an exception is raised, an existing file of that name stays unchanged.
+    If an exception is raised, an existing file with the final name remains unchanged.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def atomic_output(path: str | Path, suffix: str) -> Iterator[Path]:
 
 @contextmanager
 def reported(path: str | Path, verb: str = 'write') -> Iterator[None]:
-    """Convert an OSError within the context into an InputError that names the file."""
+    """Turn an OSError within the context into an InputError that names the file."""
     try:
         yield
     except OSError as error:
@@ -143,29 +143,31 @@ def reported(path: str | Path, verb: str = 'write') -> Iterator[None]:
 
 class Part:
     """
-    An output that is written under a temporary name, in the folder of its final name.
+    An output that is still being written, under a temporary name in its final folder.
 
-    Every output is written through this class. The temporary name is new and unpredictable, so no
-    file is replaced. If Python exits before the output is complete, the output is removed.
+    Every output is written through this class. The temporary name is random and unused, so that
+    the temporary file does not replace any other file. If Python exits before the output is
+    complete, the output is removed.
 
     Parameters
     ----------
     path : str or Path
-        The final name. If it is a symbolic link, the target of the link is replaced.
+        The final name. If this is a symbolic link, the output replaces the file that the link
+        points to.
     suffix : str
-        The suffix of the format, such as '.mcap', or FOLDER.
+        The suffix that stands for the format, such as '.mcap', or FOLDER.
 
     Attributes
     ----------
     path : Path
         The temporary file or folder.
     target : Path
-        The file or folder that the output becomes.
+        The file or folder that the output will become.
 
     Raises
     ------
     InputError
-        The name is that of a file that must not be replaced, or has the suffix of another format.
+        The name belongs to a file that must not be replaced, or has the suffix of another format.
     OSError
         The output cannot be written.
 
@@ -178,14 +180,14 @@ class Part:
         short = os.fsdecode(os.fsencode(self.target.name)[:100])  # names are limited to 255 bytes
         self.path = self.target.with_name(
             f'.{short}.{secrets.token_hex(8)}.{os.getpid()}.part')
-        #: Removes the temporary file or folder. This finalizer is registered before the file is
-        #: created, and called at exit at the latest, because a signal may arrive between any two
+        #: Removes the temporary file or folder, no later than at exit. This finalizer has to be
+        #: registered before the file is created, because a signal may arrive between any two
         #: lines.
         self.discard = weakref.finalize(self, _remove, self.path)
         try:
             self._create()
         except OSError:
-            self.discard.detach()  # `discard` must not remove a file that existed
+            self.discard.detach()  # `discard` must not remove an existing file
             raise
         if replaced:
             self.path.chmod(replaced.st_mode & 0o777)
@@ -194,14 +196,13 @@ class Part:
         """
         Rename the output to its final name; a crash leaves either the old file or the new one.
 
-        Without --overwrite, a file that another process creates at the last moment is kept. A
-        folder can replace only an empty folder.
+        Without --overwrite, this method does not replace a file that another process has created
+        at the last moment. A folder can only replace an empty folder.
 
         Raises
         ------
         InputError
-            Since the output was opened, a file that must not be replaced has appeared under the
-            final name.
+            A file that must not be replaced has taken the final name since the output was opened.
         OSError
             The output cannot be written.
 
@@ -215,12 +216,12 @@ class Part:
         if reserved:
             try:
                 self._reserve_target()
-            except FileExistsError:  # another process has created it since the check
+            except FileExistsError:  # another process created it after the check
                 raise _exists(self._name) from None
         try:
             os.replace(self.path, self.target)
         except OSError:
-            if reserved:  # without hard links, the reserved file is empty
+            if reserved:  # the reserved file is empty if there are no hard links
                 self.target.unlink(missing_ok=True)
             raise
         self.discard()  # if both names are links to one file, `os.replace` keeps both
@@ -228,7 +229,7 @@ class Part:
 
     def keep(self, file: Path, suffix: str) -> Path:
         """
-        Move an incomplete file to an unused name next to the target, and return that name.
+        Move an incomplete file to an unused path next to the target, and return the new path.
 
         Raises
         ------
@@ -247,12 +248,12 @@ class Part:
         return name
 
     def _reserve_target(self) -> None:
-        """Create the file under its final name; raise FileExistsError if the name exists."""
+        """Create a file with the final name; raise FileExistsError if the name is taken."""
         try:
             os.link(self.path, self.target)
         except FileExistsError:
             raise
-        except OSError:  # no hard links, as on FAT; the empty file is replaced right after this
+        except OSError:  # no hard links, as on FAT; this empty file is soon replaced
             open(self.target, 'xb').close()
 
     def _create(self) -> None:
@@ -262,9 +263,9 @@ class Part:
             open(self.path, 'xb').close()
 
     def _check_target(self) -> os.stat_result | None:
-        """Return the status of the file to replace, or None if there is no such file."""
+        """Return the status of the file that will be replaced; None if no file has that name."""
         found = None
-        paths = self._name, self.target  # different files if a link was changed in the meantime
+        paths = self._name, self.target  # these differ if a link has been changed in the meantime
         for path in paths:
             check_apart(path)
         for path in paths:
@@ -296,7 +297,7 @@ class Part:
 
 
 def flush(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk."""
+    """Flush a file, or the entries of a folder, to disk."""
     try:
         handle = os.open(path, os.O_RDONLY)
         try:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The versions that determine the last bits of a motion for a given scene and torques."""
+"""Identify the software versions on which the last bits of a motion depend."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ NAME = 'rigid_body_ros'
 
 def fingerprint() -> dict[str, str]:
     """
-    Return the versions of packages by name, and the hash of the kernels.
+    Return the versions of the relevant packages, by package name, and the hash of the kernels.
 
-    Equal versions give equal bits, whatever the processor and the compiler.
+    If the versions and the hash are equal, the same inputs give motions that are equal to the last
+    bit, whatever the processor and the compiler.
     """
     return {**{package: _version(package) for package in (NAME, 'numpy')},
             'kernels': kernels_hash()[:12]}
@@ -40,9 +41,10 @@ def fingerprint() -> dict[str, str]:
 
 def other_versions(made_by: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """
-    Return, by package, the version that made a recording and the version in use, if they differ.
+    Return the packages whose versions differ from those that made a recording.
 
-    `made_by` is the metadata of the recording.
+    `made_by` is the metadata of the recording. Each value of the result is a pair: the version
+    that made the recording, and the version in use now.
     """
     here = fingerprint()
     try:
@@ -57,10 +59,10 @@ def other_versions(made_by: Mapping[str, str]) -> dict[str, tuple[str, str]]:
 
 def build_info() -> dict[str, str]:
     """
-    Return the version of the package, the hash of its kernels, and the level of the kernels.
+    Return the version of the package, and the hash and level of its kernels.
 
-    The level is the processor level for which the kernels are compiled, such as x86-64-v3, or
-    `python` if they run uncompiled.
+    The level is the processor level for which the kernels were compiled, such as x86-64-v3, or
+    `python` if they run without being compiled.
     """
     return {'version': _version(NAME), 'kernels': kernels_hash()[:12], 'level': LEVEL}
 
@@ -76,5 +78,5 @@ def package_hash() -> str:
 def _version(package: str) -> str:
     try:
         return version(package)
-    except PackageNotFoundError:  # run from the source folder
+    except PackageNotFoundError:  # the package runs from its source folder
         return 'none'

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Handle SIGINT and SIGTERM between two steps of the work of a command.
+Handle SIGINT and SIGTERM at points where a command can safely stop.
 
-An exception raised by a signal handler can be lost: Python drops it in weak reference callbacks
-and finalizers, and numpy drops it in callbacks from C. The exception can also arrive in the middle
-of a cleanup. So the handlers only record the signal, and long-running work calls `check`. Work
-that does not call `check` within a second is interrupted.
+If a signal handler raises an exception, that exception can get lost: Python drops it in weak
+reference callbacks and finalizers, and numpy drops it in callbacks from C. The exception can also
+interrupt a cleanup. For these reasons, our handlers only record the signal, and long-running work
+has to call `check` regularly. Work that does not call `check` within a second is interrupted.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from types import FrameType
 from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-#: If the work does not call `check` for this long after a signal, s, a handler raises
+#: How long to wait for a call to `check` after a signal, s, before a handler raises
 #: KeyboardInterrupt.
 _PATIENCE = 1.0
-#: Period, s, with which the handler raises KeyboardInterrupt again, in case the exception was
-#: lost. The period is longer than a cleanup takes.
+#: How long to wait before the handler raises KeyboardInterrupt again, s, in case the exception got
+#: lost. A cleanup takes less time.
 _AGAIN = 5.0
 
-#: Contains the number of the first signal; empty until a signal arrives.
+#: The number of the first signal; empty until a signal arrives.
 _received: list[int] = []
 #: Set if threads may still be computing when the command ends.
 _abandoned = Event()
@@ -51,13 +51,13 @@ def deferred(until_exit: bool) -> Iterator[None]:
     """
     Record SIGINT and SIGTERM within a context.
 
-    After a signal, `check` and the end of the context raise KeyboardInterrupt. If the work reaches
-    neither of these two points within a second, a signal handler raises the exception.
+    After a signal, KeyboardInterrupt is raised by the next call to `check` or at the end of the
+    context. If neither happens within a second, the exception is raised by a signal handler.
 
     Parameters
     ----------
     until_exit : bool
-        Whether the process exits after the context. If so, signals after the context are ignored.
+        Whether the process exits after the context. If it does, later signals are ignored.
 
     """
     before = {number: signal.signal(number, _record) for number in _SIGNALS}
@@ -84,8 +84,8 @@ def check() -> None:
     ------
     KeyboardInterrupt
         A signal was received. The argument of the exception is the number of the signal. The
-        exception is raised again only if `check` is called again, so that it does not interrupt
-        the cleanup.
+        exception is raised again only if you call `check` again. A cleanup that does not call
+        `check` is therefore not interrupted.
 
     """
     if _received:
@@ -94,23 +94,24 @@ def check() -> None:
 
 
 def abandon_threads() -> None:
-    """Tell `end` not to wait for threads: nothing can stop a thread in compiled code."""
+    """Tell `end` not to wait for threads; a thread in compiled code cannot be stopped."""
     _abandoned.set()
 
 
 def end(status: int) -> int:
-    """Return an exit status; if threads were abandoned, end the process with that status."""
+    """Return the exit status or, if threads were abandoned, end the process with this status."""
     if _abandoned.is_set():
-        os._exit(status)  # a normal exit would free memory that the threads still use
+        os._exit(status)  # a normal exit would free memory that threads still use
     return status
 
 
 @contextmanager
 def blocked_in_children() -> Iterator[None]:
     """
-    Within the context, start processes with SIGINT blocked.
+    Block SIGINT in processes that are started within the context.
 
-    A terminal sends SIGINT to all processes, but only the process of the command has to react.
+    A terminal sends SIGINT to all processes, but only the main process of the command has to
+    react.
     """
     if sys.platform == 'win32':
         yield

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Open input files only if they are regular files, and read YAML and JSON only within limits."""
+"""Open input files if they are regular files, and read YAML and JSON files of limited size."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ from yaml.resolver import BaseResolver
 try:
     from yaml.cyaml import CParser  # type: ignore[attr-defined]
 except ImportError:  # PyYAML was built without libyaml
-    _EventLoader = yaml.BaseLoader  # does the same, ten times slower
+    _EventLoader = yaml.BaseLoader  # does the same, but ten times slower
 else:
     class _EventLoader(Composer, CParser, BaseResolver):  # type: ignore[no-redef]
-        """Parse with libyaml, but compose nodes in Python, which limits the recursion."""
+        """Parse with libyaml, but compose nodes in Python, where recursion is limited."""
 
         def __init__(self, text: str) -> None:
             CParser.__init__(self, text)
             Composer.__init__(self)
             BaseResolver.__init__(self)
 
-#: Limits on the bytes of a file, and on the number of values and the depth of nesting in YAML. The
-#: metadata of a bag of 2000 files takes 0.5 MB and contains 30 000 values.
+#: The largest size of a file, in bytes, and the largest number of values and of nesting levels in
+#: a YAML file. The metadata of a bag with 2000 files takes 0.5 MB and contains 30 000 values.
 _MAX_BYTES, _MAX_VALUES, _MAX_LEVELS = 2 ** 22, 100_000, 50
-#: Integers in JSON with this number of digits or more are read as floats.
+#: JSON integers with this many digits or more are read as floats.
 _DIGITS = 300
 _TAGS = re.compile('^%TAG', re.MULTILINE)
 
 
 def open_file(path: str | Path, what: str) -> BinaryIO:
     """
-    Open a regular file to read its bytes.
+    Open a regular file for reading bytes.
 
     Parameters
     ----------
@@ -64,15 +64,15 @@ def open_file(path: str | Path, what: str) -> BinaryIO:
     Raises
     ------
     InputError
-        The file cannot be opened, or it is a folder, a pipe or a device; reading from these may
-        never end.
+        The file cannot be opened, or it is a folder, a pipe or a device. Pipes and devices are
+        rejected because reading from them may never end.
 
     """
     try:
         mode = os.stat(path).st_mode
         if stat.S_ISREG(mode):
             return open(path, 'rb')
-    except (OSError, ValueError) as error:  # ValueError: NUL in the name
+    except (OSError, ValueError) as error:  # ValueError: the name contains NUL
         raise InputError(f'{path}: cannot read the {what}: {reason(error)}') from error
     kind = ('a folder' if stat.S_ISDIR(mode) else 'a pipe' if stat.S_ISFIFO(mode) else
             'a device or a socket')
@@ -83,7 +83,7 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
     """
     Return the root node of a YAML file, or None if the file is empty.
 
-    Tags are ignored, and no value is converted, so that no conversion can fail.
+    Tags are ignored. Values are not converted, so no conversion can fail.
 
     Parameters
     ----------
@@ -93,16 +93,16 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
         What the file contains, for the error message, such as 'scene'.
     aliases : bool
         Whether anchors and aliases are allowed. PyYAML writes an anchor and an alias for an object
-        that occurs twice. Toward the limit on values, each use of an alias counts as all values
-        that the alias stands for. An alias must not contain another alias, because 1 kB could then
-        expand to gigabytes. If aliases are not allowed, merge keys are not allowed either: a merge
-        key merges aliases, and rcl reads a merge key as the name of a group.
+        that occurs twice. Each time an alias is used, all the values that it stands for count
+        toward the limit on values. An alias must not contain another alias, because 1 kB could
+        then expand to gigabytes. If aliases are not allowed, merge keys are not allowed either: a
+        merge key refers to an alias, and rcl would read the merge key as the name of a group.
 
     Raises
     ------
     InputError
         The file cannot be read, is not YAML in UTF-8, has aliases or merge keys that are not
-        allowed, or exceeds a limit on bytes, values or levels.
+        allowed, or exceeds a limit on its bytes, values or nesting levels.
 
     """
     text = _text(path, what, 'YAML')
@@ -118,7 +118,7 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
 
 def read_json(path: str | Path, what: str) -> Any:
     """
-    Return the data of a JSON file.
+    Read the data in a JSON file.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def read_json(path: str | Path, what: str) -> Any:
     Raises
     ------
     InputError
-        The file cannot be read, is not JSON in UTF-8, is too long, or contains a key twice.
+        The file cannot be read, is not JSON in UTF-8, is too long, or repeats a key.
 
     """
     text = _text(path, what, 'JSON')
@@ -153,7 +153,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _integer(digits: str) -> int | float:
-    # Python converts a million digits slowly, or refuses to convert them.
+    # Python is slow to convert a million digits, or refuses to do so.
     return int(digits) if len(digits) < _DIGITS else float(digits)
 
 
@@ -172,13 +172,13 @@ def _text(path: str | Path, what: str, syntax: str) -> str:
 
 
 class _Loader(_EventLoader):
-    """Compose nodes within the limits."""
+    """Compose YAML nodes, and reject files that exceed the limits."""
 
     def __init__(self, text: str, aliases: bool) -> None:
         super().__init__(text)
         self._aliases = aliases
         self._values = self._level = self._repeated = 0
-        #: For each anchor without an alias inside: the number of values that the anchor contains.
+        #: For each anchor whose content has no alias, the number of values in the content.
         self._sizes: dict[str, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:

@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-ROS 2 parameter files: YAML as rcl_yaml_param_parser reads it, which differs from PyYAML.
+Read ROS 2 parameter files by the rules of rcl_yaml_param_parser, which differ from PyYAML's.
 
 Numbers and Booleans are recognized as in rcl: 1e-9 is a number, although PyYAML reads it as text.
-As in rcl, if a group of parameters occurs twice, its entries are merged, and names of nodes may
-have wildcards and namespaces. Unlike in rcl, a parameter that is given twice is an error. (rcl
-uses the last value, or, if one of the two is written with a dot, the value in the group.)
+As in rcl, a group of parameters that occurs twice is merged, and node names may contain wildcards
+and namespaces. Unlike in rcl, a parameter must not be given twice. (rcl would use the last value.
+But if one of the two occurrences is written as a name with a dot and the other is in a group, rcl
+would use the value in the group.)
 """
 
 from __future__ import annotations
@@ -30,39 +31,41 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
 import yaml
 
-#: Numbers that the C functions strtoll (base 0) and strtod accept; rcl calls these functions.
+#: Numbers that the C functions strtoll (base 0) and strtod accept. rcl calls these functions to
+#: read numbers.
 _INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _FLOAT = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
                     r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
 _TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON')
 _FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
 _EXAMPLE = '/**: ros__parameters: inertia: ...'
-#: The name under which a file lists the parameters of all nodes.
+#: The node name under which a file lists parameters that apply to all nodes.
 _ANY_NODE = '**'
-#: Largest number of characters in the full name of a parameter.
+#: The full name of a parameter may have at most this many characters.
 _LONGEST = 500
 
 
 def node_parameters(root: yaml.Node | None, node: str) -> tuple[str, dict[str, Any]]:
     """
-    Return the name under which a file lists the parameters of a node, and the parameters.
+    Find the parameters of a node in a parameter file.
 
-    The keys are the full names of parameters. Parameters of `/**` apply to every node, but the
-    parameters of the node itself take precedence. A file that contains neither is accepted if it
-    contains the parameters of a single node, whatever the name of that node.
+    Return the name under which the file lists the node's parameters, and the parameters, keyed by
+    full name. Parameters of `/**` apply to every node, but the node's own parameters take
+    precedence. A file that contains neither of these is still accepted if it contains the
+    parameters of only one node, whatever the name of that node is.
 
     Parameters
     ----------
     root : yaml.Node or None
-        The root of the file; see `read_yaml`.
+        The root node of the file; see `read_yaml`.
     node : str
         The name of the node, without a namespace.
 
     Raises
     ------
     InputError
-        The YAML is not a parameter file, contains parameters for several nodes of this name, or
-        contains a parameter of the node twice.
+        The YAML is not a parameter file, has parameters for several nodes with this name, or
+        gives one of the node's parameters twice.
 
     """
     sections = _sections(root, '')
@@ -81,13 +84,13 @@ def node_parameters(root: yaml.Node | None, node: str) -> tuple[str, dict[str, A
 
 
 def number(text: str) -> float | None:
-    """Return the number that rcl reads from unquoted text, or None."""
+    """Return the number that rcl would read from unquoted text, or None if it is not a number."""
     return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan')) \
         if _FLOAT.fullmatch(text) else None
 
 
 def _sections(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
-    """Return the names of the nodes in a parameter file, each with its parameters."""
+    """Return the node names in a parameter file, each with the parameters below it."""
     found = []
     for key, value in entries(node, prefix or 'the file'):
         if key.value == 'ros__parameters' and prefix:
@@ -103,12 +106,12 @@ def _sections(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]
 def entries(node: yaml.Node | None, where: str,
             example: str = _EXAMPLE) -> list[tuple[yaml.ScalarNode, yaml.Node]]:
     """
-    Return the keys and values of a mapping in order; a key may occur twice.
+    Return the keys and values of a mapping, in order and including repeated keys.
 
     Raises
     ------
     InputError
-        The node is not a mapping, or a key is not a name or is too long.
+        The node is not a mapping, or a key is too long or is not a name.
 
     """
     if not isinstance(node, yaml.MappingNode):
@@ -125,7 +128,7 @@ def entries(node: yaml.Node | None, where: str,
 
 
 def described(node: yaml.Node | None) -> str:
-    """Return a node as text for an error message."""
+    """Describe a YAML node in an error message."""
     if isinstance(node, yaml.ScalarNode):
         return quoted(node.value)
     return 'nothing' if node is None else \
@@ -133,7 +136,7 @@ def described(node: yaml.Node | None) -> str:
 
 
 def _values(sections: list[yaml.Node]) -> dict[str, Any]:
-    """Return the parameters in the sections of one node, by full name."""
+    """Return the parameters in all sections of one node, keyed by full name."""
     values, lines = {}, dict[str, int]()
     for section in sections:
         for name, key, value in _flattened(section, ''):

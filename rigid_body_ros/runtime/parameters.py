@@ -15,9 +15,9 @@
 """
 Declare parameters, and check their names and values.
 
-The nodes of a robot share parameter files, so a file may contain parameters of other nodes.
-Parameters of other nodes are ignored, but an unknown name that resembles a known name is rejected
-as a mistake.
+The nodes of a robot often share a parameter file, so a file may contain parameters that are meant
+for other nodes. Such parameters are ignored. But an unknown name that resembles a known name is
+probably a mistake, so it is rejected.
 """
 
 from __future__ import annotations
@@ -32,17 +32,18 @@ from rigid_body_ros.runtime.parameter_file import number
 
 T = TypeVar('T')
 
-#: Limits of parameters that have no narrower limits.
+#: The limits on the magnitude of parameters that do not have narrower limits.
 BIG, TINY = 1e300, 1e-300
-#: Names with fewer letters easily resemble other words, as mode resembles model and node.
+#: A name with fewer letters than this easily resembles other words: mode looks like model and
+#: node.
 _SHORT = 6
-#: Largest number of letters to insert into or delete from a misspelt name. Replacing a letter
+#: A misspelt name differs by at most this many inserted or deleted letters. A replaced letter
 #: counts as one deletion and one insertion.
 _EDITS = 2
 
 
 class Value(Generic[T]):
-    """An attribute that returns the parameter of the same name from `values` of its object."""
+    """An attribute that returns the parameter with the same name from the object's `values`."""
 
     def __set_name__(self, kind: type, name: str) -> None:
         self._name = name
@@ -53,13 +54,13 @@ class Value(Generic[T]):
 
 
 class Parameter(NamedTuple):
-    """A parameter. If `default` is None, the parameter is a float, and must be given."""
+    """A parameter. A parameter whose `default` is None is a float and must be given."""
 
     name: str
     default: bool | int | float | str | list[str] | None
     unit: str
     description: str
-    #: The lowest and the highest value that a number may have.
+    #: The lowest and highest values that a number may have.
     interval: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
 
@@ -71,13 +72,13 @@ class Parameter(NamedTuple):
 
 def is_foreign(name: str, value: Any, known: Collection[str]) -> bool:
     """
-    Return whether a parameter is unknown, and therefore belongs to another node.
+    Return whether a parameter has an unknown name, and therefore belongs to another node.
 
     Raises
     ------
     InputError
-        The name is not known, but it resembles a known name, names a group of known names, or
-        names a member of such a group.
+        The name is unknown but resembles a known name; or it is the name of a group of known
+        names, or of a member of such a group.
 
     """
     if name in known:
@@ -96,17 +97,17 @@ def is_foreign(name: str, value: Any, known: Collection[str]) -> bool:
 
 def resembled(name: str, known: Collection[str]) -> str | None:
     """
-    Return the known name that a probably misspelt name resembles most, or None.
+    Return the known name that a misspelt name resembles; None if it resembles no known name.
 
-    Two names resemble each other if they differ only in capitals, in one letter, in the order of
-    two letters, or in two missing or additional letters. Short names resemble each other only if
-    they differ in capitals alone. Names with different digits, such as those of two topics, never
-    resemble each other.
+    Two names resemble each other if they differ only in capitalization, in one letter, in the
+    order of two letters, or by two missing or additional letters. Short names resemble each other
+    only if nothing but the capitalization differs. Names with different digits, such as those of
+    two topics, never resemble each other.
     """
     one, edits = name.lower(), {}
     for candidate in known:
         other, allowed = candidate.lower(), 0 if len(candidate) < _SHORT else _EDITS
-        # Each edit changes the length by one, and the set of letters by at most one.
+        # Each edit changes the length by one, and adds or removes at most one distinct letter.
         if (abs(len(one) - len(other)) <= allowed and len({*one} ^ {*other}) <= allowed
                 and _digits(one) == _digits(other)):
             ratio = SequenceMatcher(None, one, other, autojunk=False).ratio()
@@ -131,7 +132,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
             bool: 'true or false', list: 'a list of text'}[parameter.value_type]
     if given is None and parameter.default == []:
         return []
-    if given is None:  # rclpy also converts an empty list to None
+    if given is None:  # rclpy turns an empty list into None, too
         raise InputError(f'{name}: expected {kind}{unit}, found none: {parameter.description}')
     value = float(given) if parameter.value_type is float and type(given) is int else given
     # In Python, a bool is an int.
@@ -150,7 +151,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
 
 
 def limits(low: float, high: float) -> str:
-    """Return an allowed range as text."""
+    """Describe the range of allowed values in words."""
     if high < BIG:
         return f'{low:g} to {high:g}'
     return 'a finite number' + {-BIG: '', 0.0: ' not less than 0', TINY: ' greater than 0'}[low]

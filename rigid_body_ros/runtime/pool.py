@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute in threads or in processes; `cluster` computes on workers of a Dask scheduler."""
+"""Compute in threads or processes; see `cluster` for the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from typing import Any
 
 from rigid_body_ros.runtime import interrupts
 
-#: Time between two checks for signals, and for workers that join, s.
+#: How often to check for signals and for new workers, s.
 _INTERVAL = 0.1
 #: How long a worker process may take to clean up, s.
 _PATIENCE = 10.0
 
 
 class WorkerError(Exception):
-    """The process that computed an item has died; the message says how the process ended."""
+    """Raised if the process that computes an item has died; the message says how it died."""
 
 
 class Workers:
     """
-    Threads, for functions that release the global interpreter lock; a context manager.
+    A pool of threads, for functions that release the global interpreter lock; a context manager.
 
     Parameters
     ----------
     workers : int
-        Number of threads.
+        The number of threads.
 
     """
 
@@ -64,16 +64,17 @@ class Workers:
     def results(self, function: Callable[[Any], Any], items: Iterable[Any],
                 died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
-        Generate the results of a function for all items, in the order in which they are completed.
+        Apply a function to all items, and generate the results in the order they are completed.
 
         Parameters
         ----------
         function : callable
             Takes an item.
         items : iterable
-            The next item is taken when a worker becomes idle.
+            The items. The next item is taken when a worker becomes idle.
         died : callable, optional
-            Takes an item whose worker has died, and the WorkerError; returns the result to use.
+            Called with an item whose worker has died, and with the WorkerError; returns the result
+            to use for that item.
 
         Raises
         ------
@@ -102,7 +103,7 @@ class Workers:
                 yield result
 
     def ahead(self) -> int:
-        """Return the number of items to submit: per worker, one to compute and one that waits."""
+        """Return how many items to submit: two for each worker, of which one waits."""
         return 2 * self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
@@ -114,14 +115,14 @@ class Workers:
 
 class Processes(Workers):
     """
-    Processes; if one dies, only the item that it computes is affected.
+    A pool of processes. If a process dies, only the item that it was computing is affected.
 
     Functions, items and results are pickled.
 
     Parameters
     ----------
     workers : int, optional
-        Number of processes; one for each processor by default.
+        The number of processes; by default, one per processor.
 
     """
 
@@ -137,7 +138,7 @@ class Processes(Workers):
         super().__exit__(None)
 
     def ahead(self) -> int:
-        """Return the number of items to submit: one for each process, so that no item waits."""
+        """Return how many items to submit: one for each process, so that no item has to wait."""
         return self._workers
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
@@ -152,13 +153,14 @@ class _Process:
     """A process that computes one item at a time."""
 
     def __init__(self) -> None:
-        # Spawn, because a fork would copy the locks of threads, but not the threads.
+        # Use spawn, because a fork would copy the locks that threads hold, but not the threads
+        # that release them.
         context = multiprocessing.get_context('spawn')
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
         with interrupts.blocked_in_children():
             self._process.start()
-        theirs.close()  # otherwise `call` would not notice that the process has ended
+        theirs.close()  # otherwise `call` would not notice if the process ends
 
     def call(self, work: tuple[Callable[[Any], Any], Any]) -> Any:
         try:
@@ -192,14 +194,14 @@ def _serve(connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent ends, even if a function of the user does not return."""
+    """End this process when its parent process ends, even if a user's function still runs."""
     if parent := multiprocessing.parent_process():
         parent.join()
         os._exit(1)
 
 
 def _received(connection: Connection) -> Iterator[Any]:
-    """Generate the received messages until the connection is closed or the parent exits."""
+    """Generate incoming messages until the connection is closed or the parent exits."""
     with suppress(EOFError, OSError):
         while True:
             yield connection.recv()

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Prevent an output from replacing an input of a command, or another output.
+Keep the outputs of a command from replacing its inputs or each other.
 
-A file is protected under all its names: relative paths, symbolic links and hard links.
+Files are protected whichever way they are named: by relative paths, symbolic links or hard links.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from rigid_body_ros.common.errors import InputError
 
 #: Suffixes of the files that SQLite keeps next to a database.
 _JOURNALS = ('-wal', '-shm', '-journal')
-#: What identifies a file or folder under any name: its real path, or its device and inode.
+#: An identifier of a file or folder: either the real path, or the device and inode.
 _Identity = str | tuple[int, int]
-#: Files and folders that no output may replace, with their descriptions for error messages.
+#: The files and folders that no output may replace, and what to call them in error messages.
 _protected: ContextVar[Mapping[_Identity, str]] = ContextVar(
     '_protected', default=MappingProxyType({}))
 
@@ -43,14 +43,15 @@ def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
     """
     Within the context, reject any output that would replace these files or be in these folders.
 
-    A path protects its file under every name: relative paths, symbolic links and hard links.
+    A file is protected whichever way the output names it: by a relative path, a symbolic link or
+    a hard link.
 
     Parameters
     ----------
     role : str
-        Description of the paths in error messages, such as 'scene'.
+        What to call the paths in error messages, such as 'scene'.
     paths : str or Path or None
-        Files and folders; None is ignored.
+        The files and folders to protect; None is ignored.
 
     """
     found = {identity: f'{role} {path}' for path in paths if path is not None
@@ -70,9 +71,9 @@ def reading(*recordings: str | Path | None, **others: str | Path | None) -> Iter
     Parameters
     ----------
     recordings : str or Path or None
-        Recordings. If a path names one file of a bag, the whole bag is protected.
+        Recordings. If you name one file of a bag, the whole bag is protected.
     others : str or Path or None
-        Other files; error messages describe each file by the name of its argument.
+        Other files. An error message refers to such a file by the name of its keyword argument.
 
     """
     with ExitStack() as stack:
@@ -86,7 +87,7 @@ def reading(*recordings: str | Path | None, **others: str | Path | None) -> Iter
 
 def check_apart(path: str | Path) -> None:
     """
-    Check that an output does not replace a protected file and is not in a protected folder.
+    Check that an output would not replace a protected file or be in a protected folder.
 
     Raises
     ------
@@ -107,7 +108,7 @@ def check_apart(path: str | Path) -> None:
 
 
 def real_path(path: str | Path) -> str:
-    """Return a path without symbolic links; raise InputError if it has a null byte."""
+    """Resolve the symbolic links in a path; raise InputError if the path contains a null byte."""
     try:
         return os.path.realpath(path)
     except ValueError as error:
@@ -115,10 +116,15 @@ def real_path(path: str | Path) -> str:
 
 
 def _paths_of_recording(path: str) -> Iterator[str]:
-    """Generate the paths of a folder and its files, or of a file, its journals and its bag."""
+    """
+    Generate the paths to protect for a recording.
+
+    For a folder, these paths are the folder and its files. For a file, they are the file, the
+    journals next to the file, and the folder of the bag that contains the file.
+    """
     yield path
     if os.path.isdir(path):
-        with suppress(OSError):  # the error is reported when the folder is read
+        with suppress(OSError):  # any error is reported when the folder is read
             yield from (entry.path for entry in os.scandir(path))
         return
     yield from (f'{path}{journal}' for journal in _JOURNALS)
@@ -128,7 +134,7 @@ def _paths_of_recording(path: str) -> Iterator[str]:
 
 
 def _path_and_inode(path: str | Path) -> Iterator[_Identity]:
-    """Generate the real path of a file and, if the file exists, its device and inode."""
+    """Yield the real path of a file and, if the file exists, its device and inode."""
     yield real_path(path)
     with suppress(OSError):
         found = os.stat(path)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Print for the user, even if standard streams are closed or their readers have exited."""
+"""Print text for the user, even if a standard stream is closed or its reader has exited."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError, printable, shortened
 from rigid_body_ros.runtime import interrupts
 
-#: A function that takes items and the number of items. The function returns the items, and shows
-#: the progress of the iteration over them.
+#: A function that takes items and the number of items. The function returns the same items, and
+#: shows the progress while you iterate over them.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
 def report(text: str) -> None:
-    """Print one line of limited length to standard error, if standard error is writable."""
+    """Print one line of limited length to standard error; do nothing if it is not writable."""
     if sys.stderr is None:
         return
     try:
@@ -40,7 +40,7 @@ def report(text: str) -> None:
 
 def show(text: str, end: str = '\n') -> None:
     r"""
-    Print text to standard output at once, with nonprintable characters other than \n escaped.
+    Print text to standard output and flush it. Nonprintable characters except \n are escaped.
 
     Raises
     ------
@@ -63,8 +63,8 @@ def show(text: str, end: str = '\n') -> None:
 
 def progress(label: str, unit: str = ' stamps',
              size: Callable[[Any], int] = lambda item: 1) -> Track:
-    """Return a function that shows the progress of an iteration if stderr is a terminal."""
-    from tqdm import tqdm  # takes longer to import than everything else here
+    """Return a `Track` that shows the progress of an iteration if standard error is a terminal."""
+    from tqdm import tqdm  # imported here, because this is slow
 
     def track(items: Iterable[Any], total: int) -> Iterator[Any]:
         # With disable=None, tqdm shows no bar if standard error is not a terminal.
@@ -78,5 +78,5 @@ def progress(label: str, unit: str = ' stamps',
 
 
 def no_progress(items: Iterable[Any], total: int) -> Iterable[Any]:
-    """Return the items unchanged; a `Track` that shows no progress."""
+    """Return the items unchanged: a `Track` that does not show any progress."""
     return items

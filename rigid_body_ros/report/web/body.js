@@ -1,5 +1,5 @@
 'use strict';
-// The moving body: a box with arrows, and the inertia ellipsoid with polhode and herpolhode.
+// Draw the moving body: a box with arrows, and the inertia ellipsoid with polhode and herpolhode.
 
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
   a[0] * b[1] - a[1] * b[0]];
@@ -16,7 +16,7 @@ function product(p, q) {
     p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2]];
 }
 
-function rotated(q, v) {  // body to space
+function rotated(q, v) {  // from body axes to space axes
   const twice = times(2, cross(q, v));
   return sum(v, times(q[3], twice), cross(q, twice));
 }
@@ -52,7 +52,8 @@ class Motion {
 
   momentum(state) { return sum(applied(this.inertia, state.rate), state.rotors); }
 
-  // The state at a time; where interpolation would not be exact enough, that at the nearest key.
+  // Return the state at a time. Where interpolation would not be accurate enough, return the
+  // nearest computed state.
   at(time) {
     const i = Math.min(indexAt(this.times, time), this.times.length - 1);
     const here = this.key(i);
@@ -70,7 +71,7 @@ class Motion {
       rate: sum(times(1 - part, here.rate), times(part, next.rate))};
   }
 
-  vectorRate(vector, rate) {  // derivative of a rotation vector
+  vectorRate(vector, rate) {  // the time derivative of a rotation vector
     const angle = length(vector), half = angle / 2;
     const factor = angle < 1e-3 ? 1 / 12 : (1 - half / Math.tan(half)) / (angle * angle);
     const first = cross(vector, rate);
@@ -78,7 +79,9 @@ class Motion {
   }
 }
 
-const ARROWS = [  // name, class of colour, dashes, vector in space axes, reach
+// Each arrow has a name, a colour number, dashes, a function that returns its vector in space
+// axes, and a maximum length.
+const ARROWS = [
   ['angular momentum L', 0, [], (m, s) => rotated(s.attitude, m.momentum(s)), 1.15],
   ['angular velocity ω', 1, [7, 3], (m, s) => rotated(s.attitude, s.rate), 1.05],
   ['torque τ', 2, [8, 3, 2, 3], (m, s) => rotated(s.attitude, s.torque), 0.85],
@@ -103,7 +106,7 @@ class View {
     this.context.font = '13px system-ui, sans-serif';
   }
 
-  seen(v) {  // right, up, towards the eye
+  seen(v) {  // the components to the right, upwards and towards the eye
     const {azimuth, height} = this.turning, [s, c] = [Math.sin(azimuth), Math.cos(azimuth)];
     const across = c * v[0] + s * v[1];
     return [c * v[1] - s * v[0], Math.cos(height) * v[2] - Math.sin(height) * across,
@@ -193,7 +196,8 @@ class Scene {
       view.canvas.addEventListener(name, () => { last = null; });
   }
 
-  // Polhode in body axes and herpolhode in space axes; dots where the samples are far apart.
+  // Draw the polhode in body axes and the herpolhode in space axes. Where the samples are far
+  // apart, draw dots instead of a line.
   prepareCurves() {
     if (!this.data.poinsot) return;
     const count = Math.min(this.motion.times.length, 4000);
@@ -202,7 +206,7 @@ class Scene {
     this.dense = Math.max(0, ...turned) < 0.35;
     const energy = dot(states[0].rate, applied(this.data.inertia, states[0].rate));
     const smallest = Math.min(...this.data.moments);
-    this.unit = 1.2 / Math.sqrt(energy / smallest);  // the longest semi-axis is 1.2
+    this.unit = 1.2 / Math.sqrt(energy / smallest);  // gives the longest semi-axis a length of 1.2
     this.semi = this.data.moments.map((moment) => this.unit * Math.sqrt(energy / moment));
     this.polhode = states.map((one) => times(this.unit, one.rate));
     this.herpolhode = states.map((one) => times(this.unit, rotated(one.attitude, one.rate)));
@@ -242,7 +246,8 @@ class Scene {
   }
 
   faces(view, attitude) {
-    const {sides, axes} = this.data, reach = length(sides);  // corners are at a distance of 1
+    // Scale the box so that its corners are at a distance of 1 from the centre.
+    const {sides, axes} = this.data, reach = length(sides);
     const corner = (signs) => rotated(attitude, sum(...signs.map(
       (sign, k) => times(sign * sides[k] / reach, axes[k]))));
     return [0, 1, 2].flatMap((k) => [-1, 1].map((sign) => {
@@ -270,7 +275,7 @@ class Scene {
     }
   }
 
-  drawGhost(view) {  // the measured body, unless no sample is near
+  drawGhost(view) {  // the outline of the measured body, if there is a sample nearby
     if (!this.ghost) return;
     const {times: stamps, attitudes, reach} = this.ghost, now = this.state.time;
     let i = indexAt(stamps, now);
@@ -306,7 +311,7 @@ class Scene {
     view.arrow(now, view.colour('c1'), [7, 3], 'ω');
   }
 
-  drawPlane(view) {  // the invariable plane, through the tip of the angular velocity
+  drawPlane(view) {  // the invariable plane, which contains the tip of the angular velocity
     const momentum = rotated(this.state.attitude, this.motion.momentum(this.state));
     const normal = times(1 / length(momentum), momentum);
     const rate = times(this.unit, rotated(this.state.attitude, this.state.rate));
@@ -345,7 +350,9 @@ class Player {
     this.set(0);
   }
 
-  addSpeeds() {  // 1, or what shows the whole motion in about a minute
+  // Offer a range of speeds. The default is 1, or a power of ten at which the whole motion takes
+  // at most a minute.
+  addSpeeds() {
     const fitting = 10 ** Math.ceil(Math.log10(Math.max(this.end, 1e-9) / 60) - 1e-6);
     const chosen = this.end > 2 ? Math.max(1, fitting) : fitting;
     for (const factor of [0.01, 0.1, 0.3, 1, 3, 10, 100]) {
@@ -355,7 +362,9 @@ class Player {
     }
   }
 
-  set(time) {  // where the body is shown at the nearest key, the cursor stands there, too
+  // Move the clock to a time. If the body can only be shown at the nearest computed state, the
+  // cursor is placed there as well.
+  set(time) {
     this.time = Math.max(0, Math.min(time, this.end));
     this.scene.show(this.time);
     this.slider.value = this.time;
@@ -381,7 +390,7 @@ class Player {
     requestAnimationFrame(frame);
   }
 
-  // What the page shows: the time, s, and the attitude x y z w there.
+  // Return what the page shows: the time, s, and the attitude x y z w at this time.
   shown() {
     return {time: this.scene.state.time, attitude: this.scene.state.attitude};
   }

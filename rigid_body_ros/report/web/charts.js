@@ -1,5 +1,6 @@
 'use strict';
-// Charts in SVG: panels with curves, zoom and cursor. Panels with the same abscissa are linked.
+// Draw charts in SVG. Each panel shows curves, and can be zoomed and read with a cursor. Panels
+// with the same x axis are linked.
 
 const page = JSON.parse(document.getElementById('data').textContent);
 
@@ -10,7 +11,8 @@ const PREFIXES = {0: '', '-3': 'm', '-6': 'µ', '-9': 'n', '-12': 'p', '-15': 'f
 
 const markAt = (x, y) => `M ${(x - 3).toFixed(1)} ${(y - 3).toFixed(1)} l 6 6 m -6 0 l 6 -6`;
 
-class Group {  // the panels that share an abscissa
+// The panels that share an x axis. They are zoomed together and have a common cursor.
+class Group {
   constructor(box) {
     this.box = box;
     this.panels = [];
@@ -90,7 +92,9 @@ class Panel {
     });
   }
 
-  look(curves, k) {  // noisy curves have no dashes; what belongs to lines has their colours
+  // Return the colour and the dashes of a curve. Noisy curves are not dashed. Broad lines, marks
+  // and limits have the colours of the lines that they belong to.
+  look(curves, k) {
     if (curves.style === 'line') {
       const number = this.lines++;
       return {colour: `c${number % 6}`, dashes: this.isNoisy ? '' : DASHES[number % 4]};
@@ -104,11 +108,13 @@ class Panel {
 
   named() { return this.series.filter((one) => one.name); }
 
-  withPrefix() {  // small numbers have a unit with a prefix, as mrad/s
+  // Return the unit, with a prefix if all numbers are small, as in mrad/s.
+  withPrefix() {
     this.scale = 1;
     const [lowest, highest] = this.extremes(), largest = Math.max(-lowest, highest);
     const span = Math.min(highest - lowest || largest, largest);
-    this.finest = 10 ** (Math.floor(Math.log10(span || 1)) - 3);  // of the values at the cursor
+    // The resolution of the values that are shown at the cursor.
+    this.finest = 10 ** (Math.floor(Math.log10(span || 1)) - 3);
     if (!this.data.unit || this.logY || this.data.kind === 'angle' || !(largest > 0))
       return this.data.unit;
     const power = Math.max(-18, Math.min(0, 3 * Math.floor(Math.log10(largest) / 3)));
@@ -193,7 +199,7 @@ class Panel {
       }
     }
     if (!(low < Infinity)) [low, high] = this.logY ? [0.1, 1] : [-1, 1];
-    if (this.logY) {  // a zero crossing of an error is no information
+    if (this.logY) {  // do not extend the axis down to where an error happens to cross zero
       low = Math.max(low, this.logX ? 0 : high * 1e-6);
       this.limits = [low / 2, high * 2];
     } else {
@@ -239,7 +245,8 @@ class Panel {
     return `M ${[...edge(one.low), ...edge(one.high).reverse()].join(' L ')} Z`;
   }
 
-  marks(one) {  // those beyond the range stand at its edge
+  // Draw single points. Points outside the range of the y axis are drawn at its edge.
+  marks(one) {
     const [first, stop] = this.visible(one), parts = [], bottom = this.height - MARGIN.bottom;
     for (let i = first; i < stop; i++) {
       for (const value of new Set([one.low[i], one.high[i]]))
@@ -249,7 +256,8 @@ class Panel {
     return parts.join(' ');
   }
 
-  // Two points, minimum and maximum, for each pixel column that has several samples.
+  // Return the path of a curve. If a pixel column contains several samples, the path has only two
+  // points there: the minimum and the maximum.
   path(one) {
     const [first, stop] = this.visible(one), parts = [];
     const jump = this.data.kind === 'angle' ? Math.PI : Infinity;
@@ -280,7 +288,9 @@ class Panel {
     return parts.join(' ');
   }
 
-  drawLines(frame) {  // names stand by turns at the top and at the bottom, within the chart
+  // Draw vertical lines with their names. The names alternate between the top and the bottom of
+  // the chart.
+  drawLines(frame) {
     Object.entries(this.data.lines).forEach(([name, value], k) => {
       const x = this.toX(value), side = x < MARGIN.left + 16 ? 12 : -4;
       const [y, anchor] = k % 2 ? [this.height - MARGIN.bottom - 4, 'start'] : [MARGIN.top, 'end'];
@@ -359,7 +369,8 @@ class Panel {
     });
   }
 
-  drawn(one, i, value) {  // the height of the curve at an abscissa from x[i] to x[i + 1]
+  // Return the height of the drawn curve at a value between x[i] and x[i + 1].
+  drawn(one, i, value) {
     const before = one.low[i], change = one.low[i + 1] - before;
     const jump = this.data.kind === 'angle' ? Math.PI : Infinity;
     if (one.step || !(Math.abs(change) <= jump) || value <= one.x[i]) return before;

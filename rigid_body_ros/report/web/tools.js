@@ -1,5 +1,5 @@
 'use strict';
-// What charts and body use: arrays, elements, numbers as texts.
+// Helpers for the charts and the moving body: arrays, page elements, and formatting of numbers.
 
 function unpacked(text, kind) {
   const bytes = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
@@ -20,7 +20,7 @@ function html(name, parent, text) {
   return made;
 }
 
-// The last index whose abscissa is not later, at least 0.
+// Return the last index whose x value does not exceed the given one, or 0 if there is none.
 function indexAt(x, value) {
   let low = 0, high = x.length;
   while (high - low > 1) {
