@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Turn torques into attitude: the rotation of one rigid body, exact to rounding."""
+"""Compute the attitude of a rigid body from torques, exact to rounding."""
 
 from importlib import import_module
 from typing import Any, TYPE_CHECKING
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from rigid_body_ros.runtime.deprecated import warm_up
     from rigid_body_ros.runtime.fingerprint import build_info
 else:
-    # Importing the engine takes a while, and commands must handle signals before the engine is
-    # loaded. So each name is imported when it is first used.
-    #: The module that defines each public name. A public module is listed under its own name.
+    # Importing the engine takes a while, and the commands must be able to handle signals before
+    # the engine is loaded. Each public name is therefore imported only when it is first used.
+    #: The module that defines each public name. Public modules are listed under their own names.
     _HOMES = {'RigidBodies': 'mechanics.bodies', 'RigidBody': 'mechanics.body',
               'Actuator': 'mechanics.actuator', 'BodyLog': 'mechanics.changes',
               'State': 'mechanics.state', 'States': 'mechanics.states',

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Launch arguments of the node, and the action that starts the node.
+Launch arguments of the node, and the action that starts it.
 
-A launch file declares the arguments in a scoped group. Therefore another launch file can include
-this launch file several times, and the argument values do not leak into the including file.
+Each launch file declares the arguments in a scoped group. You can therefore include a launch file
+several times in another one, and the values of its arguments do not leak into the file that
+includes it.
 """
 
 from __future__ import annotations
@@ -41,27 +42,27 @@ from launch.events.process import ShutdownProcess
 from launch_ros.actions import Node
 
 NAME = 'rigid_body_ros'
-#: Remappings that give each robot its own /tf in its namespace, as is usual for several robots.
+#: Remappings that move /tf into the namespace of each robot, as is usual with several robots.
 RELATIVE_TF = (('/tf', 'tf'), ('/tf_static', 'tf_static'))
 _FLAG = ('false', 'true')
-#: Default of the arguments that override the scene. If an argument is empty, the value of the
-#: scene applies.
+#: The default of all arguments that override a value in the scene. If such an argument is empty,
+#: the value from the scene applies.
 _AS_IN_SCENE = ''
-#: The arguments that set text parameters of the node, and the arguments that set flags.
+#: The arguments that set string parameters of the node, and those that set Boolean parameters.
 _TEXTS, _FLAGS = ('frame_prefix', 'mode', 'checkpoint'), ('use_sim_time', 'autostart')
 
 
 def scoped(*entities: Any, **defaults: str) -> GroupAction:
     """
-    Return a scoped group that declares the arguments of the node.
+    Return a scoped group that declares the launch arguments of the node.
 
     Parameters
     ----------
     *entities : DeclareLaunchArgument, action or callable
-        The contents of the group, which can use the arguments of the node. A callable receives the
-        context and returns actions.
+        The contents of the group, which can use the arguments of the node. A callable is called
+        with the launch context and returns a list of actions.
     **defaults : str
-        Defaults that replace the usual defaults, keyed by the name of the argument.
+        The new default of each argument whose default you want to change.
 
     """
     return GroupAction([*_arguments(defaults), *(
@@ -70,20 +71,20 @@ def scoped(*entities: Any, **defaults: str) -> GroupAction:
 
 def attitude_node(context: LaunchContext, more: Mapping[str, Any] | None = None) -> Node:
     """
-    Return the action that starts the node with the values of the arguments.
+    Return the action that starts the node with the values of the launch arguments.
 
     Parameters
     ----------
     context : LaunchContext
-        The context of the launch file, with the values of the arguments.
+        The launch context, which contains the values of the arguments.
     more : mapping, optional
-        Parameters of the node that take precedence over the scene.
+        Node parameters that take precedence over the scene.
 
     Raises
     ------
     RuntimeError
-        The scene is neither a file nor the name of an example, a remapping is malformed, the rate
-        is not a number, or `autostart` is given for a node without a life cycle.
+        The scene is neither a file nor the name of an example, a remapping is malformed, the
+        publish rate is not a number, or `autostart` is given for a node without a life cycle.
 
     """
     is_managed = context.launch_configurations['lifecycle'] == 'true'
@@ -110,7 +111,7 @@ def _node(context: LaunchContext, executable: str, more: Mapping[str, Any]) -> N
 
 
 def scene(name: str) -> Path:
-    """Return the path of a scene file, given this path or the name of an example."""
+    """Return the path of a scene file. `name` is either the path or the name of an example."""
     examples = Path(get_package_share_directory(NAME), 'config')
     example, file = examples / f'{name}.yaml', Path(name).expanduser()
     if Path(name).name == name and example.is_file():
@@ -123,7 +124,7 @@ def scene(name: str) -> Path:
 
 
 def remappings(given: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return the topic remappings: that of the torque topic, and those that the user gives."""
+    """Return the remapping of the torque topic, followed by the remappings from the user."""
     rules = [rule.partition(':=') for rule in given['remappings'].split()]
     for name, sign, target in rules:
         if not (name and sign and target):
@@ -133,7 +134,7 @@ def remappings(given: Mapping[str, str]) -> list[tuple[str, str]]:
 
 
 def _parameters(given: Mapping[str, str]) -> dict[str, Any]:
-    """Return the node parameters that the arguments set."""
+    """Return the node parameters that are set by launch arguments."""
     if given['autostart'] and given['lifecycle'] == 'false':
         raise RuntimeError('autostart: expected no value without lifecycle:=true, because a plain '
                            f'node always starts by itself, found {given["autostart"]!r}')
@@ -151,13 +152,13 @@ def _rate(text: str) -> float:
 
 
 def end(*processes: ExecuteLocal) -> list[EmitEvent]:
-    """Return actions that end processes as Ctrl-C does, and ignore processes that have ended."""
+    """Return actions that stop processes as Ctrl-C would, ignoring processes that have ended."""
     return [EmitEvent(event=ShutdownProcess(process_matcher=matches_action(process)))
             for process in processes]
 
 
 def ending(ended: ExecuteLocal, *others: ExecuteLocal) -> RegisterEventHandler:
-    """Return a handler that ends the other processes as soon as the first one has ended."""
+    """Return an event handler that stops all other processes once the process `ended` exits."""
     return RegisterEventHandler(OnProcessExit(target_action=ended, on_exit=end(*others)))
 
 

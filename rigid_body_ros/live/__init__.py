@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-The part of the node that does not need ROS; it can be type-checked and tested without ROS.
+The part of the node that does not need ROS, so it can be type-checked and tested without ROS.
 
-`inputs` turns received messages into torques and states, or rejects them; `events` defines the
-causes of rejection, and the names of all counts. `torque_queue` holds torques that wait to be
-applied, or wait for the clock. `run` owns the current epoch, and logs what it accepts and commits;
-an `epoch` is one start state and the torques since then. `checkpoint` keeps the last committed
-state in a file. `closed_loop` keeps the loop of a node in lockstep and its controller from
-stopping, and from splitting into several chains of messages.
+`inputs` turns received messages into torques and states, or rejects them. `events` defines the
+causes of rejection and the names of everything that the node counts. `torque_queue` holds the
+torques that are waiting to be applied, or waiting for the clock. `run` owns the current epoch, and
+logs the accepted torques and the committed states. An `epoch` consists of one start state and the
+torques applied since then. `checkpoint` saves the last committed state to a file. For lockstep
+mode, `closed_loop` makes sure that the loop between the node and its controller neither stops nor
+splits into several chains of messages.
 """

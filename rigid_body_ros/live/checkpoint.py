@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A file with the last committed state, from which a restarted node continues."""
+"""Save the last committed state to a file, so that a restarted node can continue from it."""
 
 from __future__ import annotations
 
@@ -31,39 +31,41 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import Scene
 
 _FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
-#: Parameters, and groups of parameters, that do not change the motion under given torques.
+#: Parameters and parameter groups that have no effect on the motion under given torques.
 _OTHERS = frozenset([
     'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'mode', 'monitor', 'odometry',
     'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf', 'stale_after', 'step',
     'time_source'])
-#: A text with more characters than this, such as a URDF, is replaced by its hash.
+#: A text longer than this many characters, such as a URDF, is replaced by its hash.
 _LONGEST_TEXT = 200
 
 
 class Checkpoint:
     """
-    A file with the last committed state of a node.
+    A file that contains the last committed state of a node.
 
-    A thread writes the file, because writing may take longer than a period of the outputs. The
-    file is replaced as a whole, so it contains either the old state or the new one.
+    The file is written in a separate thread, because writing may take longer than the node's
+    output period. It is always replaced as a whole, so at any moment it contains either the old
+    state or the new one.
 
     Parameters
     ----------
     path : str
-        The file, which need not exist yet.
+        The path of the file, which does not have to exist yet.
     scene : Scene
     node : str
-        The full name of the node. Nodes with the same parameters must not share a file.
+        The full name of the node. It is stored in the file, so that two nodes with the same
+        parameters cannot share a file.
 
     Attributes
     ----------
     start : State or None
-        The state in the file; None if there is no file.
+        The state found in the file, or None if there was no file.
 
     Raises
     ------
     InputError
-        The file is damaged, or is not a checkpoint of this node and scene, or cannot be written.
+        The file is damaged, is not a checkpoint of this node and scene, or cannot be written.
 
     """
 
@@ -72,7 +74,7 @@ class Checkpoint:
         self._defining = {'node': node, **_defining(scene)}
         self.start = self._read()
         files.check((self._path, _SUFFIX))
-        #: Identifies the file as it was last read or written; None if there was no file.
+        #: The identity of the file when it was last read or written. None if there was no file.
         self._identity = _identity(self._path)
         self._saved = self.start
         self._pool = ThreadPoolExecutor(1, 'checkpoint')
@@ -83,12 +85,12 @@ class Checkpoint:
 
     @property
     def age(self) -> float:
-        """Return the time since the file was written, s."""
+        """Return the time since the file was last written, s."""
         return max(0.0, time.time() - os.stat(self._path).st_mtime)
 
     def save(self, state: State | None) -> None:
         """
-        Begin to write a state, unless it is already saved or another state is being written.
+        Start writing a state, unless it is already saved or another write is still in progress.
 
         Raises
         ------
@@ -104,19 +106,19 @@ class Checkpoint:
         self._writing = self._pool.submit(self._write, state)
 
     def save_last(self, state: State | None) -> None:
-        """Write a state, and wait until it is written; raise InputError if writing fails."""
+        """Write a state and wait for the write to finish; raise InputError if it fails."""
         self.finish()
         self.save(state)
         self.finish()
 
     def finish(self) -> None:
-        """Wait until the last state is written; raise InputError if writing failed."""
+        """Wait for the last write to finish; raise InputError if it failed."""
         writing, self._writing = self._writing, None
         if writing:
             try:
                 writing.result()
             except InputError:
-                self._saved = None  # so that the next `save` tries again
+                self._saved = None  # so that the next `save` writes again
                 raise
 
     def _write(self, state: State) -> None:
@@ -145,7 +147,11 @@ class Checkpoint:
         return state
 
     def _parsed(self, text: str) -> tuple[State, dict[str, Any]]:
-        """Return the state and the defining values; raise InputError unless `_text` wrote them."""
+        """
+        Return the state and the defining parameter values that the text of a checkpoint contains.
+
+        Raise InputError if the text is not exactly what `_text` would have returned.
+        """
         try:
             data = json.loads(text)
             state = State(data['time_ns'], data['attitude'], data['angular_velocity'],
@@ -165,13 +171,13 @@ def _text(defining: dict[str, Any], state: State) -> str:
             'rotor_momentum': state.rotor_momentum.tolist(),
             **({'wheel_speeds': state.wheel_speeds.tolist()} if state.wheel_speeds.size else {}),
             'defining': defining}
-    # Append a hash of all other entries, so that damage is detected.
+    # Append a hash of all other entries, so that a damaged file is detected.
     digest = hashlib.sha256(json.dumps(data).encode()).hexdigest()
     return f'{json.dumps({**data, "sha256": digest}, indent=1)}\n'
 
 
 def _defining(scene: Scene) -> dict[str, Any]:
-    """Return the parameters of a scene that define its motion; hashes replace long texts."""
+    """Return the scene parameters that affect the motion, replacing long texts by hashes."""
     return {name: f'sha256 {hashlib.sha256(value.encode()).hexdigest()}'
             if isinstance(value, str) and len(value) > _LONGEST_TEXT else value
             for name, value in scene.values.items()

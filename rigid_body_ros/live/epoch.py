@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One start state, and the torques applied since then."""
+"""An epoch: one start state and the torques applied since then."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from rigid_body_ros.scene import Scene
 
 class Epoch:
     """
-    The motion that begins with one start state, under the torques applied since then.
+    The motion from one start state under the torques applied since then.
 
     Parameters
     ----------
     scene : Scene
     start : State
     torques : sequence of Torque
-        Torques of an earlier epoch that still act.
+        Torques from an earlier epoch that are still acting.
 
     """
 
@@ -47,45 +47,47 @@ class Epoch:
         self.start, self._timeout_ns = start, scene.timeout_ns
         self._body, self._keep = scene.body, scene.inertia_change
         self._wheels = Wheels(scene.named_wheels)
-        #: A torque that is older than the newest stamp by this time, ns, is too old.
+        #: A torque is too old if its stamp is older than the newest stamp by this time or more,
+        #: ns.
         self.history_ns = max(1, duration_ns(scene.history, 'history'))
-        # The history is longer by the delay of the IMU, which measures earlier states.
+        # The propagator needs additional history for the delay of the IMU, because the IMU
+        # measures earlier states.
         self._propagator = Propagator(scene.body, start, wheels=scene.named_wheels,
                                       fields=scene.fields_from(start.time_ns),
                                       actuator=scene.actuators, **asdict(scene.options),
                                       history=scene.history + scene.imu.delay)
         self._committed_ns = start.time_ns
-        #: Commands that act as zero have been counted up to this stamp, ns.
+        #: The method `refused` has already counted the refused commands up to this stamp, ns.
         self._counted_ns = start.time_ns - 1
-        #: Sources and stamps of the torques of the earlier epoch.
+        #: The sources and stamps of the torques from the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}
         for torque in torques:
             self._put(torque)
 
     @property
     def newest_ns(self) -> int | None:
-        """Return the newest stamp of all sources, ns, or None before the first torque."""
+        """Return the newest stamp from any source, ns, or None before the first torque."""
         return self._propagator.newest_ns
 
     def at(self, time_ns: int, within: float) -> State:
-        """Return the state at a time; arguments and errors are those of `Propagator.at`."""
+        """Return the state at a time; see `Propagator.at` for the arguments and errors."""
         return self._propagator.at(time_ns, within)
 
     def applied_torque(self, state: State) -> Floats:
-        """Return the torque that acts in a state of this epoch; see `Propagator.torque`."""
+        """Return the torque that acts on the body in a given state; see `Propagator.torque`."""
         return self._propagator.torque(state)
 
     def apply(self, torque: Torque) -> bool:
         """
-        Apply a torque that is not too old; return whether it replaces an earlier torque.
+        Apply a torque that is not too old, and return whether this replaces an earlier torque.
 
-        A torque replaces another torque of the same source with the same stamp. A torque of the
-        earlier epoch does not count as replaced.
+        A torque replaces an earlier torque that has the same source and the same stamp. If the
+        replaced torque was taken over from an earlier epoch, the method returns False.
 
         Raises
         ------
         ValueError
-            As for `Propagator.apply`.
+            See `Propagator.apply`.
 
         """
         key = torque.source, torque.stamp_ns
@@ -108,7 +110,7 @@ class Epoch:
             self._propagator.apply(*torque)
 
     def has_torque_at(self, stamp_ns: int, source: int) -> bool:
-        """Return whether a source has a torque with this stamp, which may still be replaced."""
+        """Return whether the epoch already has a torque with this stamp from this source."""
         if source == BODY:
             return self._propagator.body_at(stamp_ns).stamp_ns == stamp_ns
         if source == COMMANDS:
@@ -124,7 +126,7 @@ class Epoch:
                    for stamp_ns, effort in zip(stamps_ns, torque.values.tolist()))
 
     def newest_of(self, source: int) -> Torque | None:
-        """Return the torque of a source with the newest stamp, or None before the first torque."""
+        """Return the torque with the newest stamp from a source, or None before its first one."""
         if self.newest_ns is None:
             return None
         if source == COMMANDS:
@@ -133,7 +135,7 @@ class Epoch:
         return None if held is None else _torque(source, held)
 
     def acting_at(self, time_ns: int) -> list[Torque]:
-        """Return the nonzero torques that act at a time."""
+        """Return the nonzero torques that act at a given time."""
         found = [_torque(*pair) for pair in self._propagator.held(time_ns).items()]
         commands = self._commands_at(time_ns)
         return [torque for torque in (*found, *([commands] if commands else []))
@@ -142,18 +144,22 @@ class Epoch:
                 - self._propagator.delay_ns(torque.source)]
 
     def _held(self, stamp_ns: int, source: int) -> Sample | None:
-        """Return the sample of a source in force when a torque with this stamp begins to act."""
+        """Return the sample of a source in force when a torque with a given stamp takes effect."""
         acts_ns = stamp_ns + self._propagator.delay_ns(source)
         return self._propagator.held(acts_ns).get(source)
 
     def _commands_at(self, time_ns: int) -> Torque | None:
-        """Return the commands in force for all wheels at a time, with their newest stamp."""
+        """
+        Return the commands in force for all wheels at a given time, as a single `Torque`.
+
+        The stamp of this torque is the newest stamp of these commands.
+        """
         commands = self._propagator.commands_at(time_ns)
         return None if commands.stamp_ns == -NEVER_NS else Torque(
             commands.stamp_ns, np.array(commands.efforts), 'body', COMMANDS)
 
     def torques_since(self, time_ns: int) -> list[Torque]:
-        """Return the torques in force at a time and all later torques, sorted by stamp."""
+        """Return the torques in force at a given time and all later torques, sorted by stamp."""
         found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
         found += [Torque(stamp_ns, body.entries, 'body', BODY)
                   for stamp_ns, body, *_ in self._propagator.bodies_since(time_ns)]
@@ -162,18 +168,19 @@ class Epoch:
         return sorted(found, key=lambda torque: torque.stamp_ns)
 
     def uncommitted(self, until_ns: int) -> list[int]:
-        """Return the stamps up to a time, ascending, at which no state is committed yet."""
+        """Return the stamps up to a given time whose states are not committed yet, sorted."""
         return self._propagator.stamps(self._committed_ns, until_ns)
 
     def mark_committed(self, time_ns: int) -> None:
-        """Record that the states at the stamps up to a time are committed."""
+        """Record that the states at all stamps up to a given time are committed."""
         self._committed_ns = time_ns
 
     def refused(self, time_ns: int) -> int:
         """
-        Return how many commands act as zero, because their wheels are too fast.
+        Return how many commands were treated as zero because their wheels were too fast.
 
-        Each call counts the commands after the time of the previous call, up to its own time.
+        Each call counts only commands with stamps later than the `time_ns` of the previous call,
+        up to and including the `time_ns` of this call.
         """
         if not self._wheels.is_limited:
             return 0
@@ -181,7 +188,7 @@ class Epoch:
         return self._propagator.refused_commands(begin_ns, time_ns)
 
     def clipped(self, torque: Torque) -> int:
-        """Return the number of clipped efforts of a command; 0 if a torque is not a command."""
+        """Return how many efforts of a wheel command were clipped; 0 for any other torque."""
         return self._wheels.count_clipped(torque.values) if torque.source == COMMANDS else 0
 
 

@@ -12,40 +12,41 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The names under which events of torques and of the motion are counted."""
+"""The names under which the node counts what happens to torques and to the motion."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 RECEIVED, APPLIED, WAITING = 'received', 'applied', 'waiting'
-#: Causes of rejection.
+#: The causes for which a message can be rejected.
 MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
 NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
 NO_STATE, ENDED, STALE = 'state not computable', 'epoch ended', 'before the reset'
 DIFFERS, IMPOSSIBLE = 'duplicate, differs (same stamp)', 'no body has this inertia'
 CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
           ENDED, DIFFERS, STALE, IMPOSSIBLE)
-#: Causes of rejection that follow from a reset, and so are not mistakes of a sender.
+#: The causes for which a torque is rejected because of a reset, and not because its sender made a
+#: mistake.
 OF_RESETS = (ENDED, STALE)
-#: Other counts of torques.
+#: Names of the other counts for torques.
 REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
 LOST = 'lost'
-#: Counts of commands to wheels.
+#: Names of the counts for wheel commands.
 CLIPPED, TOO_FAST = 'clipped to max_torque', 'zero at max_speed'
-#: Counts of events of the motion.
+#: Names of the counts for the motion.
 MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
 UNSAVED, TIME_JUMP = 'checkpoint failures', 'clock jumps'
 STATES, STATES_REJECTED = 'initial states', 'initial states rejected'
 
 
 def rejections(cause: str) -> str:
-    """Return the key under which torques rejected for a cause are counted."""
+    """Return the key under which torques rejected for the given cause are counted."""
     return f'rejected: {cause}'
 
 
 class RejectedError(ValueError):
-    """A message is rejected; `cause` is the name under which it is counted."""
+    """Raised when a message is rejected; `cause` is the name under which it is counted."""
 
     def __init__(self, cause: str, text: str) -> None:
         super().__init__(text)
@@ -53,23 +54,23 @@ class RejectedError(ValueError):
 
 
 class EarlyError(RejectedError):
-    """A torque may have overtaken the /clock message that was sent before it."""
+    """Raised if a torque may have arrived before a /clock message that was sent earlier."""
 
 
 class Events(Protocol):
-    """An object that counts and reports events."""
+    """Protocol of an object that counts and reports events."""
 
     def count(self, name: str, source: int, number: int = 1) -> None:
-        """Count events of the torques of a source, without logging them."""
+        """Count events that concern the torques of a source. Do not log these events."""
 
     def count_force(self, source: int) -> None:
-        """Count an ignored force."""
+        """Count a force that was ignored."""
 
     def ignore_mass(self) -> None:
-        """Log, once, that the mass and the centre of mass of an inertia are ignored."""
+        """Log once that the mass and the centre of mass of an inertia message are ignored."""
 
     def reject(self, rejected: RejectedError, source: int) -> None:
-        """Count a rejected torque of a source, and log the reason."""
+        """Count a torque that was rejected, and log the reason."""
 
     def event(self, name: str, text: str, kind: str = '') -> None:
-        """Count a problem of the motion, and log it; each kind is logged at a limited rate."""
+        """Count a problem with the motion, and log it unless this kind was logged recently."""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Turn received messages into torques and states, or reject them with a cause."""
+"""Turn received messages into torques and states, or reject them and give the cause."""
 
 from __future__ import annotations
 
@@ -39,29 +39,30 @@ from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
 from rigid_body_ros.scene import Scene
 
-#: Largest angular acceleration, rad/s^2. In one second, a body at rest would reach the angular
-#: velocity FASTEST, one radian per nanosecond.
+#: Largest angular acceleration that a torque may cause, rad/s^2. At this acceleration, a body at
+#: rest would reach the angular velocity FASTEST, which is one radian per nanosecond, within one
+#: second.
 _LARGEST_ACCELERATION = 1e9
 
 
 class Torque(NamedTuple):
     """
-    A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'.
+    A torque, N m, that acts from its stamp onward, in the frame 'body' or 'space'.
 
-    For the source BODY, `values` is the inertia of a body instead: `RigidBody.entries`, kg m^2.
-    For COMMANDS, `values` contains the efforts of the named wheels, N m, with NaN for each wheel
-    that keeps its effort.
+    For two sources, `values` is not a torque. For BODY, `values` is the inertia of a body, kg m^2,
+    in the form of `RigidBody.entries`. For COMMANDS, `values` contains the efforts of the named
+    wheels, N m, with NaN for each wheel that keeps its previous effort.
     """
 
     stamp_ns: int
     values: Floats
     frame: str
-    #: The number of a source, as for `Propagator.apply`; or WHEELS (the rotors), COMMANDS, BODY.
+    #: The number of a source (see `Propagator.apply`), or WHEELS (the rotors), COMMANDS or BODY.
     source: int = 0
 
 
 class Inputs:
-    """Decode messages, and express them in the frames of a scene."""
+    """Decode messages, and express their contents in the frames of a scene."""
 
     def __init__(self, scene: Scene, events: Events) -> None:
         self._events = events
@@ -74,18 +75,20 @@ class Inputs:
 
     def torque(self, data: bytes, source: int) -> Torque:
         """
-        Return the torque about the centre of mass from a WrenchStamped of a source.
+        Decode a message and return its torque about the centre of mass.
 
-        A force without a lever arm is ignored and reported. For the source BODY, the message is an
-        InertiaStamped; for COMMANDS, a JointState. `data` is the serialized message (CDR).
+        `data` is the serialized message (CDR). Its type depends on the source: an InertiaStamped
+        for BODY, a JointState for COMMANDS, and a WrenchStamped for all other sources. If a wrench
+        contains a force without a lever arm, the force is ignored and counted.
 
         Raises
         ------
         RejectedError
-            The message is malformed or has an unknown frame. The torque is not finite or far too
-            large. A wrench in a turning frame is not along the axis of that frame. No body, or no
-            body with these wheels, can have this inertia. A name in a command is not that of a
-            wheel.
+            The message is malformed or has an unknown frame, or the torque is not finite or is so
+            large that the body would accelerate too fast. In addition, a wrench in a turning frame
+            is rejected if it is not along the axis of that frame. An inertia is rejected if no
+            body can have this inertia, or if no body with the wheels of the scene can have it. A
+            command is rejected if it contains a name that is not the name of a wheel.
 
         """
         if source == BODY:
@@ -139,7 +142,7 @@ class Inputs:
         return Torque(inertia.stamp_ns, entries, axes, BODY)
 
     def _efforts(self, command: messages.Stamped) -> Torque:
-        if messages.is_epoch_marker(command.frame_id):  # any other frame_id is ignored
+        if messages.is_epoch_marker(command.frame_id):  # commands ignore any other frame_id
             raise RejectedError(FRAME, 'frame_id: expected that of a command, found the marker of '
                                 f'an epoch, {quoted(command.frame_id)}')
         largest = float(np.nanmax(np.abs(command.values), initial=-1.0))
@@ -151,17 +154,17 @@ class Inputs:
         return Torque(command.stamp_ns, command.values, 'body', COMMANDS)
 
     def odometry(self, data: bytes) -> messages.Stamped:
-        """Decode a serialized Odometry (CDR); raise RejectedError if it is malformed."""
+        """Decode a serialized Odometry message (CDR); raise RejectedError if it is malformed."""
         return _decoded(messages.ODOMETRY, data)
 
     def state(self, odometry: messages.Stamped) -> State:
         """
-        Return the state that an Odometry contains.
+        Return the state in an Odometry message.
 
         Raises
         ------
         RejectedError
-            The frames of the message are not those of the scene, a number is not finite, the
+            The frames of the message are not those of the scene, a value is not finite, the
             angular velocity is too large, or the quaternion is zero.
 
         """
@@ -181,7 +184,11 @@ class Inputs:
 
 
 def _source(wrench: messages.Stamped, frame: Frame | None) -> str:
-    """Return the end of an error message: the wrench from which a torque was computed."""
+    """
+    Return the last words of an error message about a torque.
+
+    They name the wrench from which the torque was computed.
+    """
     found = f', from the wrench {wrench.values.tolist()} in frame {quoted(wrench.frame_id)}'
     return found if frame else ''
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The run of a node: its epochs, and the log of accepted torques and committed states."""
+"""A node's run, with its epochs and the log of accepted torques and committed states."""
 
 from __future__ import annotations
 
@@ -42,46 +42,56 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.segment import COMMANDS
 from rigid_body_ros.scene import Scene
 
-#: Depth of the queue of each log: the largest number of messages in one burst.
+#: The queue depth of each log topic, and therefore the largest number of messages in one burst.
 LOG_DEPTH = 10_000
-#: Time limit for computing the last states of an epoch, s.
+#: How long the node may spend on computing the last states of an epoch, s.
 _END_BUDGET = 0.2
 _NO_TORQUE = np.zeros(3)
 _NO_TORQUE.flags.writeable = False
 
 
 class Snapshot(NamedTuple):
-    """The data to publish for a time; `sensed` is the state one IMU delay earlier."""
+    """
+    What the node publishes for one time.
+
+    `sensed` is the state that the IMU reports at this time, which is one IMU delay old.
+    """
 
     state: State
     sensed: State
-    #: The torque that acts, N m, body axes; zero without actuators, or before the first epoch.
+    #: The torque that acts on the body, N m, body axes. This torque is zero if the scene has no
+    #: actuators, and before the first epoch.
     torque: Floats = _NO_TORQUE
 
 
 class RunLog(Protocol):
-    """An object that publishes the log of a run."""
+    """Protocol of an object that publishes the log of a run."""
 
     def begin_log(self, start: State) -> None:
-        """Publish the marker of a new epoch, with its start state, in each log of torques."""
+        """Publish the marker of a new epoch, with its start state, to every torque log."""
 
     def log_torque(self, torque: Torque) -> None:
-        """Log an accepted torque."""
+        """Log a torque that was accepted."""
 
     def log_state(self, state: State) -> None:
         """Log a state that no later torque can change."""
 
     def deliver(self, until: float) -> bool:
-        """Wait for subscribers to acknowledge the log, up to `until`, s, monotonic clock."""
+        """
+        Wait until all subscribers have acknowledged the log.
+
+        `until` is the time on the monotonic clock at which to stop waiting, s. The result is False
+        if a subscriber has not acknowledged the log by this time.
+        """
 
 
 class Run:
     """
-    The current epoch of a node, and the log of all epochs.
+    The current epoch of a node, and the log of all its epochs.
 
-    `commit` and `state` raise TimeoutError if they take longer than the caller can wait. The next
-    call with the same arguments then continues the work. Neither the results nor the order of the
-    log depend on how many calls the work takes.
+    If `commit` or `state` takes longer than the caller can wait, it raises TimeoutError. To
+    continue the work, call the same method again with the same arguments. Neither the results nor
+    the order of the log depend on how many calls this takes.
 
     Parameters
     ----------
@@ -93,7 +103,8 @@ class Run:
     ----------
     epoch : Epoch or None
     committed : State or None
-        The final state that was logged last; no later torque can change it.
+        The latest state that has been logged. States are logged when they are final, which means
+        that no later torque can change them.
 
     """
 
@@ -102,17 +113,17 @@ class Run:
         self._delay_ns, self._has_actuators = scene.imu.delay_ns, bool(scene.actuators)
         self.epoch: Epoch | None = None
         self.committed: State | None = None
-        #: Final states that are not logged yet.
+        #: Final states that have not been logged yet.
         self._final: list[State] = []
-        #: When the newest torque of each source arrived, ns.
+        #: The time at which the newest torque from each source arrived, ns.
         self._arrived_ns: dict[int, int] = {}
 
     def initial(self, time_ns: int) -> State:
         """
-        Return the initial state of the scene at a time, with the speeds of the wheels.
+        Return the scene's initial state, including the wheel speeds, as a state at `time_ns`.
 
-        The marker of every epoch needs these speeds, because the parameters that a node dumps
-        contain only the speeds at the start of the last epoch.
+        The marker of every epoch needs these wheel speeds, because a parameter dump of the node
+        contains only the speeds at the start of the last epoch.
         """
         start, wheels = replace(self._scene.start, time_ns=time_ns), self._scene.named_wheels
         others, speeds = start.rotor_momentum, np.array([wheel.initial_speed for wheel in wheels])
@@ -120,11 +131,12 @@ class Run:
             return replace(start, wheel_speeds=speeds)
         total = sum((wheel.inertia * wheel.initial_speed * np.asarray(wheel.axis)
                      for wheel in wheels), others)
-        # In a state with wheel speeds, zero momentum means that there are no other rotors.
+        # In a state with wheel speeds, a rotor momentum of zero means that there are no other
+        # rotors.
         return replace(start, wheel_speeds=speeds, rotor_momentum=total) if total.any() else start
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
-        """Begin an epoch and its log; `torques` are from an earlier epoch and still act."""
+        """Begin an epoch and its log. The `torques` of an earlier epoch continue to act."""
         self.epoch = Epoch(self._scene, start, torques)
         self._arrived_ns = dict.fromkeys((torque.source for torque in torques), start.time_ns)
         self._sink.begin_log(start)
@@ -133,16 +145,22 @@ class Run:
         self._log_state(start)
 
     def end(self, until: float | None = None) -> None:
-        """End the epoch; commit its states by `until`, s, monotonic clock (None: within 0.2 s)."""
+        """
+        Commit the remaining states of the epoch, and end it.
+
+        `until` is the time on the monotonic clock at which to stop trying, s. If it is None, the
+        time limit is 0.2 s from now.
+        """
         if self.epoch is not None:
             self._finish(self.epoch, time.monotonic() + _END_BUDGET if until is None else until)
         self.epoch = None
 
     def apply(self, torque: Torque, arrived_ns: int) -> bool:
         """
-        Apply a torque that arrived at a time, ns; return False if it is rejected.
+        Apply a torque that arrived at `arrived_ns`, and return False if it is rejected.
 
-        Before the next torque, call `commit`, and then `log` to log the torque and the states.
+        Before you apply another torque, call `commit`, and then call `log` to log the torque and
+        the committed states.
         """
         epoch = self._present()
         try:
@@ -164,12 +182,12 @@ class Run:
 
     def commit(self, until: float) -> None:
         """
-        Compute the states that no later torque can change.
+        Compute the states that no later torque can change any more.
 
         Raises
         ------
         TimeoutError
-            The states cannot be computed by `until`, s, monotonic clock.
+            The computation did not finish by `until`, a time on the monotonic clock, s.
 
         """
         epoch = self._present()
@@ -177,18 +195,18 @@ class Run:
             self._commit(epoch, epoch.newest_ns - epoch.history_ns, until)
 
     def log(self, torque: Torque) -> None:
-        """Log an applied torque, and the states that it committed."""
+        """Log an applied torque, and then the states that this torque caused to be committed."""
         self._sink.log_torque(torque)
         self._log_final()
 
     def state(self, time_ns: int, until: float) -> State | None:
         """
-        Return the state at a time, or report that it cannot be computed and return None.
+        Return the state at a given time. If it cannot be computed, report this and return None.
 
         Raises
         ------
         TimeoutError
-            The state cannot be computed by `until`, s, monotonic clock.
+            The computation did not finish by `until`, a time on the monotonic clock, s.
 
         """
         try:
@@ -199,7 +217,11 @@ class Run:
             return None
 
     def snapshot(self, time_ns: int, until: float) -> Snapshot | None:
-        """Return what to publish for a time, or None; arguments and errors are as for `state`."""
+        """
+        Return what to publish for a given time, or None if the state cannot be computed.
+
+        See `state` for the arguments and errors.
+        """
         state = sensed = self.state(time_ns, until)
         if state is not None and self._delay_ns:
             start_ns = self._present().start.time_ns
@@ -210,7 +232,7 @@ class Run:
         return Snapshot(state, sensed, torque)
 
     def last_state(self, time_ns: int) -> State | None:
-        """Return the state at a time, or None if it takes too long or cannot be computed."""
+        """Return the state at a given time, or None if it cannot be computed within 0.2 s."""
         try:
             return self.state(time_ns, time.monotonic() + _END_BUDGET)
         except TimeoutError as error:
@@ -228,12 +250,12 @@ class Run:
 
     def torques_since(self, time_ns: int) -> list[Torque]:
         """
-        Return the torques that act at a time, and all later ones.
+        Return the torques that act at a given time, and all later ones.
 
         Raises
         ------
         RejectedError
-            The time is older than the newest torque by `history` or more.
+            The time is earlier than the newest torque by `history` or more.
 
         """
         if self.epoch is None or self.epoch.newest_ns is None:
@@ -243,10 +265,10 @@ class Run:
 
     def with_rotor_momentum(self, start: State, time_ns: int, default: State) -> State:
         """
-        Return a start state with the rotor momentum and wheel speeds at a time of this epoch.
+        Return a start state that takes over the rotor momentum and the wheel speeds of this epoch.
 
-        If there is no epoch, or if the rotors have no motors, the momentum and the speeds are
-        those of `default`.
+        The momentum and the speeds are those at `time_ns`. If there is no epoch, or if the rotors
+        have no motors, both are taken from `default` instead.
         """
         has_motors = self._scene.wheels or self._scene.named_wheels
         if self.epoch is not None and has_motors and time_ns > self.epoch.start.time_ns:
@@ -255,12 +277,16 @@ class Run:
                        wheel_speeds=default.wheel_speeds)
 
     def age(self, source: int, now_ns: int) -> float | None:
-        """Return how long ago the newest torque of a source arrived, s; None before the first."""
+        """
+        Return how long ago the newest torque of a source arrived, s.
+
+        If no torque has arrived from the source yet, the result is None.
+        """
         arrived_ns = self._arrived_ns.get(source)
         return None if arrived_ns is None else max(0.0, (now_ns - arrived_ns) * 1e-9)
 
     def silent(self, now_ns: int) -> list[Torque]:
-        """Return acting torques whose sources have been silent for longer than `stale_after`."""
+        """Return the acting torques of sources that are silent for more than `stale_after`."""
         longest = self._scene.stale_after
         if self.epoch is None or not longest:
             return []
@@ -272,7 +298,7 @@ class Run:
         return self.epoch
 
     def _commit(self, epoch: Epoch, until_ns: int, until: float) -> None:
-        """Compute the states up to a time; no torque can change these states from now on."""
+        """Compute the states up to a given time, and mark them as committed."""
         for stamp_ns in epoch.uncommitted(until_ns):
             state = self.state(stamp_ns, until)
             epoch.mark_committed(stamp_ns)
@@ -280,14 +306,14 @@ class Run:
                 self._final.append(state)
                 if zeros := epoch.refused(stamp_ns):
                     self._events.count(TOO_FAST, COMMANDS, zeros)
-            if time.monotonic() > until:  # the next call continues from here
+            if time.monotonic() > until:  # the next call will continue from here
                 raise TimeoutError(f'the committed states are computed up to {stamp_ns} ns')
 
     def _finish(self, epoch: Epoch, until: float) -> None:
-        """Commit the remaining states of an epoch, which late torques could have changed."""
+        """Commit the states of an epoch that could still have been changed by late torques."""
         last_ns = epoch.start.time_ns if epoch.newest_ns is None else epoch.newest_ns
         try:
-            while stamps := epoch.uncommitted(last_ns)[:LOG_DEPTH]:  # as many as the queue holds
+            while stamps := epoch.uncommitted(last_ns)[:LOG_DEPTH]:  # at most the queue's depth
                 self._commit(epoch, stamps[-1], until)
                 self._log_final()
                 self._sink.deliver(until)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torques that wait to be applied, or wait for the clock."""
+"""A queue of torques that are waiting to be applied or waiting for the clock."""
 
 from __future__ import annotations
 
@@ -26,22 +26,24 @@ from rigid_body_ros.live.events import ENDED, Events, FUTURE, LATE, OVERLOAD, Re
 
 #: Largest number of torques that may wait in the queue.
 _MAX_QUEUE = 100_000
-#: In real time, new torques are rejected while more than _BACKLOG torques wait and the first of
-#: them has waited for longer than _MAX_WAIT, s. Meanwhile the motion catches up.
+#: In real time, new torques are rejected while more than _BACKLOG torques are waiting and the
+#: first of them has been waiting for longer than _MAX_WAIT, s. This gives the node time to catch
+#: up.
 _BACKLOG, _MAX_WAIT = 5000, 2.0
 
-#: Identity of a publisher; None if the middleware does not report it.
+#: The identity of a publisher, or None if the middleware does not report it.
 Sender = bytes | None
-#: Stands for the sender of every message if the middleware cannot tell publishers apart.
+#: The sender of every message if the middleware cannot tell publishers apart.
 UNKNOWN_SENDER: Sender = b''
 
 
 class Queued(NamedTuple):
     """
-    A received message, which is decoded later, so that many messages can be received quickly.
+    A received message that has not been decoded yet.
 
-    `arrived_ns` is the time of arrival, ns (0 in lockstep); `since` is the same time by the
-    monotonic clock, s.
+    Messages are decoded later, so that many of them can be received quickly. `arrived_ns` is the
+    time of arrival, ns, or 0 in lockstep. `since` is the time of arrival on the monotonic clock,
+    s.
     """
 
     source: int
@@ -53,44 +55,50 @@ class Queued(NamedTuple):
 
 class TorqueQueue:
     """
-    Torques in the order of arrival.
+    A queue of torques in the order of their arrival.
 
-    Torques that wait for the clock are called early: later torques may overtake them.
+    Torques that have to wait for the clock are called *early*. They are kept apart from the other
+    torques, so torques that arrive later may overtake them.
 
     Parameters
     ----------
     events : Events
     is_patient : bool
-        Whether torques may wait without a time limit, as in lockstep.
+        Whether torques may wait indefinitely, as in lockstep.
 
     """
 
     def __init__(self, events: Events, is_patient: bool) -> None:
         self._events, self._is_patient = events, is_patient
         self._waiting: deque[Queued] = deque()
-        #: Early torques, by the cause for which they would be rejected now.
+        #: Early torques, grouped by the cause for which they would be rejected now.
         self._early: dict[str, deque[Queued]] = {FUTURE: deque(), LATE: deque()}
 
     def __bool__(self) -> bool:
-        """Return whether torques wait to be applied; early torques do not count."""
+        """Return whether any torques other than early torques are waiting to be applied."""
         return bool(self._waiting)
 
     def __len__(self) -> int:
-        """Return the number of torques that wait to be applied or for the clock."""
+        """Return the number of torques that are waiting, including early torques."""
         return len(self._waiting) + sum(map(len, self._early.values()))
 
     @property
     def waiting_time(self) -> float:
-        """Return how long the first torque has waited to be applied, s."""
+        """Return how long the first torque in the queue has been waiting to be applied, s."""
         return time.monotonic() - self._waiting[0].since if self._waiting else 0.0
 
     def by_source(self) -> Counter[int]:
-        """Return, for each source, the number of torques that wait."""
+        """Return the number of waiting torques from each source, including early torques."""
         return Counter(queued.source for queue in (self._waiting, *self._early.values())
                        for queued in queue)
 
     def check_room(self) -> None:
-        """Raise RejectedError if too many torques wait or, in real time, many wait too long."""
+        """
+        Raise RejectedError if the queue has no room for another torque.
+
+        There is no room if too many torques are waiting, or, in real time, if many torques are
+        waiting and the first of them has waited too long.
+        """
         count, waited = len(self._waiting), self.waiting_time
         is_late = not self._is_patient and count > _BACKLOG and waited > _MAX_WAIT
         if is_late or count >= _MAX_QUEUE:
@@ -98,20 +106,20 @@ class TorqueQueue:
                                 'new ones are rejected until the node catches up')
 
     def put(self, queued: Queued) -> None:
-        """Append a torque."""
+        """Append a received torque to the end of the queue."""
         self._waiting.append(queued)
 
     def pop(self) -> Queued:
-        """Remove and return the first torque."""
+        """Remove the first torque from the queue and return it."""
         return self._waiting.popleft()
 
     def pop_all(self) -> Iterator[Queued]:
-        """Remove and generate all torques that are in the queue now, except early ones."""
+        """Remove and yield all torques that are in the queue now, except for early torques."""
         for _ in range(len(self._waiting)):
             yield self._waiting.popleft()
 
     def hold(self, queued: Queued, cause: str) -> None:
-        """Make a torque wait for the clock; `cause` is why it would be rejected now."""
+        """Keep an early torque until the clock permits it, instead of rejecting it for `cause`."""
         self._early[cause].append(queued)
 
     def first_early(self, cause: str) -> Queued | None:
@@ -119,13 +127,17 @@ class TorqueQueue:
         return next(iter(self._early[cause]), None)
 
     def release(self, cause: str) -> None:
-        """Move the first early torque held for `cause` to its place in the queue, by arrival."""
+        """Move the first early torque held for `cause` into the queue, by its time of arrival."""
         queued = self._early[cause].popleft()
         place = bisect.bisect_left(self._waiting, queued.since, key=_since)
         self._waiting.insert(place, queued)
 
     def end(self, kept: str) -> None:
-        """At the end of an epoch, reject all torques but early ones held for the cause `kept`."""
+        """
+        Reject the waiting torques at the end of an epoch.
+
+        Early torques that are held for the cause `kept` are not rejected and continue to wait.
+        """
         unmet = {FUTURE: 'the clock reached the stamp of this torque',
                  LATE: 'the clock was set back to the stamp of this torque'}
         ended = [(self._waiting, 'this torque was applied'), *(

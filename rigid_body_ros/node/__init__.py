@@ -13,18 +13,19 @@
 # limitations under the License.
 
 """
-The ROS node, which receives torques on a topic and publishes the attitude.
+The ROS node that receives torques on a topic and publishes the attitude.
 
-`attitude_node` contains the plain node, and `lifecycle` the managed node. Both nodes use
-`component`, which connects the other modules. `process` and `spinning` run a node as a command.
+There are two versions of the node: the plain node in `attitude_node`, and the managed node in
+`lifecycle`. Both are built on `component`, which ties the other modules together. `process` and
+`spinning` run a node as a command.
 
-`drain` takes messages from subscriptions, and `parameters` reads the scene. `mode` applies torques
-in slices of work. `realtime` or `lockstep` decides which torques are accepted, and when a state is
-published. `outputs` publishes states and the log, and `diagnostics` reports problems. The package
-`live` does the work that does not need ROS.
+`parameters` reads the scene, and `drain` takes messages from subscriptions. `mode` applies the
+torques in short slices of work. Its subclasses in `realtime` and `lockstep` decide which torques
+to accept, and when to publish a state. `outputs` publishes the states and the log, and
+`diagnostics` reports problems. Work that does not need ROS is done in the package `live`.
 
-`attitude_controller` is an example of a controller in lockstep. `recorded` is a node in lockstep
-that keeps its own log, for `attitude_regress`.
+`attitude_controller` is an example of a controller for lockstep mode. `recorded` provides the node
+that `attitude_regress` uses, which runs in lockstep and keeps its own log.
 """
 
 from importlib import import_module

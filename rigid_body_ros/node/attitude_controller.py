@@ -13,20 +13,20 @@
 # limitations under the License.
 
 """
-A quaternion-feedback controller (PD) for a node in lockstep: a closed loop over DDS.
+A PD controller with quaternion feedback, which closes the loop with a node in lockstep.
 
-The controller replies to every state on `odometry` with a torque at the stamp of the state, and
-repeats the torque if no new state arrives. The loop runs as fast as both nodes can, loses no
-message, and computes the same numbers in every run.
+The controller answers every state on `odometry` with a torque that carries the same stamp, and
+resends the torque if no new state arrives. The loop runs over DDS as fast as the two nodes can
+compute. No messages are lost, and the nodes compute the same numbers in every run.
 
     attitude_node --ros-args --params-file config/tumbler.yaml -p mode:=lockstep -p step:=0.01
     attitude_controller --ros-args -p stop_after:=60.0
 
-Or start both nodes with `ros2 launch rigid_body_ros closed_loop.launch.py`.
+You can also start both nodes with `ros2 launch rigid_body_ros closed_loop.launch.py`.
 
-The control law is that of Wie and Barba ("Quaternion feedback for spacecraft large angle
-maneuvers", 1985). It turns the body the short way round: q and -q are the same attitude, so the
-law uses the sign of the scalar part.
+The control law was published by Wie and Barba, "Quaternion feedback for spacecraft large angle
+maneuvers", 1985. Because q and -q describe the same attitude, the law uses the sign of the scalar
+part to turn the body the short way round.
 """
 
 from __future__ import annotations
@@ -49,9 +49,10 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.node.spinning import executor_of, spin
 from rigid_body_ros.runtime.parameters import is_foreign
 
-#: How long to wait for a state before the torque is sent again, s.
+#: How long the controller waits for a new state before it resends the torque, in seconds.
 _PATIENCE = 0.2
-#: Largest attitude error (rad) and angular velocity (rad/s) of a settled body.
+#: The body counts as settled when its attitude error in rad and its angular velocity in rad/s are
+#: both below this value.
 _SETTLED = 1e-3
 
 
@@ -62,7 +63,7 @@ class AttitudeController(Node):
     Raises
     ------
     InputError
-        A parameter is not known, but resembles a known one.
+        A parameter is unknown, but its name resembles that of a known parameter.
 
     """
 
@@ -130,7 +131,7 @@ class AttitudeController(Node):
 
 
 def _relative(target: Sequence[float], attitude: Quaternion) -> tuple[float, ...]:
-    """Return the rotation from the target to an attitude as a quaternion x y z w in body axes."""
+    """Return the rotation from the target to an attitude, as a quaternion x y z w in body axes."""
     a, b, c, d = target
     x, y, z, w = attitude.x, attitude.y, attitude.z, attitude.w
     return (d * x - a * w - b * z + c * y, d * y - b * w - c * x + a * z,
@@ -139,7 +140,7 @@ def _relative(target: Sequence[float], attitude: Quaternion) -> tuple[float, ...
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """
-    Run the controller until the end of the maneuver, SIGINT or SIGTERM.
+    Run the controller until the maneuver ends, or until it receives SIGINT or SIGTERM.
 
     Raises
     ------

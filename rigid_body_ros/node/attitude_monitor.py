@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`AttitudeMonitor`: a node that checks the model against measurements as they arrive."""
+"""Provide `AttitudeMonitor`, a node that checks the model against measurements as they arrive."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.alarms import ERROR, Judgement, WARN
 
 NAME = 'attitude_monitor'
-#: Period of the search for windows that have ended, and period of diagnostics, s.
+#: How often to look for windows that have ended, and how often to publish diagnostics, in seconds.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
 _SEVERAL = 'messages of several publishers on one topic are treated as those of one sensor'
 
@@ -48,8 +48,9 @@ class AttitudeMonitor(Node):
     """
     Check a model against measurements, window by window.
 
-    The node subscribes to the torques of the scene and to the topics of `monitor.measured`. Any
-    executor may spin the node; all its callbacks are in one mutually exclusive group.
+    The node subscribes to the torque topics of the scene, and to the topics listed in
+    `monitor.measured`. You can spin the node in any executor. All its callbacks are in one
+    mutually exclusive group.
 
     Parameters
     ----------
@@ -60,7 +61,8 @@ class AttitudeMonitor(Node):
     Raises
     ------
     InputError
-        The name of the node is not valid, or the parameters are not a scene with a monitor.
+        The node name is not valid, or the parameters do not describe a scene that a monitor can
+        check.
 
     """
 
@@ -81,19 +83,23 @@ class AttitudeMonitor(Node):
         self._attitude, self._rate = (self.create_publisher(Vector3Stamped, f'~/{name}', 10)
                                       for name in ('attitude_error', 'rate_error'))
         self._torque = self.create_publisher(WrenchStamped, '~/residual_torque', 10)
-        #: When the next report is due, s, monotonic clock.
+        #: When the next diagnostics are due, in seconds on the monotonic clock.
         self._report_at = 0.0
         self.create_timer(_WATCH_PERIOD, self._watch,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def subscriptions(self) -> Iterator[Subscription[Any]]:
-        """Return the subscriptions that an executor waits for: all except the polled ones."""
+        """Return the subscriptions that an executor must wait for: all except the polled ones."""
         polled = self._inputs.polled if hasattr(self, '_inputs') else []
         return (one for one in super().subscriptions if one not in polled)
 
     def _watch(self) -> None:
-        """Judge the windows that have ended; once a second, look for topics, and report."""
+        """
+        Judge the windows that have ended.
+
+        Once a second, also look for topics and publish diagnostics.
+        """
         inputs, now = self._inputs, time.monotonic()
         inputs.now_ns()
         inputs.take()
@@ -124,7 +130,7 @@ class AttitudeMonitor(Node):
                                    [self._status()])
 
     def _status(self) -> DiagnosticStatus:
-        """Return the status of the model."""
+        """Return the diagnostic status that tells whether the model fits the measurements."""
         inputs, monitor = self._inputs, self._inputs.monitor
         last, skipped = monitor.last, {f'windows skipped: {reason}': count
                                        for reason, count in monitor.skipped.items()}
@@ -160,7 +166,7 @@ def _described(judgement: Judgement) -> str:
 
 
 def _check(scene: Scene) -> None:
-    """Raise InputError if a monitor cannot check a scene."""
+    """Raise InputError if the scene is one that a monitor cannot check."""
     for name in ('monitor.attitude_noise', 'monitor.rate_noise'):
         if not scene.values[name]:
             raise InputError(f'{name}: expected the standard deviation of a component, found 0')
@@ -175,5 +181,13 @@ def _check(scene: Scene) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the monitor until SIGINT or SIGTERM; raise InputError as `AttitudeMonitor` does."""
+    """
+    Run the monitor until it receives SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        The arguments or parameters are not valid.
+
+    """
     run(arguments, AttitudeMonitor, NAME)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`AttitudeNode`: a plain node."""
+"""Provide `AttitudeNode`, the plain node without a managed lifecycle."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ class AttitudeNode(Node):
     """
     Compute the attitude of a rigid body from torques on a topic, and publish it.
 
-    Any executor may spin this node, alone or beside other nodes. All its callbacks are in one
-    mutually exclusive group, so a MultiThreadedExecutor runs only one of them at a time.
+    You can spin this node in any executor, alone or together with other nodes. All its callbacks
+    are in one mutually exclusive group, so a MultiThreadedExecutor runs only one of them at a
+    time.
 
-    If the parameters contain neither an inertia nor a URDF, the constructor waits for a URDF on
-    the topic `robot_description`.
+    If the parameters give neither an inertia nor a URDF, the constructor waits until a URDF
+    arrives on the topic `robot_description`.
 
     Parameters
     ----------
@@ -46,14 +47,15 @@ class AttitudeNode(Node):
     Raises
     ------
     InputError
-        The name of the node is not valid, or the parameters are not a valid scene.
+        The node name is not valid, or the parameters do not describe a valid scene.
 
     """
 
     def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
         with one_line_errors():
             super().__init__(node_name, **kwargs)
-        #: None until the component is active, and again after it has published the pending states.
+        #: The component, from its activation until it has published the pending states. None
+        #: before and after this time.
         self._component: AttitudeComponent | None = None
         try:
             component = AttitudeComponent(self)
@@ -64,7 +66,7 @@ class AttitudeNode(Node):
         self._component = component
 
     def destroy_node(self) -> None:
-        """Publish pending states and the last diagnostics, and destroy the node."""
+        """Publish all pending states and the last diagnostics, and then destroy the node."""
         if self._component:
             self._component.finish()
         self._component = None
@@ -73,11 +75,11 @@ class AttitudeNode(Node):
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Raise InputError in place of an error of rclpy about the arguments of a node."""
+    """Convert rclpy errors about a node's arguments to InputErrors with one-line messages."""
     try:
         yield
     except NameValidationException as error:
-        text, name, _ = str(error).splitlines()  # the last line points at a character
+        text, name, _ = str(error).splitlines()  # the last line marks a character in the name
         raise InputError(f'{text} {name.strip()}') from error
     except ParameterException as error:  # for example, if use_sim_time is not a Boolean
         raise InputError(str(error)) from error

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The clock of a node: stamp messages on arrival, detect jumps, and check for progress."""
+"""Watch a node's clock: stamp messages on arrival, detect jumps, and check that time advances."""
 
 from __future__ import annotations
 
@@ -24,24 +24,35 @@ from rclpy.node import Node
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.events import FUTURE, LATE, RejectedError
 
-#: If the clock stands still for longer than this, s, diagnostics warn.
+#: Diagnostics warn if the clock stands still for more than this many seconds.
 _MAX_PAUSE = 1.0
-#: Simulated time may run this many times as fast as real time. After a pause of the node or of the
-#: publisher of /clock, the clock may therefore advance by this many times the pause without a
-#: jump.
+#: Simulated time may run up to this many times as fast as real time. So after the node or the
+#: publisher of /clock has paused, the clock may advance by up to this many times the length of the
+#: pause without causing a jump to be reported.
 _FASTEST = 10
-#: A publisher of /clock that is silent for longer than this, ns, is assumed to have stopped.
+#: If a publisher of /clock is silent for more than this many nanoseconds, we assume that it has
+#: stopped.
 _LONGEST_PAUSE_NS = 3 * 10 ** 9
-#: A smaller step ahead than this, ns, is not a jump, even if `history` is shorter.
+#: A step ahead by less than this many nanoseconds never counts as a jump, even if `history` is
+#: shorter.
 _SMALLEST_JUMP_NS = 10 ** 8
-#: A stamp that differs from the clock by more than this, ns, is assumed to be from another clock.
+#: If a stamp differs from the clock by more than this many nanoseconds, we assume that the stamp
+#: comes from another clock.
 OTHER_CLOCK_NS = 3600 * 10 ** 9
 _ADVICE = ('; if the messages come from a bag, play it with --clock and set use_sim_time, or set '
            'time_source:=arrival')
 
 
 def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future') -> None:
-    """Raise RejectedError if a stamp is from another clock, or ahead by more than `lead`, s."""
+    """
+    Check that a stamp is close enough to the present time.
+
+    Raises
+    ------
+    RejectedError
+        The stamp is ahead of the clock by more than `lead` seconds, or comes from another clock.
+
+    """
     ahead_ns = stamp_ns - now_ns
     advice = _ADVICE if abs(ahead_ns) > OTHER_CLOCK_NS else ''
     if ahead_ns > duration_ns(lead, name):
@@ -53,11 +64,11 @@ def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future
 
 class ArrivalStamps:
     """
-    Stamp messages with the time of their arrival; each stamp is later than the previous one.
+    Stamp messages with their arrival times, making each stamp later than the previous one.
 
-    Simulated time advances in ticks. After each tick, the stamps advance as fast as simulated time
-    did during the previous tick, but by no more than the length of one tick. Jumps do not count as
-    ticks.
+    Simulated time advances in ticks. Between two ticks, the stamps keep advancing at the rate at
+    which simulated time advanced during the previous tick, but by no more than the length of one
+    tick. Jumps do not count as ticks.
     """
 
     def __init__(self) -> None:
@@ -67,10 +78,10 @@ class ArrivalStamps:
         self._last_ns = 0
 
     def tick(self, now_ns: int) -> None:
-        """Record the clock time, ns; call this whenever the clock may have changed."""
+        """Record the clock time, ns. Call this method whenever the clock may have changed."""
         if now_ns == self._now_ns:
             return
-        if now_ns < self._now_ns:  # the clock was set back, so the stamps go back, too
+        if now_ns < self._now_ns:  # the clock was set back, so set the stamps back, too
             self._last_ns = 0
         wall_ns = time.monotonic_ns()
         tick_ns = max(0, now_ns - self._now_ns) if self._now_ns else 0
@@ -79,7 +90,7 @@ class ArrivalStamps:
         self._now_ns, self._wall_ns = now_ns, wall_ns
 
     def stamp(self) -> int:
-        """Return the stamp, ns, of a message that arrives now."""
+        """Return the stamp in ns for a message that arrives now."""
         passed = (time.monotonic_ns() - self._wall_ns) / self._wall_tick_ns
         stamp_ns = self._now_ns + round(min(passed, 1.0) * self._tick_ns)
         self._last_ns = max(self._last_ns + 1, stamp_ns)
@@ -87,7 +98,7 @@ class ArrivalStamps:
 
 
 class ClockReading(NamedTuple):
-    """The time of a clock, ns, and its jump since the last reading, ns."""
+    """The time of a clock, and the size of the jump since the last reading, both in ns."""
 
     now_ns: int
     jump_ns: int
@@ -95,21 +106,22 @@ class ClockReading(NamedTuple):
 
 class JumpDetector:
     """
-    Detect jumps of a clock from one reading to the next.
+    Detect whether a clock has jumped between one reading and the next.
 
-    Simulated time jumps if it is set back at all, or if it advances by more than a limit. After a
-    pause of the node or of the publisher, the limit is larger for several readings, because
-    messages on /clock have piled up. A wall clock jumps if it moves ahead or back, relative to the
-    steady clock, by more than the limit.
+    Simulated time has jumped if it is set back at all, or if it advances by more than a limit.
+    When the node or the publisher of /clock has paused, the messages on /clock have piled up, so
+    the limit is larger for the next few readings. A wall clock has jumped if it moves ahead or
+    back by more than the limit, relative to the steady clock.
 
     Parameters
     ----------
     clock : Clock
     is_simulated : bool
     limit_ns : int
-        The limit, ns, for jumps ahead; for a wall clock, also the limit for jumps back.
+        The limit for jumps ahead, ns. For a wall clock, this is also the limit for jumps back.
     ahead_ns : int
-        Lower bound, ns, of the limit for jumps ahead.
+        The smallest limit for jumps ahead, ns. If `limit_ns` is smaller, jumps ahead are compared
+        with `ahead_ns` instead.
 
     """
 
@@ -119,14 +131,19 @@ class JumpDetector:
         self._is_simulated = is_simulated
         self._most_back_ns = 0 if is_simulated else limit_ns
         self.most_ahead_ns = max(limit_ns, ahead_ns)
-        #: The last reading of the clock, ns, and three times of the steady clock, ns: just before
-        #: that reading, just after that reading, and when the clock last advanced.
+        #: The last reading of the clock, followed by three times on the steady clock: just before
+        #: the reading, just after the reading, and when the clock last advanced. All four are in
+        #: ns.
         self._now_ns = self._read_at_ns = self._read_by_ns = self._advanced_at_ns = 0
-        #: The longest recent pause, ns, minus the time that has passed since its end.
+        #: The length of the longest recent pause minus the time since that pause ended, in ns.
         self._pause_ns = 0
 
     def read(self) -> ClockReading:
-        """Return the time, 0 before simulated time begins, and the jump, 0 if there is none."""
+        """
+        Read the clock, and compare it with the last reading.
+
+        The time is 0 before simulated time begins. The jump is 0 if the clock has not jumped.
+        """
         before_ns = time.monotonic_ns()
         now_ns = self._clock.now().nanoseconds
         if not now_ns:
@@ -134,7 +151,7 @@ class JumpDetector:
         if not self._now_ns:
             self._now_ns, self._read_at_ns, self._advanced_at_ns = now_ns, before_ns, before_ns
             self._read_by_ns = before_ns
-        # `elapsed_ns` is an upper bound, because the process may be interrupted while it
+        # `elapsed_ns` is only an upper bound, because the process may be interrupted while it
         # reads the clocks.
         after_ns = time.monotonic_ns()
         elapsed_ns = after_ns - self._read_at_ns
@@ -152,7 +169,7 @@ class JumpDetector:
 
 
 class ClockMonitor:
-    """Check that simulated time advances; wall time needs no check."""
+    """Check that simulated time advances. Wall time needs no such check."""
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
@@ -160,7 +177,7 @@ class ClockMonitor:
         self._now_ns, self._since = 0, time.monotonic()
 
     def problems(self) -> list[str]:
-        """Return the problems of the clock; call this about once a second."""
+        """Return the clock's current problems. Call this method about once a second."""
         if not self._is_simulated:
             return []
         now_ns = self._clock.now().nanoseconds

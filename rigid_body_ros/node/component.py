@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The common part of plain and managed nodes: everything but the lifecycle."""
+"""The part that the plain node and the managed node share: everything except the lifecycle."""
 
 from __future__ import annotations
 
@@ -46,17 +46,18 @@ from rigid_body_ros.node.sources import BODY, check_topics, COMMANDS, sources_of
 from rigid_body_ros.scene.parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
-#: In real time, the QoS is best effort, which matches any publisher. In lockstep, the QoS is
-#: reliable, because a lost torque would stop the loop.
+#: Real time uses best-effort QoS, which is compatible with any publisher. Lockstep uses reliable
+#: QoS, because a lost torque would stop the loop.
 _TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
-#: Longest time for publishing the pending states at the end, s.
+#: When a node ends, it may spend at most this many seconds on publishing the pending states.
 _END_TIME = 0.8
-#: Period of the search for silent sources, and period of diagnostics, s. The second period is a
-#: multiple of the first.
+#: How often to check for silent sources, and how often to publish diagnostics, in seconds. The
+#: second period is a multiple of the first.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
-#: Period of the worker, s. A slice of work takes longer than this, so the next slice follows
-#: immediately. The worker is idle between slices only while all torques wait for the clock.
+#: Period of the worker's timer, in seconds. Because a slice of work takes longer than this, the
+#: next slice follows immediately. There is idle time between two slices only if all waiting
+#: torques are early, which means that they wait for the clock.
 _WORK_PERIOD = 0.001
 
 
@@ -67,20 +68,21 @@ class AttitudeComponent:
     Parameters
     ----------
     node : Node
-        A node whose parameters are the scene. All callbacks are in the default group of the node.
+        A node whose parameters describe the scene. All callbacks join the node's default group.
     is_managed : bool
-        Whether the parameters of the scene may change after the component is destroyed.
+        Whether the scene parameters may change after the component is destroyed.
 
     Raises
     ------
     InputError
-        The parameters are not a valid scene.
+        The parameters do not describe a valid scene.
 
     """
 
     def __init__(self, node: Node, is_managed: bool = False) -> None:
         self._node, others = node, _entities(node)
-        #: Entities that `activate` creates, and entities that the constructor creates.
+        #: The entities (publishers, subscriptions, services and timers) that `activate` has
+        #: created, followed by those that the constructor has created.
         self._active: set[Any] = set()
         self._own: set[Any] = set()
         self._parameters = NodeParameters(node, lambda rate: self._mode.set_rate(rate), is_managed)
@@ -107,22 +109,22 @@ class AttitudeComponent:
                               self._diagnostics, self._checkpoint)
         #: The sources that were silent at the last check.
         self._silent: set[int] = set()
-        #: When the next diagnostics are due, s, monotonic clock.
+        #: When the next diagnostics are due, in seconds on the monotonic clock.
         self._report_at = 0.0
 
     @property
     def mode(self) -> str:
-        """Return the mode of the scene."""
+        """Return the mode that the scene specifies."""
         return self._scene.mode
 
     def activate(self) -> None:
         """
-        Subscribe, and publish the motion.
+        Subscribe to the inputs, and begin to publish the motion.
 
         Raises
         ------
         InputError
-            The name of a topic or its quality of service is not valid.
+            A topic name or a quality of service is not valid.
 
         """
         others = _entities(self._node)
@@ -142,13 +144,14 @@ class AttitudeComponent:
                 f'QoS overrides of other nodes are ignored: {listed(others)}')
         self._node.create_service(Trigger, '~/reset', self._on_reset)
         self._timer(_WATCH_PERIOD, self._watch)
-        #: The timer that runs while torques wait, or a state waits to be published. In each cycle
-        #: of the executor, the callback of this timer does one slice of work.
+        #: A timer that runs only while torques are waiting to be applied or a state is waiting to
+        #: be published. Its callback does one slice of work in each cycle of the executor.
         self._worker = self._timer(_WORK_PERIOD, self._work)
 
     def _timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        # Each timer has a separate clock. If a timer is reset, EventsExecutor calls overdue timers
-        # of the same clock twice, and these timers then pause to make up for the additional calls.
+        # Give each timer its own clock. When a timer is reset, EventsExecutor calls the overdue
+        # timers on the same clock twice, and these timers then pause to make up for the extra
+        # calls.
         return self._node.create_timer(period, callback,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -159,7 +162,7 @@ class AttitudeComponent:
         self._destroy(self._active)
 
     def finish(self) -> None:
-        """Publish pending states and the last diagnostics, unless ROS has been shut down."""
+        """Publish all pending states and the last diagnostics, unless ROS has been shut down."""
         if not self._node.context.ok():
             self._node.get_logger().warning('ROS was shut down before this node was destroyed: '
                                             'pending states are not published')
@@ -167,7 +170,7 @@ class AttitudeComponent:
         begin = time.monotonic()
         until, half_time = begin + _END_TIME, begin + 0.5 * _END_TIME
         while not self._mode.process() and time.monotonic() < half_time:
-            pass  # the other half of the time is for the states that are not committed yet
+            pass  # keep the other half of the time for committing the remaining states
         now_ns = self._mode.now_ns() if self._mode.run.epoch else 0
         self._mode.end(until)
         if self._checkpoint:
@@ -178,7 +181,7 @@ class AttitudeComponent:
                                             f'not acknowledged it within {_END_TIME:g} s')
 
     def destroy(self) -> None:
-        """Destroy everything that the component has created, and release the parameters."""
+        """Destroy everything the component has created, and release the parameters."""
         if self._active:
             self.deactivate()
         self._destroy(self._own)
@@ -214,7 +217,7 @@ class AttitudeComponent:
                                      self._start_work, self._scene.mode == REALTIME)
             callback.subscription = subscription(
                 self._node, source.kind, source.topic, callback,
-                # An inertia is sent only once, so it must not be lost.
+                # An inertia is sent only once, so the connection must not lose it.
                 _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode])
             return callback
         self._states = subscription(
@@ -222,7 +225,7 @@ class AttitudeComponent:
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE))
         check_topics(self._node, self._sources, [self._states.topic_name, *(
             publisher.topic_name for publisher in self._outputs.publishers)])
-        #: The callback of each subscription to torques, by number of the source.
+        #: The callback of each torque subscription, by source number.
         self._drains = {source.number: torques(source) for source in self._sources}
         self._torques = {number: drain.subscription for number, drain in self._drains.items()}
 
@@ -238,7 +241,7 @@ class AttitudeComponent:
             self._diagnostics.reject(rejected, source)
 
     def _start_work(self) -> None:
-        if self._worker.is_canceled():  # otherwise the timer of the worker continues the work
+        if self._worker.is_canceled():  # otherwise the running timer continues the work
             self._work()
         else:
             self._mode.catch_up()
@@ -272,13 +275,17 @@ class AttitudeComponent:
         return response
 
     def _watch(self) -> None:
-        """Report and save once a second; also report when a source falls silent or resumes."""
+        """
+        Publish diagnostics and save a checkpoint once a second.
+
+        Diagnostics are also published as soon as a source falls silent or sends again.
+        """
         now_ns = self._mode.now_ns()
         silent = {torque.source: torque for torque in self._mode.run.silent(now_ns)}
         for source in silent.keys() - self._silent:
             self._node.get_logger().warning(self._silence(silent[source], now_ns))
         now = time.monotonic()
-        # The timer is not exact, and skips periods on a busy machine.
+        # The timer is not exact, and may skip periods on a busy machine.
         is_due = now > self._report_at - 0.5 * _WATCH_PERIOD
         if is_due:
             self._report_at = max(self._report_at, now - 0.5 * _REPORT_PERIOD) + _REPORT_PERIOD
@@ -320,7 +327,7 @@ def _entities(node: Node) -> set[Any]:
 
 @contextmanager
 def _one_line_errors() -> Iterator[None]:
-    """Raise InputError in place of an error of rclpy, as for an invalid QoS override."""
+    """Convert rclpy errors, for example about an invalid QoS override, to InputErrors."""
     try:
         yield
     except (RuntimeError, AssertionError, ParameterException) as error:

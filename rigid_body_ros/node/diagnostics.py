@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Count events and problems, and report them in the log and on /diagnostics."""
+"""Count events and problems, and report them in the node's log and on /diagnostics."""
 
 from __future__ import annotations
 
@@ -53,33 +53,33 @@ from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.sources import BODY, COMMANDS, TorqueTopic
 
-if TYPE_CHECKING:  # in Lyrical, rclpy.endpoint_info contains it
+if TYPE_CHECKING:  # moved to rclpy.endpoint_info in Lyrical
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _SEVERAL_PUBLISHERS, _QOS = 'several publishers', 'incompatible QoS'
 _OF_TORQUES = (REPLACED, FORCE, LOST)
 _OF_COMMANDS = (REPLACED, CLIPPED, TOO_FAST, LOST)
 _OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, TIME_JUMP, STATES, STATES_REJECTED)
-#: The key under which the time since the newest torque of a source arrived is reported.
+#: Under this key, diagnostics report how long ago the newest torque of a source arrived.
 AGE = 'age of the newest torque (s)'
-#: A status is an error if a count in `_ERRORS` has increased since the last report, and a warning
-#: if a count in `_WARNINGS` or `_TORQUE_WARNINGS` has increased.
+#: If a count in `_ERRORS` has increased since the last report, the level of the status is ERROR.
+#: If a count in `_WARNINGS` or `_TORQUE_WARNINGS` has increased, the level is WARN.
 _ERRORS = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, STATES_REJECTED)
 _WARNINGS = (TIME_JUMP,)
 _TORQUE_WARNINGS = (REPLACED, TOO_FAST, LOST)
-#: Shortest time between two log messages of one kind, s.
+#: Log messages of the same kind are at least this many seconds apart.
 _LOG_PERIOD = 5.0
 
 
 class _Counts(Counter[str]):
-    """The counts of one status."""
+    """The counts that one diagnostic status reports."""
 
     def __init__(self) -> None:
         super().__init__()
         self._published: Counter[str] = Counter()
 
     def increments(self) -> Counter[str]:
-        """Return the increase of the counts since the last call."""
+        """Return how much each count has increased since the last call of this method."""
         new = Counter(self) - self._published
         self._published = Counter(self)
         return new
@@ -87,41 +87,41 @@ class _Counts(Counter[str]):
 
 class Diagnostics:
     """
-    Count events that concern the torques of each source, and events that concern the motion.
+    Count what happens to the torques of each source, and what happens to the motion.
 
-    Every torque sent is either lost or received. Every torque received is applied, rejected for a
-    cause, or waiting.
+    Every torque that is sent is either lost or received. Every torque that is received has been
+    applied, has been rejected for one of the counted causes, or is still waiting.
     """
 
     def __init__(self, node: Node, sources: Sequence[TorqueTopic]) -> None:
         self._node, self._sources = node, {source.number: source for source in sources}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        # Latched, so that a result also reaches a subscription that connects later.
+        # The topic is latched, so that a subscription that connects later also gets the result.
         self._results = node.create_publisher(
             DiagnosticStatus, '~/initial_state_result',
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
         self._torques = {source: _Counts() for source in self._sources}
         self._motion = _Counts()
-        #: Monotonic time, s, of the last log message of each kind.
+        #: When a message of each kind was last logged, in seconds on the monotonic clock.
         self._logged_at: dict[str, float] = {}
 
     def ignore_mass(self) -> None:
-        """Log, once, that the mass and the centre of mass of an inertia are ignored."""
+        """Log once that the mass and the centre of mass of an inertia message are ignored."""
         self._node.get_logger().info('the mass and the centre of mass of an InertiaStamped are '
                                      'ignored: the inertia is that about the centre of mass',
                                      once=True)
 
     def count(self, name: str, source: int, number: int = 1) -> None:
-        """Add a number of events to a count of a source, without logging."""
+        """Count events that concern the torques of a source. Do not log these events."""
         self._torques[source][name] += number
 
     def accept_state(self, result: str, stamp_ns: int) -> None:
-        """Count an accepted initial state, which begins an epoch, and publish the result."""
+        """Count an initial state that was accepted and began an epoch, and publish the result."""
         self._motion[STATES] += 1
         self._acknowledge(result, stamp_ns, is_error=False)
 
     def reject(self, rejected: RejectedError, source: int) -> None:
-        """Count a rejected torque of a source, and log the reason."""
+        """Count a torque that was rejected, and log the reason."""
         cause, counts = rejected.cause, self._torques[source]
         counts[cause] += 1
         what = self._sources[source].what + self._place(source)
@@ -129,12 +129,16 @@ class Diagnostics:
                   f'({counts[cause]} so far): {cause}: {rejected}')
 
     def event(self, name: str, text: str, kind: str = '') -> None:
-        """Count a problem of the motion, and log it; each kind is logged at a limited rate."""
+        """Count a problem with the motion, and log it unless this kind was logged recently."""
         self._motion[name] += 1
         self._log(f'{name} {kind}', text)
 
     def count_force(self, source: int) -> None:
-        """Count an ignored force; log only the first one, because ignored forces are no fault."""
+        """
+        Count a force that was ignored.
+
+        Only the first such force is logged, because ignoring a force is not a fault.
+        """
         self._torques[source][FORCE] += 1
         if sum(counts[FORCE] for counts in self._torques.values()) == 1:
             self._node.get_logger().info('the force of a WrenchStamped is ignored, as it has no '
@@ -142,7 +146,7 @@ class Diagnostics:
                                          'such forces')
 
     def reject_state(self, rejected: RejectedError, stamp_ns: int | None) -> None:
-        """Count a rejected initial state, and log and publish the reason."""
+        """Count an initial state that was rejected, and log and publish the reason."""
         reason = f'{rejected.cause}: {rejected}'
         self.event(STATES_REJECTED, f'initial_state rejected: {reason}')
         self._acknowledge(reason, stamp_ns, is_error=True)
@@ -152,7 +156,7 @@ class Diagnostics:
         self._results.publish(self.status('initial_state', is_error, False, text, stamp))
 
     def count_lost(self, source: int, number: int) -> None:
-        """Count the torques that are missing between two torques of one publisher, and warn."""
+        """Count the torques lost between two torques of a publisher, and log a warning."""
         counts = self._torques[source]
         counts[LOST] += number
         self._log(f'{LOST} {source}', f'{self._sources[source].what}s{self._place(source)} lost '
@@ -167,28 +171,29 @@ class Diagnostics:
                             inputs: Iterable[Subscription], outputs: Iterable[Publisher],
                             several: str) -> Mapping[int, list[str]]:
         """
-        Add missing, surplus and incompatible connections to `problems`, and return `problems`.
+        Look for missing, surplus and incompatible connections, and add them to the problems.
 
         Parameters
         ----------
         problems : mapping of int to list of str
-            The problems of each source.
+            The problems found so far, by source. The method adds to these lists.
         torques : mapping of int to DrainCallback
-            The callbacks of the subscriptions to torques, by source.
+            The callbacks of the torque subscriptions, by source.
         inputs : iterable of Subscription
-            All subscriptions of the node.
+            The subscriptions to check for incompatible publishers.
         outputs : iterable of Publisher
-            All publishers of the node.
+            The publishers to check for incompatible subscriptions.
         several : str
-            Text for the log: what happens to torques if several nodes publish one topic.
+            A text for the log that says what happens if several nodes publish on one topic.
 
         Returns
         -------
         mapping of int to list of str
+            The argument `problems`.
 
         """
         for source, drain in torques.items():
-            if source != BODY:  # the publisher of an inertia need not stay connected
+            if source != BODY:  # a node that publishes an inertia need not stay connected
                 problems[source].extend(self._surplus(drain, several))
         topics = {drain.subscription.topic_name: source for source, drain in torques.items()}
         first = next(iter(problems))
@@ -216,7 +221,7 @@ class Diagnostics:
 
     def _incompatible(self, topic: str, peers: Iterable[TopicEndpointInfo],
                       own: str) -> list[str]:
-        # Compare the profiles as DDS reports them, with defaults resolved.
+        # Compare the QoS profiles that DDS reports, because these contain no unresolved defaults.
         endpoints = getattr(self._node, f'get_{own}_info_by_topic')(topic)
         profile = next((info.qos_profile for info in endpoints
                         if _full_name(info) == self._node.get_fully_qualified_name()), None)
@@ -236,11 +241,26 @@ class Diagnostics:
                 ages: Mapping[int, float | None], epoch: str, stamp: Time,
                 others: Iterable[DiagnosticStatus] = ()) -> None:
         """
-        Publish all counts, and the statuses `others`; counts that have increased set the levels.
+        Publish a status for each source and for the motion.
 
-        The keys of `problems`, `waiting` (how many torques wait) and `ages` (of the newest torque,
-        s) are the numbers of the sources. `epoch` is the message of the status `motion` if nothing
-        is wrong.
+        The level of a status depends on its problems, and on which of its counts have increased
+        since the last report.
+
+        Parameters
+        ----------
+        problems : mapping of int to list of str
+            The problems of each source, by source number.
+        waiting : mapping of int to int
+            How many torques of each source are waiting.
+        ages : mapping of int to float or None
+            The age of each source's newest torque, s.
+        epoch : str
+            The message of the status `motion` if nothing is wrong.
+        stamp : Time
+            The stamp of the message.
+        others : iterable of DiagnosticStatus
+            Further statuses to publish.
+
         """
         statuses = [self._torque_status(source, problems.get(source, []), {
             WAITING: waiting[source], AGE: _age(ages[source])}) for source in self._sources]
@@ -270,10 +290,10 @@ class Diagnostics:
 
     def status(self, name: str, is_error: bool, is_warning: bool, message: str,
                values: Mapping[str, object]) -> DiagnosticStatus:
-        """Return a status of the node."""
-        # The name includes the namespace, because aggregators identify a status by its name, and
-        # nodes of a fleet differ only in their namespaces. The name keeps the leading slash,
-        # because it begins with the full name of the node.
+        """Return a diagnostic status of the node."""
+        # The status name begins with the node's full name, including the namespace and the leading
+        # slash. Aggregators identify a status by its name, and the nodes of a fleet differ only in
+        # their namespaces.
         node = self._node.get_fully_qualified_name()
         level = DiagnosticStatus.WARN if is_warning else DiagnosticStatus.OK
         return DiagnosticStatus(
@@ -294,8 +314,13 @@ def _age(seconds: float | None) -> str:
 
 def _is_replaced(info: TopicEndpointInfo, peers: Iterable[TopicEndpointInfo],
                  heard: Mapping[Sender, tuple[float, float]]) -> bool:
-    """Return whether a publisher fell silent before its node's next publisher was first heard."""
-    # After a publisher is killed, the middleware lists it until its lease ends.
+    """
+    Return whether a newer publisher of the same node has replaced a publisher.
+
+    This is the case if the old publisher fell silent before the new one was first heard.
+    """
+    # When a node is killed, the middleware still lists the node's publisher until the lease of
+    # that publisher runs out.
     _, last = heard.get(bytes(info.endpoint_gid), (0.0, math.inf))
     return any(heard.get(bytes(peer.endpoint_gid), (0.0, 0.0))[0] > last
                for peer in peers if _full_name(peer) == _full_name(info))

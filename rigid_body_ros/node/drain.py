@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Raw subscriptions, and a callback that empties their queues and counts lost messages."""
+"""Raw subscriptions, with a callback that empties the queue and counts lost messages."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ try:
 except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
-#: Time limit for taking messages in one call, s.
+#: One call takes messages for at most this many seconds.
 _BUDGET = 0.02
-#: Largest number of publishers to remember. If there are more, the publisher that has been silent
-#: for longest is forgotten.
+#: Maximum number of publishers to remember. If there are more publishers, the one that has been
+#: silent for the longest time is forgotten.
 _MAX_SENDERS = 100
 
 
 def subscription(node: Node, kind: type, topic: str, callback: Callable[..., None],
                  qos: QoSProfile) -> Subscription:
-    """Return a subscription to serialized messages; parameters can override its QoS."""
-    # Disable events, because rmw_fastrtps may deadlock if a message is lost while an event is
-    # taken (ros2/rmw_fastrtps#890).
+    """Subscribe to serialized messages, with a QoS that parameters can override."""
+    # Disable events, because rmw_fastrtps can deadlock if a message is lost while an event is
+    # being taken (ros2/rmw_fastrtps#890).
     return node.create_subscription(
         kind, topic, callback, copy(qos), raw=True,
         event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
@@ -53,35 +53,41 @@ def subscription(node: Node, kind: type, topic: str, callback: Callable[..., Non
 
 class DrainCallback:
     """
-    A callback that takes the messages waiting in a subscription, and counts lost messages.
+    A callback that takes all waiting messages from a subscription, and counts lost messages.
 
-    Publishers number their messages. A gap in the numbers is a loss, whether the network dropped
-    the messages or the queue of the subscription was full. An executor passes one message at a
-    time. With `takes_all`, this callback also takes all other messages that wait, so that the
-    queue is empty before other work starts.
+    Publishers number their messages, so a gap in the numbers means that messages were lost. Either
+    the network dropped them, or the queue of the subscription was full.
+
+    An executor passes only one message at a time. With `takes_all`, the callback then also takes
+    all other messages that are waiting, so that the queue is empty before other work starts.
 
     Parameters
     ----------
     on_message : callable
-        Receives the bytes of each message, its sender, and the time at which the middleware
-        received it, ns of the system clock; 0 if the middleware does not report the time.
+        Called with each message as bytes, its sender, and the time at which the middleware
+        received the message, ns on the system clock. The time is 0 if the middleware does not
+        report it.
     on_gap : callable
-        Receives the number of messages that are missing in a gap.
+        Called with the number of lost messages when there is a gap.
     on_empty : callable, optional
         Called after the messages have been taken.
     takes_all : bool
-        If false, take only the message that the executor passes, then call `on_empty`.
+        Whether to take all waiting messages. If false, the callback takes only the message that
+        the executor passes.
 
     Attributes
     ----------
     subscription : Subscription
-        The caller must set this attribute after it has created the subscription.
+        The subscription to take messages from. Set this attribute once you have created the
+        subscription.
     heard : dict
-        For each publisher: when its first and its last message were taken, s, monotonic clock.
+        For each publisher, the times at which its first and its last message were taken, in
+        seconds on the monotonic clock.
 
     """
 
-    #: rclpy passes the information about a message only to a callback with two parameters.
+    #: rclpy inspects the signature, and passes the message information only if a callback has two
+    #: parameters.
     __signature__ = inspect.signature(lambda message, info: None)
 
     def __init__(self, on_message: Callable[[bytes, Sender, int], None],
@@ -94,19 +100,20 @@ class DrainCallback:
         self.subscription: Subscription
 
     def __call__(self, *taken: Any) -> None:
-        """Take a message and, with `takes_all`, all messages that wait after it."""
+        """Take the given message and, with `takes_all`, all messages waiting after it."""
         with self.subscription.handle:
-            # EventsExecutor passes a tuple (message, information); others pass two arguments.
+            # EventsExecutor passes one tuple (message, information), while other executors pass
+            # two arguments.
             self._take(taken if len(taken) == 2 else taken[0])
         self._on_empty()
 
     def poll(self) -> None:
-        """Take all messages that wait, without an executor."""
+        """Take all waiting messages. Use this method if no executor spins the subscription."""
         with self.subscription.handle:
             self._take(self._next())
 
     def _take(self, found: tuple[bytes, dict[str, Any]] | None) -> None:
-        # The time limit ends the loop even if messages arrive faster than they are taken.
+        # Without a time limit, the loop would not end if messages arrive faster than we take them.
         until = time.monotonic() + _BUDGET
         while found is not None:
             message, info = found
@@ -125,7 +132,7 @@ class DrainCallback:
             return None
         sender = identity['data'] if identity else None
         if sender is None and self.subscription.handle.get_publisher_count() > 1:
-            self._last_number.clear()  # the numbers of several publishers are mixed
+            self._last_number.clear()  # we cannot tell which publisher a number comes from
             return UNKNOWN_SENDER
         previous = self._last_number.pop(sender, number - 1)
         self._last_number[sender] = number

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`AttitudeLifecycleNode`, a managed node, and `main`, which runs it."""
+"""Provide `AttitudeLifecycleNode`, the managed node, and `main`, which runs it as a command."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _AUTOSTART = Parameter('autostart', False, '', 'whether the node configures and 
 
 class AttitudeLifecycleNode(LifecycleNode):
     """
-    Compute the attitude of a rigid body in a node whose lifecycle a manager controls.
+    Compute the attitude of a rigid body in a node with a managed lifecycle.
 
-    *configure* reads the scene. *activate* subscribes and publishes. *deactivate* unsubscribes and
-    keeps the motion, which continues under the last torques. *cleanup* publishes the end of the
-    log and discards the motion. If the parameter `autostart` is true, the node configures and
-    activates itself.
+    The transitions do the following. *configure* reads the scene. *activate* subscribes to the
+    inputs and begins to publish. *deactivate* unsubscribes but keeps the motion, which continues
+    under the last torques. *cleanup* publishes the end of the log and discards the motion. If the
+    parameter `autostart` is true, the node configures and activates itself when it starts.
 
     Parameters
     ----------
@@ -53,19 +53,20 @@ class AttitudeLifecycleNode(LifecycleNode):
     Raises
     ------
     InputError
-        The name of the node is not valid; or `autostart` is true, and the parameters are not a
-        valid scene.
+        The node name is not valid. The error is also raised if `autostart` is true and the
+        parameters do not describe a valid scene.
 
     """
 
     def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
         with one_line_errors():
             super().__init__(node_name, **kwargs)
-        #: None while the node is not configured.
+        #: The component, or None while the node is not configured.
         self._component: AttitudeComponent | None = None
-        #: The mode of the first configuration.
+        #: The value that the parameter `mode` had when the node was first configured, or None if
+        #: the node has not been configured yet.
         self._mode: str | None = None
-        #: Why the last transition failed.
+        #: The error in the last transition that failed.
         self._error: InputError | None = None
         try:
             self._start()
@@ -89,7 +90,7 @@ class AttitudeLifecycleNode(LifecycleNode):
         return super().on_configure(state) if self._attempt(self._configure) else _FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Subscribe, and publish the motion."""
+        """Subscribe to the inputs, and begin to publish the motion."""
         return super().on_activate(state) if self._attempt(self._activate) else _FAILURE
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -109,21 +110,25 @@ class AttitudeLifecycleNode(LifecycleNode):
         return super().on_error(state) if self._attempt(self._forget) else _FAILURE
 
     def destroy_node(self) -> None:
-        """Publish pending states and the last diagnostics, and destroy the node."""
+        """Publish all pending states and the last diagnostics, and then destroy the node."""
         if self._component:
             self._component.finish()
         self._component = None
         super().destroy_node()
 
     def _attempt(self, work: Callable[[], None]) -> bool:
-        """Do the work of a transition; if the user made a mistake, log it and return False."""
+        """
+        Do the work of a transition, and return whether it succeeded.
+
+        A mistake by the user is logged as an error. Any other exception is logged and raised.
+        """
         try:
             work()
         except InputError as error:
             self._error = error
             self.get_logger().error(str(error))
             return False
-        except Exception:  # rclpy does not log the traceback
+        except Exception:  # log the traceback here, because rclpy does not
             self.get_logger().error(traceback.format_exc())
             raise
         return True
@@ -161,5 +166,13 @@ class AttitudeLifecycleNode(LifecycleNode):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the managed node until SIGINT or SIGTERM; raise the errors of `process.main`."""
+    """
+    Run the managed node until it receives SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        The arguments or parameters are not valid.
+
+    """
     process.main(arguments, AttitudeLifecycleNode, 'attitude_lifecycle_node')

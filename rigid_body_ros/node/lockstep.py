@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Lockstep: the response to each torque is the state one step later.
+Lockstep mode, in which the node answers each torque with the state one step later.
 
-If several topics have publishers, the response to a stamp waits until each of these topics has a
-torque with this stamp. Therefore, the order in which the torques arrive does not change the
-response.
+If several torque topics have publishers, the node does not respond to a stamp until it has
+received a torque with this stamp on every one of these topics. Therefore, the order in which the
+torques arrive does not change the response.
 """
 
 from __future__ import annotations
@@ -47,18 +47,23 @@ from rigid_body_ros.node.sources import BODY, sources_of
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-#: Period of the check whether to publish the state again, s.
+#: How often to check whether the state should be republished, in seconds.
 _CHECK_PERIOD = 0.1
-#: Diagnostics warn if a silence, or the computation of one response, lasts longer than this, s.
+#: Diagnostics warn if no torque arrives for more than this many seconds, or if computing a
+#: response takes more than this many seconds.
 _WARN_AFTER = 1.0
-#: How long to look for another publisher of /clock, and how long to wait for the name of a
-#: publisher that was found, s.
+#: How long to look for another publisher of /clock, and how long to wait for the name of this
+#: publisher once it has been found, in seconds.
 _DISCOVERY_TIME, _NAME_DELAY = 3.0, 0.5
 _CLOCK = '/clock'
 
 
 class Lockstep(Mode):
-    """Publish the state one `step` after a stamp when all torques of that stamp have arrived."""
+    """
+    Respond to torques with the state one `step` later.
+
+    The mode responds to a stamp as soon as all torques with this stamp have arrived.
+    """
 
     several_publishers = 'only the first torque for each state is used'
 
@@ -68,18 +73,19 @@ class Lockstep(Mode):
         self._monitor = ClockMonitor(self._node)
         self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
         history_ns = duration_ns(self._scene.history, 'history')
-        #: The duplicate filter of each source, by number of the source.
+        #: The duplicate filter of each source, by source number.
         self._duplicates = {source.number: DuplicateFilter(history_ns)
                             for source in sources_of(self._parameters.scene)}
         self._republishing = RepublishPolicy()
-        #: Whether the loop is paused; torques wait in the queue during a pause.
+        #: Whether the loop is paused. During a pause, torques wait in the queue.
         self._is_paused = False
         saved = self._checkpoint and self._checkpoint.start
         self._start = saved or self.run.initial(self._given_start_ns)
-        #: The state that waits for a torque, and since when it waits, s, monotonic clock.
+        #: The latest state, and the time at which this state began to wait for a torque, in
+        #: seconds on the monotonic clock.
         self._latest, self._since = Snapshot(self._start, self._start), time.monotonic()
-        #: After a reset: the stamp of the state that waited for a torque then, ns; None as soon as
-        #: the new motion has reached this stamp.
+        #: The stamp in ns of the state that was waiting for a torque when the node was last reset.
+        #: None if there was no reset, or if the new motion has reached this stamp.
         self._stale_ns: int | None = None
         if saved or self._given_start_ns:
             self._begin(self._start)
@@ -87,38 +93,38 @@ class Lockstep(Mode):
             self._warn_away(self._checkpoint.age)
 
     def activate(self) -> None:
-        """Publish the state until torques arrive, and offer the service that pauses the loop."""
+        """Publish the state repeatedly until torques arrive, and offer a service for pausing."""
         self._since = time.monotonic()
         self._node.create_timer(_CHECK_PERIOD, self._republish,
                                 clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._node.create_service(SetBool, '~/pause', self._on_pause)
 
     def deactivate(self) -> None:
-        """Do nothing: the owner of the node destroys the timer and the service."""
+        """Do nothing, because the timer and the service are destroyed by the owner of the node."""
 
     def set_rate(self, rate: float) -> None:
-        """Do nothing: torques set the pace."""
+        """Do nothing, because the torques set the pace."""
 
     def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
         """
-        Queue a torque message of a source; `process` responds to it.
+        Queue a torque message from a source. `process` will respond to it later.
 
         Raises
         ------
         RejectedError
-            Too many torques wait.
+            Too many torques are waiting.
 
         """
         self._queue.check_room()
         self._queue.put(Queued(source, data, sender, 0, time.monotonic()))
 
     def process(self) -> bool:
-        """Apply waiting torques for one slice of time; return whether all work is done."""
+        """Apply waiting torques for one slice of work. Return True if no work is left."""
         return self._is_paused or super().process()
 
     def set_state(self, state: State) -> str:
         """
-        Begin an epoch with a state, and return a text that describes the epoch.
+        Begin a new epoch with the given state, and return a text that describes the epoch.
 
         If the stamp of the state is zero, the epoch begins at the stamp of the next torque. The
         rotors keep their momentum.
@@ -143,23 +149,28 @@ class Lockstep(Mode):
         return f'initial_state received: a new epoch begins at {begin}'
 
     def reset(self) -> str:
-        """Go back to the state before the first torque, and return a text that says so."""
+        """Go back to the initial state, as if no torque had arrived, and return a message."""
         self.end()
         self._start = self.run.initial(self._given_start_ns)
         if self._given_start_ns:
             self._begin(self._start)
         self._clear_duplicates()
-        # A torque that responds to the latest state may be in transit; it will be rejected.
+        # A torque that responds to the latest state may still be in transit. Remember the stamp,
+        # so that this torque is rejected.
         self._stale_ns = self._latest.state.time_ns
         self._publish_start()
         return 'reset to the initial state; waiting for the first torque'
 
     def now_ns(self) -> int:
-        """Return the time of the loop, ns: the stamp to which the latest state responds."""
+        """
+        Return the time of the loop, ns.
+
+        This time is the stamp of the torques to which the latest state is the response.
+        """
         return max(0, self._latest.state.time_ns - self._step_ns)
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the present problems by source; the first source also gets those of the loop."""
+        """Return current problems by source. Problems of the loop belong to the first source."""
         if self._clock is not None and self._node.count_publishers(_CLOCK) > 1:
             self._node.destroy_publisher(self._clock)
             self._clock = None
@@ -187,15 +198,15 @@ class Lockstep(Mode):
 
     def _awaited(self) -> list[int]:
         """
-        Return the sources from which the latest state still awaits a torque.
+        Return the sources with a publisher that have sent no torque for the latest state yet.
 
-        If no torque is missing, return all sources except the inertia.
+        If none is missing, return all sources except the inertia.
         """
         return self._missing(self._latest.state.time_ns, self._torques) or [
             source for source in self._torques if source != BODY]
 
     def stamp(self) -> Time:
-        """Return the present time or, if this node publishes /clock, the time published last."""
+        """Return the current time, or the last published time if this node publishes /clock."""
         if self._clock is None:
             return self._node.get_clock().now().to_msg()
         return _time(self._latest.state.time_ns)
@@ -228,11 +239,12 @@ class Lockstep(Mode):
         return torque
 
     def _is_due(self, torque: Torque) -> bool:
-        # If the response waited for a publisher that has ended, respond to a repeated torque.
+        # The response may have been waiting for a torque of a publisher that has ended since then.
+        # In this case, a repeated torque triggers the response.
         return not self._missing(torque.stamp_ns, self._torques.keys() - {torque.source})
 
     def _missing(self, stamp_ns: int, sources: Iterable[int]) -> list[int]:
-        """Return the sources that have a publisher, but no torque of this stamp."""
+        """Return the sources that have a publisher, but have not sent a torque with this stamp."""
         epoch = self.run.epoch
         return [source for source in sources
                 if source != BODY and self._torques[source].handle.get_publisher_count()
@@ -248,7 +260,15 @@ class Lockstep(Mode):
                                 'before the reset')
 
     def _skip_duplicate(self, torque: Torque) -> None:
-        """Count a repeated torque; raise RejectedError if it differs from the first."""
+        """
+        Count a torque that repeats an earlier one with the same stamp.
+
+        Raises
+        ------
+        RejectedError
+            The torque differs from the first torque with this stamp.
+
+        """
         if not self._duplicates[torque.source].is_same(torque):
             raise RejectedError(DIFFERS, 'a different torque was accepted before for the state '
                                 f'at {torque.stamp_ns} ns; {self.several_publishers}')
@@ -270,7 +290,8 @@ class Lockstep(Mode):
         self._duplicates[torque.source].discard(torque)
 
     def _publish_start(self) -> None:
-        # The snapshot of an epoch also contains the torques on the body and on the wheels.
+        # If there is an epoch, take its snapshot, which also contains the torques on the body and
+        # on the wheels.
         start = Snapshot(self._start, self._start)
         if self.run.epoch is not None:
             start = self.run.snapshot(self._start.time_ns, math.inf) or start

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What both modes share: the run, and the queue of torques that is processed in short slices."""
+"""The common part of both modes: the run, and a torque queue processed in short slices."""
 
 from __future__ import annotations
 
@@ -32,15 +32,16 @@ from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import NodeParameters
 from rigid_body_ros.scene.parameters import LOCKSTEP
 
-#: Length of a slice of work, s. After each slice, all other callbacks run.
+#: Length of a slice of work, in seconds. After each slice, the other callbacks get to run.
 BUDGET = 0.02
 
 
 class Mode:
     """
-    Apply and log the torques of a queue, in short slices, between which other callbacks run.
+    Apply and log queued torques in short slices of work, so that other callbacks run in between.
 
-    Each mode is a subclass that decides which torques are accepted, and when a state is published.
+    Real time and lockstep are subclasses, which decide which torques to accept, and when to
+    publish a state.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ class Mode:
     outputs : Publishers
     diagnostics : Diagnostics
     checkpoint : Checkpoint, optional
-        If the checkpoint contains a state, the run continues from that state.
+        The checkpoint of the node. If it contains a state, the run continues from that state.
 
     """
 
@@ -63,31 +64,40 @@ class Mode:
         self._given_start_ns = scene.start.time_ns
         self.run = Run(scene, outputs, diagnostics)
         self._queue = TorqueQueue(diagnostics, is_patient=self._scene.mode == LOCKSTEP)
-        #: The subscriptions to torques by source, to count their publishers.
+        #: The torque subscriptions by source number. They are used to count the publishers.
         self._torques: Mapping[int, Subscription] = {}
-        #: The torque that is being processed; whether it has been applied; and whether the
-        #: response has been published.
+        #: The torque that is being processed, followed by whether this torque has been applied,
+        #: and whether the response to this torque has been published.
         self._current: tuple[Torque, Queued] | None = None
         self._is_applied = self._is_answered = False
         self._wake: Callable[[], None] = lambda: None
 
     def connect(self, torques: Mapping[int, Subscription], wake: Callable[[], None]) -> None:
-        """Set the subscriptions to torques, by source, and a function that starts work at once."""
+        """
+        Set the torque subscriptions, and a function that wakes the worker.
+
+        `torques` contains the subscriptions by source. `wake` starts the work on waiting torques
+        immediately.
+        """
         self._torques, self._wake = torques, wake
 
     @property
     def waiting(self) -> Counter[int]:
-        """Return the number of torques of each source that wait to be applied or for the clock."""
+        """Return how many torques of each source are waiting for their turn or for the clock."""
         waiting = self._queue.by_source()
         if self._current and not self._is_applied:
             waiting[self._current[1].source] += 1
         return waiting
 
     def catch_up(self) -> None:
-        """Publish overdue outputs; called while many messages arrive and delay all timers."""
+        """
+        Publish any state that is overdue.
+
+        The component calls this method while so many messages arrive that all timers are late.
+        """
 
     def process(self) -> bool:
-        """Apply waiting torques for one slice of time; return whether all work is done."""
+        """Apply waiting torques for one slice of work. Return True if no work is left."""
         until = time.monotonic() + BUDGET
         try:
             while (self._current or self._queue) and time.monotonic() < until:
@@ -101,12 +111,13 @@ class Mode:
 
     def end(self, until: float | None = None, kept: str = LATE) -> None:
         """
-        End the epoch, if there is one, and reject all torques that still wait.
+        End the epoch, if there is one, and reject all torques that are still waiting.
 
-        Early torques held for the cause `kept` remain for the next epoch. The states of the epoch
-        are committed by the time `until`, s, monotonic clock; if None, within 0.2 s.
+        Early torques that are held for the cause `kept` are not rejected, but stay in the queue
+        for the next epoch. The deadline for committing the states of the epoch is `until`, in
+        seconds on the monotonic clock. If `until` is None, the deadline is 0.2 s from now.
         """
-        if self._current and self._is_applied:  # the response takes too long to compute
+        if self._current and self._is_applied:  # computing the response took too long
             self.run.log(self._current[0])
         elif self._current:
             self._queue.put(self._current[1])  # to be rejected
@@ -115,7 +126,7 @@ class Mode:
         self.run.end(until)
 
     def _next(self) -> tuple[Torque, Queued] | None:
-        """Remove and return the first torque of the queue, or None if it is not applied now."""
+        """Take the first torque from the queue, or return None if it cannot be applied now."""
         queued = self._queue.pop()
         try:
             torque = self._read(queued)
@@ -125,7 +136,8 @@ class Mode:
         return (torque, queued) if torque else None
 
     def _finish(self, torque: Torque, queued: Queued, until: float) -> None:
-        # The response comes first, because a controller waits for it; everything else can wait.
+        # Publish the response first, because a controller is waiting for it. All other work can
+        # wait.
         if not self._is_applied:
             self._is_applied = self.run.apply(torque, queued.arrived_ns or torque.stamp_ns)
             if not self._is_applied:
@@ -139,7 +151,15 @@ class Mode:
         self.run.log(torque)
 
     def _read(self, queued: Queued) -> Torque | None:
-        """Decode a torque: return it, return None to skip it, or raise RejectedError."""
+        """
+        Decode and return a torque, or return None if the torque should be skipped.
+
+        Raises
+        ------
+        RejectedError
+            The torque is not acceptable.
+
+        """
         raise NotImplementedError
 
     def _respond(self, torque: Torque, until: float) -> None:
@@ -149,10 +169,10 @@ class Mode:
         """Respond to a torque that cannot be applied."""
 
     def _miss_deadline(self, error: TimeoutError) -> None:
-        """Report that a computation did not finish within its slice of work."""
+        """Report that a computation did not finish within one slice of work."""
 
     def _warn_away(self, seconds: float) -> None:
-        """Warn that the node was down for a time, s, before this start."""
+        """Warn that the node was down for a number of seconds before it was started again."""
         self._node.get_logger().warning(
             f'the node continues from the checkpoint {self._checkpoint}, after it was down for '
             f'{seconds:.3g} s: no torque acts in between')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The inputs of a live check: put received torques and measurements into a `Monitor`."""
+"""Receive torques and measurements, and pass them to a `Monitor` that checks the model live."""
 
 from __future__ import annotations
 
@@ -54,31 +54,32 @@ from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
 from rigid_body_ros.sensing.reading import KINDS, samples
 
-#: The types of a function that decodes one message, and of a function that uses the stamps, ns,
-#: and the contents of several messages.
+#: Types of the functions that process messages. The first kind of function decodes one message.
+#: The second kind takes the stamps (in ns) and the contents of several messages.
 _Decode = Callable[[bytes], Any]
 _Put = Callable[..., None]
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-#: How long to wait for a topic that is behind others by more than `history`, s. For this time
-#: after a jump of the clock, messages from before the jump may also arrive. A reliable connection
-#: may take three seconds to send a lost message again.
+#: How long to wait for a topic that lags behind other topics by more than `history`, in seconds.
+#: We also assume that messages from before a clock jump may arrive for this long after the jump. A
+#: reliable connection may take three seconds to resend a lost message.
 _PATIENCE = 5.0
-#: How long a reading of the clock is reused, s. Reading the clock takes as long as processing a
+#: How long to reuse a clock reading, in seconds. Reading the clock takes as long as processing a
 #: message.
 _CLOCK_PERIOD = 0.005
-#: How far a stamp may be ahead of simulated time, s.
+#: A stamp may be ahead of simulated time by at most this many seconds.
 _OVERTAKING = 60.0
-#: Reasons why windows are not judged, in addition to the reasons of `Monitor`.
+#: Reasons for not judging a window, in addition to the reasons that `Monitor` defines.
 _LOST, _JUMP = 'torques lost', 'the clock jumped'
-#: The smallest step of a wall clock that counts as a jump, ns.
+#: A step of a wall clock by more than this many nanoseconds counts as a jump.
 _STEP_NS = 10 ** 6
-#: Number of the first measured topic as a source in diagnostics; torques have lower numbers.
+#: In diagnostics, the source numbers of measured topics begin here. Torque sources have lower
+#: numbers.
 _FIRST_MEASURED = 10 ** 6
 
 
 class MonitorInputs:
     """
-    Subscriptions to the torques of a scene and to measurements, and the check of the model.
+    Subscribe to the torques of a scene and to measurements, and pass both to a `Monitor`.
 
     Parameters
     ----------
@@ -90,9 +91,9 @@ class MonitorInputs:
     sources : dict of int to TorqueTopic
     diagnostics : Diagnostics
     drains : dict of int to DrainCallback
-        The callback of each source that has a subscription, by number of the source.
+        The callback of each source that has a subscription, by source number.
     monitor : Monitor
-        The check. When the clock jumps, a new monitor replaces this one.
+        The monitor that checks the model. When the clock jumps, it is replaced by a new one.
 
     """
 
@@ -107,15 +108,17 @@ class MonitorInputs:
         self._history_ns = duration_ns(scene.history, 'history')
         self._is_simulated = node.get_parameter('use_sim_time').value
         self._arrivals = ArrivalStamps()
-        # Even a small step of a wall clock is a jump: stamps before and after it are inconsistent.
+        # Even a small step of a wall clock counts as a jump, because it makes stamps from before
+        # and after the step inconsistent.
         self._jumps = JumpDetector(node.get_clock(), self._is_simulated, self._history_ns) \
             if self._is_simulated else JumpDetector(node.get_clock(), False, _STEP_NS, _STEP_NS)
-        #: Until when `_reading` is reused, and when the clock last jumped, s, monotonic clock.
+        #: The time until which to reuse `_reading`, and the time of the last clock jump. Both
+        #: times are in seconds on the monotonic clock.
         self._read_until = self._jumped_at = 0.0
         self._reading, self._jump_ns = ClockReading(0, 0), 0
-        #: For each source: the functions that decode and use its messages, and the messages that
-        #: wait. A waiting message is stored with the clock time on arrival, ns, the arrival stamp,
-        #: ns, and whether messages were lost just before this message.
+        #: For each source, the functions that decode and use its messages, and its waiting
+        #: messages. Each message is stored with the clock time at its arrival (in ns), its arrival
+        #: stamp (in ns), and whether messages were lost just before it.
         self._takes: dict[int, tuple[_Decode, _Put]] = {}
         self._waiting: dict[int, list[tuple[bytes, int, int, bool]]] = {}
         self._has_gap: set[int] = set()
@@ -127,50 +130,55 @@ class MonitorInputs:
                             self._apply)
 
     def _begin(self) -> None:
-        """Begin a check that contains no torque or measurement yet."""
+        """Begin a new check, which contains no torques or measurements yet."""
         self.monitor = Monitor(self._scene.problem(), settings_of(self._scene.values),
                                self._scene.actuators or ())
-        #: For each source: the newest stamp, ns.
+        #: The newest stamp of each source, ns.
         self._newest_ns: dict[int, int] = {}
-        #: For each measured topic: 1 if it contains attitudes, 2 if it contains angular
-        #: velocities, and 3 if it contains both.
+        #: What each measured topic contains: 1 for attitudes, 2 for angular velocities, and 3 for
+        #: both.
         self._measured: dict[int, int] = {}
-        #: For each source: when a message was last accepted, s, monotonic clock.
+        #: When a message of each source was last accepted, in seconds on the monotonic clock.
         self._heard_at: dict[int, float] = {}
-        #: For each source: when its newest stamp was last at most `history` older than the newest
-        #: stamp of all sources, s, monotonic clock.
+        #: When each source last kept up with the others, in seconds on the monotonic clock. A
+        #: source keeps up if its newest stamp is at most `history` older than the newest stamp of
+        #: all sources.
         self._abreast_at: dict[int, float] = {}
 
     @property
     def subscriptions(self) -> list[Subscription]:
-        """Return the subscriptions to torques and measurements."""
+        """Return all subscriptions to torques and measurements."""
         return [drain.subscription for drain in self.drains.values()]
 
     @property
     def polled(self) -> list[Subscription]:
         """
-        Return the subscriptions that `take` polls, so that no executor waits for their messages.
+        Return the subscriptions that `take` polls, and that an executor need not wait for.
 
-        Waking an executor for each message would take more time than all other work. With wall
-        time this is not necessary, because the middleware records when a message arrives. With
-        simulated time an executor must wait, because the node has to read the time when the
-        message arrives.
+        Waking an executor for every message would take more time than all other work. With wall
+        time, waking up is unnecessary, because the middleware records when each message arrives,
+        so the subscriptions are polled. With simulated time, no subscription is polled, because
+        the node must read the clock when a message arrives.
         """
         return [] if self._is_simulated else self.subscriptions
 
     def ages(self) -> dict[int, float | None]:
-        """Return the age of the newest message of each source, s; None before the first."""
+        """Return the age in s of each source's newest message, or None before the first one."""
         return {number: 1e-9 * (self._reading.now_ns - self._newest_ns[number])
                 if number in self._newest_ns else None for number in self.sources}
 
     def is_silent_since(self, time_ns: int) -> bool:
-        """Return whether a window that begins after a time should be complete by now."""
+        """Return whether another window should have been completed in the time since `time_ns`."""
         window_ns = duration_ns(self._scene.values['monitor.window'], 'window')
         patience_ns = 2 * window_ns + self._history_ns + duration_ns(_PATIENCE, 'patience')
         return self._reading.now_ns > time_ns + patience_ns
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the problems by source; also subscribe to topics whose type is now known."""
+        """
+        Return the current problems of each source.
+
+        The method also subscribes to topics whose type has become known.
+        """
         ages, longest = self.ages(), self._scene.stale_after
         problems: dict[int, list[str]] = {number: [] for number in self.sources}
         for number, source in self.sources.items():
@@ -219,7 +227,12 @@ class MonitorInputs:
             (data, now_ns, received_ns or self._arrivals.stamp(), is_after_gap))
 
     def now_ns(self) -> int:
-        """Return the time, ns (0: none yet); after a jump of the clock, begin the check again."""
+        """
+        Return the current time in ns, or 0 if there is no time yet.
+
+        If the clock has jumped, the method also restarts the check, unless the scene ignores
+        jumps.
+        """
         now = time.monotonic()
         if self._reading.now_ns and now < self._read_until:
             return self._reading.now_ns
@@ -233,18 +246,24 @@ class MonitorInputs:
                                    's: the check begins again')
             self._jump_ns, self._jumped_at = reading.jump_ns, now
             self._begin()
-            # Messages from before a small jump cannot be distinguished from later messages.
+            # After a small jump, we cannot tell whether a message is from before or after the
+            # jump.
             self.monitor.skip(reading.now_ns - self._reach_ns, reading.now_ns + self._reach_ns,
                               _JUMP)
         return reading.now_ns
 
     @property
     def _reach_ns(self) -> int:
-        """Return how long before and after a clock jump, ns, the stamps are ambiguous."""
+        """Return for how long before and after a clock jump stamps are ambiguous, in ns."""
         return min(abs(self._jump_ns), 2 * self._history_ns) + self._history_ns
 
     def take(self) -> None:
-        """Take the messages that have arrived, topic by topic, because batches are faster."""
+        """
+        Take the messages that have arrived.
+
+        The messages of each topic are processed as one batch, because processing them one by one
+        would take longer.
+        """
         for source, arrived in self._waiting.items():
             if not self._is_simulated:
                 self.drains[source].poll()
@@ -270,10 +289,18 @@ class MonitorInputs:
                 put(np.array(stamps_ns), found)
 
     def _stamp(self, stamp_ns: int, now_ns: int, arrival_ns: int) -> int:
-        """Return the stamp to use; raise RejectedError if it is too far from the present time."""
+        """
+        Return the stamp to use for a message.
+
+        Raises
+        ------
+        RejectedError
+            The stamp is too far from the present time.
+
+        """
         if not stamp_ns or self._scene.time_source == ARRIVAL:
             stamp_ns = arrival_ns
-        if self._is_simulated:  # a message may overtake the /clock message that was sent before it
+        if self._is_simulated:  # a message may overtake a /clock message that was sent before it
             check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
         else:
             check_stamp(stamp_ns, now_ns, self._scene.max_future)
@@ -287,7 +314,7 @@ class MonitorInputs:
 
     def _apply(self, source: int, topic: str, stamps_ns: NDArray[np.int64],
                found: Sequence[Torque]) -> None:
-        """Pass torques to the check."""
+        """Pass torques to the monitor."""
         self.monitor.awaited.add(source)
         self._count(source, stamps_ns, self.monitor.apply(
             stamps_ns, np.array([torque.values for torque in found]),
@@ -295,13 +322,13 @@ class MonitorInputs:
 
     def _measure(self, kind: messages.MessageType, source: int, topic: str,
                  stamps_ns: NDArray[np.int64], found: Sequence[messages.Stamped]) -> None:
-        """Pass measurements to the check."""
+        """Pass measurements to the monitor."""
         attitude, rates = samples(kind, np.array([message.values for message in found]))
         sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])
         if sent.any():
             self._measured.setdefault(source, int(sent[sent > 0][0]))
-        # As in a recording, every message of a topic must contain the same quantities as the first
-        # message.
+        # Just as in a recording, every message of a topic must contain the same quantities as the
+        # first one.
         usable = sent == self._measured.get(source, -1)
         for _ in range(int(np.sum(~usable))):
             self.diagnostics.reject(RejectedError(
@@ -311,7 +338,7 @@ class MonitorInputs:
             topic, stamps_ns[usable], attitude[usable], rates[usable]))
 
     def _count(self, source: int, stamps_ns: NDArray[np.int64], fits: NDArray[np.bool_]) -> None:
-        """Count messages; reject those for which `fits` is false, because they are late."""
+        """Count the messages selected by `fits` as applied, and all others as rejected (late)."""
         for stamp_ns in stamps_ns[~fits].tolist():
             self.diagnostics.reject(RejectedError(
                 LATE, f'stamped {stamp_ns} ns, in a window that has been judged: a window is '
@@ -324,7 +351,15 @@ class MonitorInputs:
             self.diagnostics.count(APPLIED, source, int(fits.sum()))
 
     def _measurement(self, data: bytes, kind: messages.MessageType) -> messages.Stamped:
-        """Return a measurement; raise RejectedError if it is malformed or in another frame."""
+        """
+        Decode a measurement.
+
+        Raises
+        ------
+        RejectedError
+            The message is malformed, or is in another frame.
+
+        """
         try:
             message = kind.decode(data)
         except ValueError as error:
@@ -342,14 +377,19 @@ class MonitorInputs:
                                     f'{quoted(found)}')
 
     def complete_ns(self, now: float) -> int:
-        """Return the time, ns, up to which all topics are complete; silent topics do not count."""
+        """
+        Return the time, ns, up to which the messages of all topics should have arrived.
+
+        Silent topics are ignored.
+        """
         newest_ns = self.monitor.newest_ns
         sending = []
         for number in self.drains:
             found_ns = self._newest_ns.get(number, 0)
             if found_ns >= newest_ns - self._history_ns or number not in self._abreast_at:
                 self._abreast_at[number] = now
-            # After a pause of the process, a topic may wait behind the messages of other topics.
+            # If the process has paused, messages of this topic may still be waiting while those of
+            # other topics have been processed.
             if now < max(self._abreast_at[number], self._heard_at.get(number, 0.0)) + _PATIENCE:
                 sending.append(found_ns)
         return min(sending, default=newest_ns) - self._history_ns

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Publish states and the log of the run."""
+"""Publish the states and the log of a run."""
 
 from __future__ import annotations
 
@@ -49,17 +49,18 @@ except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import PublisherEventCallbacks
 
 _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-# No message of the log may be lost, not even to a recorder that starts a moment later. The queue
-# is deep, because an epoch ends with a burst: the states of the last `history`.
+# No log message may be lost, not even if a recorder starts a moment later. The queue is deep
+# because an epoch ends with a burst of messages that contain the states of the last `history`
+# seconds.
 _LOG_QOS = QoSProfile(depth=LOG_DEPTH, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Publishers:
     """
-    The publishers of a node.
+    All the publishers of a node.
 
-    If the middleware fails to publish a message, for example because memory is exhausted,
+    If the middleware fails to publish a message, for example because it has run out of memory,
     `Diagnostics` counts and logs the failure.
     """
 
@@ -69,8 +70,8 @@ class Publishers:
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
         imu, variances = scene.imu, scene.odometry_variances
-        #: The publisher of each topic, and the function that encodes a snapshot for it. Odometry
-        #: comes first because controllers wait for it in lockstep.
+        #: The publisher of each state topic, and the function that encodes a snapshot for it.
+        #: Odometry comes first, because controllers in lockstep are waiting for it.
         self._states: list[tuple[Publisher, Callable[[State, State, Floats], bytes]]] = [
             (self._publisher(Odometry, 'odometry'), lambda state, *_: (
                 messages.odometry(state, space, body, *variances))),
@@ -97,7 +98,7 @@ class Publishers:
         if scene.publish_tf:
             self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, *_: (
                 messages.transform(state, space, body))))
-        #: The publisher of the log of each source, by number of the source.
+        #: The publisher of each source's log, by source number.
         self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)
                           for source in sources}
         self._kinds = {source.number: source.message for source in sources}
@@ -105,43 +106,44 @@ class Publishers:
 
     @property
     def publishers(self) -> list[Publisher]:
-        """Return all publishers of states and of the log."""
+        """Return all publishers of states and logs."""
         return [*(publisher for publisher, _ in self._states), *self._accepted.values(),
                 self._committed]
 
     @property
     def subscription_count(self) -> int:
-        """Return the number of connected subscriptions to states."""
+        """Return how many subscriptions are connected to the state topics."""
         return sum(publisher.get_subscription_count() for publisher, _ in self._states)
 
     def publish(self, snapshot: Snapshot) -> None:
-        """Publish a snapshot on every topic that has a subscription."""
+        """Publish a snapshot on each state topic that has a subscription."""
         for publisher, encode in self._states:
             if publisher.get_subscription_count():
                 self._send(publisher, encode(*snapshot))
 
     def begin_log(self, start: State) -> None:
-        """Publish the marker of a new epoch, with its start state, in each log of torques."""
+        """Publish the marker of a new epoch, with its start state, to every torque log."""
         for source, publisher in self._accepted.items():
             self._send(publisher, messages.epoch_marker(start, self._kinds[source]))
 
     def log_torque(self, torque: Torque) -> None:
-        """Log an accepted torque."""
+        """Publish an accepted torque in the log of its source."""
         encode = {BODY: messages.inertia, COMMANDS: self._kinds[torque.source].encode}.get(
             torque.source, messages.wrench)
         self._send(self._accepted[torque.source], encode(
             torque.stamp_ns, self._frames[torque.frame], torque.values))
 
     def log_state(self, state: State) -> None:
-        """Log a state that no later torque can change."""
+        """Publish a committed state, which no later torque can change, in the log."""
         self._send(self._committed, messages.odometry(
             state, self._frames['space'], self._frames['body']))
 
     def deliver(self, until: float) -> bool:
         """
-        Wait until subscribers acknowledge the log, at most until `until`, s, monotonic clock.
+        Wait until all subscribers have acknowledged the log.
 
-        Return False if a subscriber has not acknowledged the log by `until`.
+        `until` is the time on the monotonic clock at which to stop waiting, s. The result is False
+        if a subscriber has not acknowledged the log by this time.
         """
         is_delivered = True
         for publisher in (self._committed, *self._accepted.values()):
@@ -158,9 +160,9 @@ class Publishers:
                                     f'{" ".join(str(error).split())}')
 
     def _publisher(self, kind: type, topic: str, qos: QoSProfile = _STATE_QOS) -> Publisher:
-        # Pass a copy, because rclpy writes the overrides of a topic into the profile. Disable the
-        # event handlers, because rclpy checks each of them in every cycle, and Diagnostics reports
-        # the same problems.
+        # Pass a copy, because rclpy writes the overrides for a topic into the profile. Disable the
+        # event handlers, because rclpy would check each of them in every cycle, and `Diagnostics`
+        # reports the same problems anyway.
         return self._node.create_publisher(
             kind, topic, copy(qos),
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
@@ -168,12 +170,13 @@ class Publishers:
 
 
 def _wheel_states(wheels: Sequence[Wheel]) -> Callable[[State, State, Floats], bytes]:
-    """Return the function that encodes the speeds and efforts of named wheels."""
+    """Return a function that encodes the speeds and efforts of named wheels."""
     kind = messages.joint_states([wheel.name for wheel in wheels])
     speeds = np.array([wheel.initial_speed for wheel in wheels])
 
     def encode(state: State, *_: object) -> bytes:
-        # A start state that was not computed lacks efforts; the start of the scene lacks speeds.
+        # A start state that was given, not computed, contains no wheel efforts. The start state of
+        # the scene contains no wheel speeds either.
         values = (found if found.size else default for found, default in (
             (state.wheel_speeds, speeds), (state.wheel_efforts, np.zeros(len(wheels)))))
         return kind.encode(state.time_ns, '', messages.joint_values(*(

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The scene as the parameters of a node."""
+"""Declare the contents of a scene as parameters of a ROS 2 node."""
 
 from __future__ import annotations
 
@@ -45,10 +45,11 @@ from rigid_body_ros.scene.parameters import checked_names, parameters_with, QOS
 from rigid_body_ros.scene.wheels import WHEEL_NAMES
 
 _RATE = 'publish_rate'
-#: QoS overrides for topics of rclpy itself have names that begin with `QOS` and one of these.
+#: The names of QoS overrides for rclpy's own topics begin with `QOS`, followed by one of these
+#: strings.
 _OF_RCLPY = ('/clock.', '/parameter_events.', '/rosout.')
-#: Parameters that the node sets when an epoch begins, so that a dump of the parameters is the
-#: scene of the epoch.
+#: Parameters that the node sets when an epoch begins, so that a parameter dump describes the scene
+#: of that epoch.
 _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
           *(f'initial_angular_velocity.{name}' for name in 'xyz'),
           *(f'initial_rotor_momentum.{name}' for name in 'xyz'))
@@ -56,37 +57,43 @@ _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
 
 class NodeParameters:
     """
-    Declare the parameters of a scene, and store the scene.
+    Declare the parameters of a scene on a node, and build the scene from their values.
 
     Parameters
     ----------
     node : Node
     on_rate : callable
-        Called with each new `publish_rate`.
+        Called with the new value when `publish_rate` changes.
     is_managed : bool
-        Whether the node calls `release` when it no longer uses the scene.
+        Whether the node calls `release` once it no longer uses the scene.
 
     Raises
     ------
     InputError
-        The given parameters are not a valid scene for a node.
+        The given parameters do not describe a scene that a node can run.
 
     """
 
     def __init__(self, node: Node, on_rate: Callable[[float], None],
                  is_managed: bool = False) -> None:
         self._node, self._on_rate, self._is_managed = node, on_rate, is_managed
-        #: Scene parameters that the user has given.
+        #: The scene parameters that the user has given.
         self._given: dict[str, Any] = {}
         self.scene = self._declare()
-        #: Values that cannot be changed from now on, except by `set_start`.
+        #: The values that only `set_start` may change once the scene exists.
         self._fixed = {name: value for name, value in self.scene.values.items() if name != _RATE}
         node.add_on_set_parameters_callback(self._on_set)
         if hasattr(node, 'add_pre_set_parameters_callback'):  # not on Humble
             node.add_pre_set_parameters_callback(_with_float_rate)
 
     def release(self) -> None:
-        """If the node is managed, restore the given parameters, so that they can be set again."""
+        """
+        Declare the parameters anew with the values that the user has given.
+
+        The user can then change these parameters again.
+
+        This method does nothing unless the node is managed.
+        """
         if self._is_managed:
             self._node.remove_on_set_parameters_callback(self._on_set)
             if hasattr(self._node, 'remove_pre_set_parameters_callback'):
@@ -96,7 +103,15 @@ class NodeParameters:
             declare(self._node, self._given)
 
     def set_start(self, start: State) -> None:
-        """Set the parameters to the start state of an epoch; raise RuntimeError on failure."""
+        """
+        Set the parameters that describe the start state to the start state of an epoch.
+
+        Raises
+        ------
+        RuntimeError
+            The node does not accept the values.
+
+        """
         wheels = Wheels(self.scene.named_wheels)
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
                   *wheels.others(start).tolist()]
@@ -105,8 +120,9 @@ class NodeParameters:
             wheel.initial_speed for wheel in self.scene.named_wheels]
         epoch |= {f'{name}.initial_speed': speed for name, speed in zip(wheels.names, speeds)}
         self._fixed |= epoch
-        # Make the values, which stay read-only for users, writable during this call. The node
-        # returns the descriptors that it stores, not copies.
+        # The parameters are read-only for users, so make them writable just for this call.
+        # Changing a returned descriptor is enough, because the node returns the descriptors that
+        # it stores, not copies of them.
         descriptors = self._node.describe_parameters(list(epoch))
         is_fixed = [descriptor.read_only for descriptor in descriptors]
         for descriptor in descriptors:
@@ -119,7 +135,8 @@ class NodeParameters:
             raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
     def _declare(self) -> Scene:
-        # A managed node has already declared its parameters, which may have changed since then.
+        # A managed node has already declared its parameters, and the user may have changed them
+        # since then.
         given = given_parameters(self._node)
         for key in (FIELDS, WHEEL_NAMES):
             if self._node.has_parameter(key):
@@ -149,7 +166,7 @@ class NodeParameters:
             if value != self._fixed.get(name, value):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it defines the trajectory')
-            # rclpy declares the parameters of quality of service together with each endpoint.
+            # rclpy declares the QoS parameters of each endpoint when it creates the endpoint.
             if self._node.has_parameter(name) and name.startswith((QOS, 'use_sim_time')):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it takes effect only at the start')
@@ -162,14 +179,23 @@ class NodeParameters:
 
 
 def declare(node: Node, given: Mapping[str, Any]) -> None:
-    """Declare the parameters of a scene; only given parameters have values."""
+    """
+    Declare the parameters of a scene on a node, with the given values.
+
+    Parameters that are not given are declared without a value.
+    """
     for name, parameter in _known(given).items():
         node.declare_parameter(name, given.get(name), ParameterDescriptor(
             description=_described(parameter), dynamic_typing=True), ignore_override=True)
 
 
 def _known(given: Mapping[str, Any]) -> dict[str, SceneParameter]:
-    """Return the parameters of a scene; skip those of fields and wheels if a name is invalid."""
+    """
+    Return the known parameters of a scene.
+
+    If the name of a field or a wheel is invalid, the parameters of all fields and wheels are left
+    out.
+    """
     with suppress(InputError):
         return parameters_with(checked_names(given))
     return PARAMETERS
@@ -177,20 +203,22 @@ def _known(given: Mapping[str, Any]) -> dict[str, SceneParameter]:
 
 def given_parameters(node: Node) -> dict[str, Any]:
     """Return the values of all parameters given to a node, including those for other nodes."""
-    # The public interface of rclpy returns only declared parameters. Declaring all of them fails
-    # if a parameter for another node is an empty list.
+    # Use a private attribute, because the public interface of rclpy returns only declared
+    # parameters. We cannot declare all given parameters, because rclpy fails to declare an empty
+    # list, and a parameter for another node may be an empty list.
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
 
 def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
                         publishers: Iterable[Publisher]) -> list[str]:
     """
-    Return the given QoS overrides that are for endpoints of other nodes.
+    Return the names of the given QoS overrides that are meant for other nodes.
 
     Raises
     ------
     InputError
-        An override has no effect because its topic, endpoint or policy is misspelt.
+        An override would have no effect, because the name of its topic, endpoint or policy is
+        misspelt.
 
     """
     known = [f'{QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'
@@ -201,8 +229,8 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
               if name.startswith(QOS) and name not in known
               and not name.removeprefix(QOS).startswith(_OF_RCLPY)]
     for name in others:
-        # Compare only names in the same namespace, because the namespaces of two bodies may differ
-        # in only one letter.
+        # Compare only with names in the same namespace. The namespaces of two bodies may differ in
+        # a single letter, and that would not be a misspelling.
         space = name.rpartition('/')[0]
         close = resembled(name, [own for own in known if own.rpartition('/')[0] == space])
         if close:
@@ -212,7 +240,7 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
 
 
 def _with_float_rate(parameters: list[Parameter]) -> list[Parameter]:
-    """Return parameters to set, with a float in place of an integer rate such as 50."""
+    """Convert an integer rate such as 50 to a float, and leave all other parameters unchanged."""
     return [Parameter(_RATE, value=float(one.value))
             if one.name == _RATE and one.type_ == Parameter.Type.INTEGER else one
             for one in parameters]
@@ -227,7 +255,7 @@ def _descriptor(parameter: SceneParameter) -> ParameterDescriptor:
     limits = ', '.join(parameter.choices)
     descriptor = ParameterDescriptor(
         name=parameter.name, description=_described(parameter), read_only=fixed,
-        # With dynamic typing, a running node accepts a rate of 50 in place of 50.0.
+        # With dynamic typing, a running node accepts a rate of 50 as well as 50.0.
         dynamic_typing=not fixed,
         additional_constraints='; '.join(filter(None, [
             limits and f'one of {limits}',

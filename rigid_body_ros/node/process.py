@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`main`, which runs a node as a command."""
+"""Provide `main`, which runs a node as a command."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from rigid_body_ros.node.spinning import executor_of, spin
 def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode,
          command: str = 'attitude_node') -> None:
     """
-    Run a node until SIGINT or SIGTERM.
+    Run a node until it receives SIGINT or SIGTERM.
 
     Raises
     ------
@@ -58,7 +58,8 @@ def _initialize(command_line: Sequence[str], command: str, described: str) -> No
             command, description=described.partition('\n')[0],
             epilog='Pass the scene as ROS parameters: --ros-args --params-file FILE',
         ).parse_args(others)
-        # The signal handlers of rclpy would shut ROS down before the last states are published.
+        # Do not install rclpy's signal handlers, because they would shut ROS down before the last
+        # states are published.
         rclpy.init(args=[*command_line, *_without_log_file()],
                    signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
@@ -66,7 +67,7 @@ def _initialize(command_line: Sequence[str], command: str, described: str) -> No
 
 
 def _without_log_file() -> list[str]:
-    """Return the arguments that disable the log file of rcl if its folder is not writable."""
+    """Return arguments that disable rcl's log file if its folder is not writable, else none."""
     home = Path(os.environ.get('ROS_HOME') or '~/.ros')
     folder = Path(os.environ.get('ROS_LOG_DIR') or home / 'log').expanduser()
     try:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Real time: a timer publishes the state at the present time."""
+"""Real-time mode, in which the node publishes the present state whenever a timer fires."""
 
 from __future__ import annotations
 
@@ -50,12 +50,13 @@ from rigid_body_ros.node.clocks import (
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.scene.parameters import ARRIVAL, REBASE, RESET
 
-#: How long a torque waits for a /clock message that was sent before the torque, s.
+#: How long a torque waits for a /clock message that was sent before the torque but arrives after
+#: the torque, in seconds.
 _CLOCK_DELAY = 0.5
 
 
 class Realtime(Mode):
-    """Publish the state at the present time, at the rate `publish_rate`."""
+    """Publish the state at the present time, `publish_rate` times per second."""
 
     several_publishers = ('torques of several publishers of one topic are not summed, and each '
                           'replaces the previous one; list a topic for each in torque_topics')
@@ -70,13 +71,14 @@ class Realtime(Mode):
         self._rate = self._scene.publish_rate
         self._timer: Timer | None = None
         self._jumps: JumpHandle | None = None
-        #: Time, ns, of a state to publish as soon as it is computed; 0 if there is none.
+        #: The time in ns of a state that must be published as soon as it has been computed, or 0
+        #: if there is no such state.
         self._deferred_ns = 0
-        #: When the next state is overdue, s, monotonic clock.
+        #: When the next state will be overdue, in seconds on the monotonic clock.
         self._overdue_at = 0.0
 
     def activate(self) -> None:
-        """Begin to publish; begin an epoch if there is none."""
+        """Begin to publish states, and begin an epoch if there is none."""
         node_clock = self._node.get_clock()
         if self._is_simulated:  # rclpy does not report jumps of a wall clock
             ahead = Duration(nanoseconds=self._clock.most_ahead_ns)
@@ -85,19 +87,19 @@ class Realtime(Mode):
                               on_clock_change=False),
                 pre_callback=self._hold_early_torques,
                 post_callback=lambda jump: self._update())
-        # If a wall clock is set back, a timer that follows it stops; a steady timer does not.
+        # A timer on a wall clock stops when the clock is set back, so use a steady timer instead.
         clock = node_clock if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self._node.create_timer(1.0 / self._rate, self._publish_now, clock=clock)
         self._update()
 
     def deactivate(self) -> None:
-        """Stop publishing; the owner of the node destroys the timer."""
+        """Stop publishing. The owner of the node destroys the timer."""
         self._timer = None
         if self._jumps:
             self._jumps.unregister()
 
     def set_rate(self, rate: float) -> None:
-        """Publish at another rate, Hz."""
+        """Change the publishing rate, Hz."""
         self._rate = rate
         if self._timer:
             self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
@@ -105,12 +107,12 @@ class Realtime(Mode):
 
     def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
         """
-        Queue a torque message of a source from any sender.
+        Queue a torque message from a source.
 
         Raises
         ------
         RejectedError
-            The clock has no time yet, or too many torques wait.
+            The clock has no time yet, or too many torques are waiting.
 
         """
         self._valid_now_ns()
@@ -118,7 +120,7 @@ class Realtime(Mode):
         self._queue.put(Queued(source, data, sender, self._arrivals.stamp(), time.monotonic()))
 
     def process(self) -> bool:
-        """Apply waiting torques for one slice of time; return whether all work is done."""
+        """Apply waiting torques for one slice of work. Return True if no work is left."""
         for cause in (FUTURE, LATE):
             while (first := self._queue.first_early(cause)) and not self._early_cause(first):
                 self._queue.release(cause)
@@ -130,22 +132,24 @@ class Realtime(Mode):
         return is_done and not self._deferred_ns
 
     def catch_up(self) -> None:
-        """Publish the present state if many messages delay the timer."""
-        # In simulated time, which may stop, the timer has to follow the clock.
+        """Publish the present state if many messages have delayed the timer for too long."""
+        # With simulated time, leave the publication to the timer, because the timer follows the
+        # clock, which may stand still.
         if self._timer and not self._is_simulated and self._is_overdue:
             self._publish_now()
 
     def set_state(self, state: State) -> str:
         """
-        Begin an epoch with an attitude and body rates; return a text that describes the epoch.
+        Begin a new epoch with the given attitude and body rates, and return a description of it.
 
         The rotors keep their momentum.
 
         Raises
         ------
         RejectedError
-            The clock has no time yet, or the stamp of the state is too far ahead of the clock, too
-            far behind the clock, or older than the newest torque by `history` or more.
+            The clock has no time yet. The error is also raised if the stamp of the state is too
+            far ahead of the clock or too far behind it, or if the state is older than the newest
+            torque by `history` or more.
 
         """
         now_ns = self._valid_now_ns()
@@ -157,7 +161,7 @@ class Realtime(Mode):
 
     def reset(self) -> str:
         """
-        Begin an epoch with the initial state, and return a text that describes the epoch.
+        Begin a new epoch with the initial state, and return a text that describes the epoch.
 
         Raises
         ------
@@ -173,11 +177,11 @@ class Realtime(Mode):
         return self._begin(self.run.initial(now_ns), torques, 'reset')
 
     def now_ns(self) -> int:
-        """Return the present time, ns, or 0 if the clock has no time yet."""
+        """Return the present time in ns, or 0 if the clock has no time yet."""
         return self._update()
 
     def problems(self) -> dict[int, list[str]]:
-        """Return the present problems by source; the first source also gets those of the clock."""
+        """Return current problems by source. Problems of the clock belong to the first source."""
         now_ns, timeout = self._update(), self._scene.torque_timeout
         problems = {source: [] for source in self._torques}
         problems[next(iter(problems))] = self._monitor.problems()
@@ -195,7 +199,7 @@ class Realtime(Mode):
         return self._node.get_clock().now().to_msg()
 
     def end(self, until: float | None = None, kept: str = LATE) -> None:
-        """End the epoch, as `Mode.end` does; drop states that wait to be published."""
+        """End the epoch as `Mode.end` does, and drop any state that is waiting to be published."""
         self._deferred_ns = 0
         super().end(until, kept)
 
@@ -207,17 +211,17 @@ class Realtime(Mode):
             return None
 
     def _early_cause(self, queued: Queued) -> str | None:
-        """Return why a torque is early, or None if the torque is not early."""
+        """Return the reason why a torque is early, or None if it is not early."""
         try:
             self._decoded(queued)
         except EarlyError as early:
             return early.cause
         except RejectedError:
-            pass  # `process` rejects and counts it later
+            pass  # `process` will reject and count this torque
         return None
 
     def _hold_early_torques(self) -> None:
-        """Before the epoch ends, hold all torques that are early by the present clock."""
+        """Before the epoch ends, hold all queued torques that are early at the present time."""
         for queued in self._queue.pop_all():
             cause = self._early_cause(queued)
             if cause:
@@ -226,7 +230,17 @@ class Realtime(Mode):
                 self._queue.put(queued)
 
     def _decoded(self, queued: Queued) -> Torque:
-        """Return a torque if its stamp is valid; raise RejectedError, or EarlyError if early."""
+        """
+        Decode a torque, and check its stamp.
+
+        Raises
+        ------
+        EarlyError
+            The torque has to wait for the clock.
+        RejectedError
+            The torque or its stamp is not valid.
+
+        """
         torque = self._inputs.torque(queued.data, queued.source)
         if not torque.stamp_ns or self._scene.time_source == ARRIVAL:
             torque = torque._replace(stamp_ns=queued.arrived_ns)
@@ -237,8 +251,9 @@ class Realtime(Mode):
         return torque
 
     def _check_early(self, stamp_ns: int, queued: Queued) -> None:
-        # A torque may overtake the /clock message that was sent before it. The torque is then
-        # ahead of the clock or, if that message sets the clock back, too old for the epoch.
+        # A torque may overtake a /clock message that was sent before it. Until this message
+        # arrives, the torque is ahead of the clock. If the /clock message sets the clock back, the
+        # torque is not ahead of the clock, but too old for the present epoch.
         now_ns = self._node.get_clock().now().nanoseconds
         try:
             self._check_stamp(stamp_ns, now_ns)
@@ -257,8 +272,9 @@ class Realtime(Mode):
         now_ns = self._update()
         if not now_ns or now_ns < self.run.epoch.start.time_ns:
             return
-        # Waiting torques are applied before the state is published. But an overdue state is
-        # published without them; otherwise a flood of torques would stop the states.
+        # Normally, waiting torques are applied before the state is published. But if the state is
+        # overdue, publish it without them. Otherwise a flood of torques would keep the node from
+        # publishing any state.
         if (self._current or self._queue) and not self._is_overdue:
             self._deferred_ns = now_ns
         else:
@@ -266,11 +282,12 @@ class Realtime(Mode):
 
     def _publish(self, time_ns: int) -> None:
         """
-        Publish the state at a time, immediately if one slice of work is enough to compute it.
+        Publish the state at a given time.
 
-        Otherwise `process` publishes the state later, because the timer does not call again while
-        simulated time stands still. If torques wait, which may change the state, `process` applies
-        these torques, and publishes the state again.
+        If one slice of work is enough to compute the state, it is published immediately. Otherwise
+        `process` publishes it later. We cannot leave the state to the timer, because the timer
+        does not fire again while simulated time stands still. If torques are waiting, they may
+        change the state, so `process` publishes the state again once it has applied them.
         """
         self._deferred_ns = time_ns if self._current or self._queue else 0
         began = time.monotonic()
@@ -279,7 +296,8 @@ class Realtime(Mode):
         except TimeoutError as error:
             self._miss_deadline(error)
             self._deferred_ns = time_ns
-            # Wait for ten slices: most of the time belongs to messages, services and torques.
+            # Wait for ten slices, so that most of the time is left for messages, services and
+            # torques.
             self._overdue_at = began + 10.0 * BUDGET
             self._wake()
             return
@@ -299,9 +317,13 @@ class Realtime(Mode):
         return now_ns
 
     def _update(self) -> int:
-        """Read the clock, and begin an epoch if necessary; return the time, ns (0: none yet)."""
+        """
+        Read the clock, and return its time in ns, or 0 if it has no time yet.
+
+        If there is no epoch, or if the clock has jumped, the method may begin a new epoch.
+        """
         now_ns, jump_ns = self._clock.read()
-        if not now_ns:  # simulated time, before the first message on /clock
+        if not now_ns:  # simulated time, before the first message has arrived on /clock
             return 0
         self._arrivals.tick(now_ns)
         if self.run.epoch is None:
@@ -311,7 +333,7 @@ class Realtime(Mode):
         return now_ns
 
     def _start(self, now_ns: int) -> None:
-        """Begin the first epoch: from the state in the checkpoint, if any, else from the scene."""
+        """Begin the first epoch with the state in the checkpoint, or else the initial state."""
         state = self._checkpoint and self._checkpoint.start
         if not state:
             self._begin(self.run.initial(self._given_start_ns or now_ns), (), 'start')
@@ -333,7 +355,8 @@ class Realtime(Mode):
             return
         if action in (REBASE, RESET):
             start_ns = self._given_start_ns if self._is_simulated else 0
-            # If the start preceded a jump ahead, the motion during the jump would be computed.
+            # After a jump ahead, do not start before the present time. Otherwise the node would
+            # have to compute the motion during the jump.
             start_ns = max(start_ns, now_ns) if is_ahead else start_ns or now_ns
             self._begin(self.run.initial(start_ns), (), text, is_ahead)
 
@@ -343,8 +366,8 @@ class Realtime(Mode):
             self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the current state cannot be '
                                     'computed; the motion starts again from the initial state')
             return False
-        # Shift the stamps by the jump, so that the torques keep their age, which the timeout
-        # limits.
+        # Shift the stamps by the jump, so that the torques keep their age. The age matters for the
+        # torque timeout.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
                    for torque in self.run.epoch.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]
@@ -356,11 +379,12 @@ class Realtime(Mode):
     def _begin(self, start: State, torques: Sequence[Torque], reason: str,
                is_ahead: bool = False) -> str:
         """
-        Begin an epoch; return a text about it. `torques` are earlier torques that still act.
+        Begin an epoch, and return a text that describes it.
 
-        The torques that wait for the clock and were sent after its jump are kept. If the clock
-        jumped ahead, these are the torques ahead of the clock; otherwise, they are the torques
-        that are too old for the previous epoch.
+        `torques` contains torques that were applied earlier and still act. Early torques that were
+        sent after a clock jump stay in the queue. If the clock jumped ahead, these are the torques
+        that were ahead of the clock. Otherwise, they are the torques that were too old for the
+        previous epoch.
         """
         if self.run.epoch is not None:  # otherwise the queued torques belong to the new epoch
             self.end(kept=FUTURE if is_ahead else LATE)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A node in lockstep that keeps its own log, for `attitude_regress`."""
+"""Provide the node that `attitude_regress` runs, which keeps its own log."""
 
 from __future__ import annotations
 
@@ -38,11 +38,13 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP
 
 _COMMITTED = '~/committed'
-#: The queue is deep enough to lose nothing, however long the node computes.
+#: The queue of a subscription is so deep that no message is lost, no matter how long the node
+#: computes.
 _QOS = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: How long to wait for the end of the log, and the time between two checks, s.
+#: How long to wait for the end of the log, and how often to check for it meanwhile, in seconds.
 _PATIENCE, _PERIOD = 5.0, 0.02
-#: If no other publisher of torques appears for this long, s, no more publishers are expected.
+#: If no further torque publisher appears for this many seconds, we assume that all publishers are
+#: connected.
 _QUIET = 3.0
 
 
@@ -53,25 +55,28 @@ class _Logged(NamedTuple):
 
 class RecordedNode:
     """
-    A node in lockstep for a scene; a context manager.
+    Run a scene in a node in lockstep, and keep the node's log.
 
-    The node uses the ROS domain that the environment sets. If the scene has several topics of
-    torques, the node begins only when the expected topics have publishers, because it would not
-    wait for a publisher that connects later. The node neither reads nor writes a checkpoint.
+    Use this class as a context manager. The node is in the ROS domain that the environment
+    selects, and neither reads nor writes a checkpoint. If the scene has several torque topics, the
+    node does not begin until the expected topics have publishers. If the node began earlier, it
+    would not wait for the torques of a publisher that connects later.
 
     Parameters
     ----------
     scene : Scene
     logs : collection of str
-        The logs of the topics to wait for, such as 'accepted_torque'. If empty, the node waits
-        until no more topics get a publisher, and begins with the topics that have a publisher.
+        The topics to wait for, given by the names of their logs, such as 'accepted_torque'. If the
+        collection is empty, the node waits until no more publishers appear, and begins with the
+        topics that have a publisher by then.
 
     """
 
     def __init__(self, scene: Scene, logs: Collection[str] = ()) -> None:
         self._scene = scene
         self._context = rclpy.Context()
-        # Write no log files, and no warnings about the scene, which the command itself prints.
+        # Do not write log files, and do not repeat warnings about the scene, because the command
+        # prints them itself.
         rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
                    context=self._context)
         self._listener = rclpy.create_node('attitude_regress', context=self._context)
@@ -82,7 +87,8 @@ class RecordedNode:
         self._topics = {_base(name): self._listener.resolve_topic_name(source.topic)
                         for name, source in self._logs.items() if source.number != BODY}
         self._awaited = {self._topics[name] for name in logs if name in self._topics}
-        #: The topics without a publisher, and when this list changed last, s, monotonic clock.
+        #: The topics without a publisher, and when this list last changed, in seconds on the
+        #: monotonic clock.
         self._missing, self._since = self.unpublished, time.monotonic()
         self._node: AttitudeNode | None = None
         if len(self._topics) == 1:
@@ -96,10 +102,10 @@ class RecordedNode:
         self._node = AttitudeNode(context=self._context, parameter_overrides=[
             Parameter(name, value=value) for name, value in given.items()])
         self._node.get_logger().set_level(LoggingSeverity.WARN)
-        #: The full name of each log, because a destroyed node does not resolve names.
+        #: The full name of each log. We store it, because a destroyed node cannot resolve names.
         self._names = {name: self._node.resolve_topic_name(name) for name in self._received}
-        # No executor spins these subscriptions: messages in the queue of an executor would outlive
-        # the node.
+        # Do not let an executor spin these subscriptions, because messages in the executor's queue
+        # would outlive the node.
         self._subscriptions = {name: self._listener.create_subscription(
             source.kind if (source := self._logs.get(name)) else Odometry, self._names[name],
             lambda data: None, _QOS, raw=True) for name in self._received}
@@ -119,7 +125,7 @@ class RecordedNode:
 
     @property
     def elapsed_ns(self) -> dict[str, int]:
-        """Return the time from the start to the newest torque of each log with torques, ns."""
+        """Return the time in ns from the start to the newest torque of each torque log."""
         return dict(self._elapsed_ns)
 
     @property
@@ -130,7 +136,7 @@ class RecordedNode:
 
     @property
     def has_rival(self) -> bool:
-        """Return whether another node also publishes the states."""
+        """Return whether another node publishes states on the same topic."""
         states = self._listener.resolve_topic_name('odometry')
         return self._listener.count_publishers(states) > (self._node is not None)
 
@@ -138,8 +144,8 @@ class RecordedNode:
         """
         Run the node for a number of seconds.
 
-        If the node has not begun, sleep for this time instead, and then begin the node if the
-        publishers are ready.
+        If the node has not begun yet, this method sleeps for that time instead, and then begins
+        the node if the publishers are ready.
         """
         if not self._node:
             time.sleep(seconds)
@@ -152,7 +158,7 @@ class RecordedNode:
         self._take()
 
     def _is_connected(self) -> bool:
-        """Return whether all topics from which the node expects torques have a publisher."""
+        """Return whether every topic on which the node expects torques has a publisher."""
         if (missing := self.unpublished) != self._missing:
             self._missing, self._since = missing, time.monotonic()
         if self._awaited:
@@ -161,7 +167,7 @@ class RecordedNode:
             not missing or time.monotonic() - self._since > _QUIET)
 
     def _take(self) -> None:
-        """Take all messages that wait."""
+        """Take all waiting log messages."""
         for name, subscription in self._subscriptions.items():
             with subscription.handle:
                 while taken := subscription.handle.take_message(subscription.msg_type, True):
@@ -180,12 +186,12 @@ class RecordedNode:
 
     def finish(self) -> None:
         """
-        End the node, so that it commits its last states.
+        Shut down the node so that it commits its last states, and read the rest of its log.
 
         Raises
         ------
         InputError
-            The committed state at a torque is missing.
+            There is no committed state at the stamp of some torque.
 
         """
         self._executor.shutdown()
@@ -201,14 +207,18 @@ class RecordedNode:
                              'shorter history in the scene')
 
     def _pending(self) -> set[int]:
-        """Return the stamps of torques of the current epoch that have no committed state yet."""
+        """Return the stamps of torques in the current epoch at which no state is committed yet."""
         torques = [name for name, source in self._logs.items() if source.number != BODY]
         due, final = ({one.stamp_ns for name in names for one in self._received[name]}
                       for names in (torques, [_COMMITTED]))
         return due - final
 
     def write(self, path: str | Path, last_ns: int) -> None:
-        """Write the log of the current epoch to a recording, up to `last_ns` after the start."""
+        """
+        Write the log of the current epoch to a recording at `path`.
+
+        Messages stamped more than `last_ns` after the start of the epoch are left out.
+        """
         start_ns = next(found[0].stamp_ns for name, found in self._received.items()
                         if name in self._logs)
         with recording.Writer(path) as writer:
@@ -218,7 +228,7 @@ class RecordedNode:
                 topic = self._names[name]
                 writer.add_topic(topic, _message_type(self._logs.get(name)))
                 first = 0
-                if name == _COMMITTED:  # without markers: the last start state begins the epoch
+                if name == _COMMITTED:  # no markers in this log: look for the last start state
                     stamps = [one.stamp_ns for one in found]
                     first = len(stamps) - 1 - stamps[::-1].index(start_ns)
                 for one in found[first:]:
@@ -231,5 +241,5 @@ def _base(name: str) -> str:
 
 
 def _message_type(source: TorqueTopic | None) -> messages.MessageType:
-    """Return the message type of the log of a source; for None, that of the log of states."""
+    """Return the message type of a source's log; without a source, that of the state log."""
     return source.message if source else messages.ODOMETRY

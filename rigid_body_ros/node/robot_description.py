@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Wait for the URDF of a body on the topic on which robot_state_publisher publishes it."""
+"""Wait for the URDF of a body on the topic that robot_state_publisher uses."""
 
 from __future__ import annotations
 
@@ -27,29 +27,31 @@ from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
 from std_msgs.msg import String
 
-#: The name of the topic, and of the parameter that can be given instead.
+#: The name of the topic with the URDF, and also the name of the parameter with which users can
+#: give the URDF instead.
 ROBOT_DESCRIPTION = 'robot_description'
-#: The QoS of robot_state_publisher: a later subscription also receives the last message.
+#: The QoS of robot_state_publisher, which delivers the last message even to later subscriptions.
 _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MOMENTS = ('inertia.ixx', 'inertia.iyy', 'inertia.izz')
-#: Time between two checks of the topic, and time between two log messages, s.
+#: How often to check the topic, and how often to log that the node is still waiting, in seconds.
 _PERIOD, _LOG_PERIOD = 0.05, 10.0
 
 
 def with_robot_description(node: Node, given: Mapping[str, Any]) -> Mapping[str, Any]:
     """
-    Return the given parameters; if none gives an inertia, add the URDF from the topic.
+    Return the given parameters; if they contain no inertia, add the URDF from the topic.
 
-    If an inertia or a `robot_description` is among the parameters, the node neither subscribes to
-    the topic nor waits for it.
+    If the parameters contain an inertia or a `robot_description`, the node does not subscribe to
+    the topic, and does not wait.
 
     Raises
     ------
     InputError
-        A parameter other than the inertia is not valid. The error is raised before the node waits.
+        A parameter other than the inertia is not valid. The node checks these parameters before it
+        waits for the URDF.
     ExternalShutdownException
-        The context is shut down while the node waits.
+        The context was shut down while the node was waiting.
 
     """
     if given.get(ROBOT_DESCRIPTION) or any(name.startswith('inertia.') for name in given):
@@ -59,7 +61,11 @@ def with_robot_description(node: Node, given: Mapping[str, Any]) -> Mapping[str,
 
 
 def _received(node: Node) -> str:
-    """Wait for a message without an executor, because the node may already belong to one."""
+    """
+    Wait for a message and return the URDF in it.
+
+    The function does not spin the node, because the node may already belong to an executor.
+    """
     subscription = node.create_subscription(String, ROBOT_DESCRIPTION, lambda _: None, _LATCHED)
     topic, logger = subscription.topic_name, node.get_logger()
     logger.info(f'waiting for a URDF on {topic}, because the parameters have neither inertia.ixx '

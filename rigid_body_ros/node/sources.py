@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The sources of torque and inertia of a scene: topics, logs and names in diagnostics."""
+"""The topics from which a scene gets torques and inertias, with their logs and status names."""
 
 from __future__ import annotations
 
@@ -29,25 +29,26 @@ from rigid_body_ros.propagation.segment import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
 from sensor_msgs.msg import JointState
 
-#: The topic of the torque that the motors exert on the rotors.
+#: The topic for the torque that the motors exert on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'
-#: The topic of the inertia, for a body whose inertia changes.
+#: The topic for the inertia of a body whose inertia changes.
 _INERTIA = 'inertia'
-#: The topic of the commands to named wheels.
+#: The topic for commands to named wheels.
 _WHEEL_COMMAND = 'wheel_command'
 
 
 class TorqueTopic(NamedTuple):
-    """A topic of torques, of commands to wheels, or of the inertia."""
+    """A topic that carries torques, wheel commands, or the inertia."""
 
-    #: The number of a source, as for `Propagator.apply`, or COMMANDS, WHEELS or BODY.
+    #: The number of the source: a source number as in `Propagator.apply`, or COMMANDS, WHEELS or
+    #: BODY.
     number: int
     topic: str
-    #: The topic on which the accepted messages of the source are logged.
+    #: The topic on which accepted messages from the source are logged.
     log: str
     #: The name of the source in diagnostics.
     status: str
-    #: The type of the messages, and what each message contains.
+    #: The ROS type of the messages, followed by a word for the contents of a message.
     kind: type = WrenchStamped
     what: str = 'torque'
     #: How the messages are encoded.
@@ -55,7 +56,11 @@ class TorqueTopic(NamedTuple):
 
 
 def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
-    """Return the sources of torque and inertia of a scene; torques are summed in this order."""
+    """
+    Return the torque and inertia sources of a scene.
+
+    Torques are summed in the order of the sources.
+    """
     suffixes = ['', *(f'_{number}' for number in range(1, len(scene.torque_topics)))]
     sources = [TorqueTopic(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}')
                for number, (topic, suffix) in enumerate(zip(scene.torque_topics, suffixes))]
@@ -75,16 +80,16 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
 
 def check_topics(node: Node, sources: Iterable[TorqueTopic], others: Iterable[str]) -> None:
     """
-    Check that the topics of the sources differ from each other and from other topics.
+    Check that the node does not use the topic of a source for anything else.
 
-    `others` contains the full names of the other topics of the node.
+    `others` contains the full names of the other topics that the node uses.
 
     Raises
     ------
     InputError
-        Two topics are the same after remapping.
+        Two topics have the same name after remapping.
     RuntimeError
-        The name of a topic is not valid.
+        A topic name is not valid.
 
     """
     used = set(others)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop of a process that runs one node."""
+"""The main loop of a process that runs one node."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rigid_body_ros.runtime import interrupts
 
-#: Period of the check for signals, s.
+#: How often the loop checks for signals, in seconds.
 _SIGNAL_PERIOD = 0.1
 
 
 def executor_of(context: Context | None = None) -> Executor:
-    """Return the executor that takes the least processor time per message."""
-    try:  # EventsExecutor takes half the time of SingleThreadedExecutor
+    """Return an executor, of the kind that uses the least processor time per message."""
+    try:  # EventsExecutor uses half as much time as SingleThreadedExecutor
         from rclpy.experimental import EventsExecutor
     except ImportError:  # before Jazzy
         return SingleThreadedExecutor(context=context)
@@ -39,16 +39,18 @@ def executor_of(context: Context | None = None) -> Executor:
 
 
 def spin(executor: Executor, node: Node, is_done: Callable[[], bool] = lambda: False) -> None:
-    """Spin a node until it is done, or until SIGINT or SIGTERM; then destroy it."""
+    """Spin a node until it is done or a SIGINT or SIGTERM arrives, and then destroy it."""
     stop: list[int] = []
     executor.add_node(node)
-    # From here on, a signal does not interrupt a callback.
+    # From now on, signals only end the loop, and do not interrupt callbacks.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: stop.append(number))
     interrupts.check()
-    # A garbage collection that visits all modules would stop the outputs for 0.05 to 0.2 s.
+    # Freeze the objects that exist now. Otherwise, a garbage collection would visit the objects of
+    # all modules, and would delay the outputs by 0.05 to 0.2 s.
     gc.freeze()
     while not (stop or is_done()):
-        # The timeout lets the loop notice signals; without a timeout, EventsExecutor may hang.
+        # The timeout gives the loop a chance to notice signals. Without the timeout,
+        # EventsExecutor may hang.
         executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
     node.destroy_node()
