@@ -82,13 +82,13 @@ def act(fields: NDArray[Any] | None) -> bool:
 
 @inlined
 def moment(fields: NDArray[Any], i: int) -> Vector:
-    """Return the moment of a uniform field in body axes."""
+    """Return the moment of the body, in body axes, on which the uniform field `i` acts."""
     return _vector(fields[0].moments, 3 * i)
 
 
 @inlined
 def field(fields: NDArray[Any], i: int) -> Vector:
-    """Return a uniform field in space axes."""
+    """Return the uniform field `i` in space axes."""
     return _vector(fields[0].fields, 3 * i)
 
 
