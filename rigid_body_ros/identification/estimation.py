@@ -146,10 +146,7 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     setup = replace(_setup([*problems], training, names, attitude_noise, rate_noise, gravity),
                     axial=axial)
     known = checked_priors(priors or {}, setup.parameters, setup.given)
-    setup = replace(setup, parameters=setup.parameters.with_priors(known))
-    solution = solve(setup)
-    if any(axial):
-        solution = solve(replace(setup, axial=_with_fitted_rates(solution)))
+    solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
     check_delay(solution.physics)
     return _result(examined(solution), every if validate else [], accept)
 
@@ -169,22 +166,6 @@ def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, Axial
     momentum = carried.start.rotor_momentum - tensor @ start.angular_velocity
     return carried.replaced(start=State(start.time_ns, start.attitude, start.angular_velocity,
                                         momentum)), AxialInertia(tensor, rate, start)
-
-
-def _with_fitted_rates(solution: Solution) -> list[AxialInertia | None]:
-    """
-    Return the axial inertia of the wheels, updated with the fitted initial angular velocities.
-
-    If no sensor measures the initial angular velocity, this velocity is first guessed from a few
-    noisy attitudes. The error of the guess would make the wheel momentum wrong in all later
-    windows.
-    """
-    setup, result = solution.problem.setup, []
-    for number, axial in enumerate(setup.axial):
-        start, fitted = _start(solution, number)
-        result.append(replace(axial, rate=start.angular_velocity)
-                      if axial and (fitted or not setup.fits_start) else axial)
-    return result
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:

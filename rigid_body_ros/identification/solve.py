@@ -235,7 +235,7 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
            is_last: bool = False, windows: list[Window] | None = None) -> Solution:
     """Fit with windows of a given length, starting from the previous fit."""
     from scipy.optimize import least_squares
-    setup = previous.problem.setup
+    setup = _with_fitted_rates(previous)
     windows = windows or setup.windows(length_ns, previous.physics)
     problem = LeastSquares(setup, windows, states_at(previous, windows), previous.weights)
     physics = previous.physics
@@ -250,6 +250,22 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
     moved.steps = problem.steps
     return _solution(moved, physics, length_ns, previous.evaluations + problem.evaluations,
                      converged, is_last)
+
+
+def _with_fitted_rates(solution: Solution) -> Setup:
+    """
+    Return the setup of a solution, with the fitted initial angular velocities for the wheels.
+
+    If no sensor measures an initial angular velocity, it is first guessed from a few noisy
+    attitudes. The error of the guess makes the wheel momentum wrong in all later windows.
+    """
+    setup, axial = solution.problem.setup, [*solution.problem.setup.axial]
+    rates = solution.problem.reference.angular_velocity
+    for window, rate in zip(solution.problem.windows, rates):
+        wheels = axial[window.experiment]
+        if window.is_first and wheels:
+            axial[window.experiment] = replace(wheels, rate=rate)
+    return replace(setup, axial=axial) if any(axial) else setup
 
 
 def states_at(solution: Solution, windows: list[Window]) -> Poses:

@@ -34,7 +34,7 @@ class Saturation:
     Attributes
     ----------
     speeds : array, shape (n,), rad/s
-        The largest speed of each wheel at any output.
+        The largest speed of each wheel at any output; zeros if no wheel has a `max_speed`.
     clipped, refused : int
         How many efforts were clipped to `max_torque`, and how many acted as zero because the wheel
         was at `max_speed` or above.
@@ -45,6 +45,8 @@ class Saturation:
         self._wheels = wheels
         self.speeds: Floats = np.zeros(len(wheels))
         self.clipped = self.refused = 0
+        #: The number of rows of the log that have been counted.
+        self._counted = 0
 
     def add(self, motion: Trajectory, log: EffortLog | None, refused: int) -> None:
         """
@@ -60,11 +62,14 @@ class Saturation:
             How many efforts acted as zero from the start of the motion to the end of this part.
 
         """
-        self.speeds = np.maximum(self.speeds, np.abs(motion.wheel_speeds).max(axis=0, initial=0.0))
+        if self._wheels.is_limited:
+            speeds = np.abs(motion.wheel_speeds).max(axis=0, initial=0.0)
+            self.speeds = np.maximum(self.speeds, speeds)
         self.refused = refused
         if log and motion.times_ns.size:
-            rows = slice(np.searchsorted(log.times_ns, motion.times_ns[-1], 'right'))
-            self.clipped = self._wheels.count_clipped(log.efforts[rows])
+            stop = int(np.searchsorted(log.times_ns, motion.times_ns[-1], 'right'))
+            self.clipped += self._wheels.count_clipped(log.efforts[self._counted:stop])
+            self._counted = stop
 
     @property
     def warnings(self) -> list[str]:
