@@ -43,11 +43,11 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 from rigid_body_ros.identification.recorded import read_experiment
 from rigid_body_ros.recording import torques, writer
+from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
-from rigid_body_ros.sensing.recorded import Reading
 
 ONE_MOTION = [name for name in COMMANDS if name not in ('replay', 'verify')]
 

@@ -27,9 +27,9 @@ from rigid_body_ros import commands, identify, read
 from rigid_body_ros.commands import main
 from rigid_body_ros.comparison.recorded import compare_recording
 from rigid_body_ros.identification.recorded import read_experiment
+from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import load
-from rigid_body_ros.sensing.recorded import Reading
 
 NODES = 'node', 'lifecycle', 'controller', 'monitor'
 COMMANDS = sorted(path.name for path in (ROOT / 'scripts').iterdir()

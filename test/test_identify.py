@@ -33,7 +33,7 @@ from rigid_body_ros import (
 from rigid_body_ros.identification import Experiment, identify
 from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
 GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))

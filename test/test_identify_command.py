@@ -29,8 +29,8 @@ import pytest
 from rigid_body_ros import RigidBody, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.report.text import rounded
-from rigid_body_ros.sensing.reading import read_measured
 from scipy.spatial.transform import Rotation
 from tumbling import mounted, shifted, Truth
 

@@ -42,8 +42,8 @@ from rigid_body_ros import messages
 from rigid_body_ros.commands import main
 from rigid_body_ros.node.attitude_monitor import AttitudeMonitor
 from rigid_body_ros.recording import Writer
+from rigid_body_ros.recording.measurements import samples
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
-from rigid_body_ros.sensing.reading import samples
 
 pytestmark = pytest.mark.ros
 

@@ -22,7 +22,7 @@ import pytest
 from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.sensing.reading import read_measured
+from rigid_body_ros.recording.measurements import read_measured
 from tumbling import INERTIA, Truth
 
 pytest.importorskip('pyulog')

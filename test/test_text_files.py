@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.sensing.text_files import read_text_file
+from rigid_body_ros.recording.text_files import read_text_file
 
 STAMPS = np.arange(1, 11) * 10_000_000 + 1_700_000_000_123_456_789
 RATES = np.arange(30.0).reshape(10, 3) / 10.0

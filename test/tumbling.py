@@ -21,7 +21,7 @@ import numpy as np
 from rigid_body_ros import State, TorqueLog
 from rigid_body_ros.identification import Experiment
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 

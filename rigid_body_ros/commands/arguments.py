@@ -25,9 +25,9 @@ from rigid_body_ros.runtime.terminal import progress, report
 
 if TYPE_CHECKING:
     from rigid_body_ros.recording import Logged, Topics
+    from rigid_body_ros.recording.measured import Measured
+    from rigid_body_ros.recording.observed import Reading
     from rigid_body_ros.scene import Scene
-    from rigid_body_ros.sensing.measured import Measured
-    from rigid_body_ros.sensing.recorded import Reading
 
 
 def load_scene(options: argparse.Namespace) -> Scene:
@@ -82,7 +82,7 @@ def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = 
 
 def reading_of(options: argparse.Namespace) -> Reading:
     """Return a `Reading`, which says which torques and measurements to read, and how."""
-    from rigid_body_ros.sensing.recorded import Reading
+    from rigid_body_ros.recording.observed import Reading
     return Reading(tuple(options.measured or ()), topics_of(options), options.interpolation,
                    options.time_source, options.frames and tuple(options.frames),
                    progress('reading', size=len))

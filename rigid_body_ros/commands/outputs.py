@@ -140,7 +140,7 @@ def _given(options: argparse.Namespace, *names: str) -> list[str]:
 
 def _measured_files(options: argparse.Namespace) -> list[str]:
     """Return the arguments of --measured that are text files, not topics."""
-    from rigid_body_ros.sensing.text_files import is_text_file
+    from rigid_body_ros.recording.text_files import is_text_file
     return [name for name in _given(options, 'measured') if is_text_file(name)]
 
 

@@ -36,8 +36,8 @@ from rigid_body_ros.comparison.comparison import compare
 from rigid_body_ros.comparison.errors import Errors
 from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.result import Comparison
-from rigid_body_ros.sensing.measured import Measured
-from rigid_body_ros.sensing.reading import KINDS, read_all, read_measured
+from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.measurements import KINDS, read_all, read_measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 __all__ = ['ALIGNMENTS', 'KINDS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',

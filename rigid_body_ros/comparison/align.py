@@ -30,8 +30,8 @@ from rigid_body_ros.comparison.motion import divided, inside, Motion, Recorded, 
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime import interrupts
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'

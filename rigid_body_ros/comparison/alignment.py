@@ -24,7 +24,7 @@ from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 
 def _identity() -> Floats:

@@ -36,8 +36,8 @@ from rigid_body_ros.comparison.result import compared, Comparison
 from rigid_body_ros.comparison.sensor_faults import Fault, faults
 from rigid_body_ros.comparison.torque_faults import explanations
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime.terminal import no_progress, Track
-from rigid_body_ros.sensing.measured import Measured
 
 #: A cause that reduces the error but does not fully explain the error is reported only if less
 #: than this fraction of the error remains.

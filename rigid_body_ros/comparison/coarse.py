@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.motion import inside, Motion
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
 #: The largest clock offset that the search can find, s.

@@ -32,8 +32,8 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime.terminal import no_progress, Track
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import residual_torque
 
 

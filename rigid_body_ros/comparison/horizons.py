@@ -26,9 +26,9 @@ from rigid_body_ros.comparison.align import errors_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.alarms import Judgement
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
 #: The state at a restart is estimated from at most this many samples.

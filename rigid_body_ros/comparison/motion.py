@@ -26,7 +26,7 @@ from rigid_body_ros.mechanics import hermite
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem, Trajectory
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 
 class Recorded:

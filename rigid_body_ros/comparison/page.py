@@ -26,6 +26,7 @@ from rigid_body_ros.comparison.errors import Errors, QUANTITIES
 from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
@@ -39,7 +40,6 @@ from rigid_body_ros.report.panels import (
 )
 from rigid_body_ros.report.text import scaled
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.torque_panels import residual_panels
 
 #: Median absolute value of a normal variable with a standard deviation of 1.

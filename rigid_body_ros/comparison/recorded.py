@@ -31,12 +31,12 @@ from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
+from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.measurements import read_measured
+from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.monitor import is_checked, monitored, settings_of
-from rigid_body_ros.sensing.reading import read_measured
-from rigid_body_ros.sensing.recorded import Measurements, read_observed, Reading
 
 
 def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,

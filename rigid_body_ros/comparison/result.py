@@ -32,8 +32,8 @@ from rigid_body_ros.comparison.motion import divided, inside, Motion
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, numbers, rounded, scaled
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 

@@ -32,7 +32,7 @@ from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.channels import ATTITUDE, Channel, RATE
 from rigid_body_ros.comparison.coarse import davenport
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.noise import FEWEST
 
 #: A rotation that is within this angle of a swap of axes, rad, is described as a swap.

@@ -36,7 +36,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.noise import ALARM
 from rigid_body_ros.sensing.rates import measured_rates
 from rigid_body_ros.sensing.residual_torque import ResidualTorque

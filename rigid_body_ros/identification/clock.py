@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.residual_torque import residual_torque
 
 #: Largest clock offset to try, and spacing of the offsets, both in seconds.

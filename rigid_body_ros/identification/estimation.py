@@ -62,8 +62,8 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Options, Problem
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.scene.fields import MOMENT
-from rigid_body_ros.sensing.measured import Measured
 
 
 def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,

@@ -34,7 +34,7 @@ from rigid_body_ros.identification.problem import LeastSquares, Weights
 from rigid_body_ros.identification.residuals import ahead_of, Residuals
 from rigid_body_ros.identification.solve import Solution, states_at
 from rigid_body_ros.identification.triangles import triangle
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.noise import Noise, noise_of
 
 #: What remains of a column after its projection onto other columns is subtracted counts as a

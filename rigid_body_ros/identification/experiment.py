@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import Logs, torque_logs, TorqueLog
 from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 #: Minimum number of samples in a channel.
 _FEWEST = 8

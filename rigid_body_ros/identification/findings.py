@@ -42,7 +42,7 @@ from rigid_body_ros.identification.problem import LeastSquares
 from rigid_body_ros.identification.residuals import Residuals
 from rigid_body_ros.identification.solve import polished, Solution
 from rigid_body_ros.identification.suspects import candidates, extended
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.noise import (
     ALARM,
     batches_of,

@@ -38,7 +38,7 @@ from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 #: Standard deviation of the weak prior that keeps undetermined coordinates close to the guess.
 _PRIOR = 3.0

@@ -30,10 +30,10 @@ from rigid_body_ros.identification.names import NOT_IN_SCENES, split_topic, WEIG
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.urdf import robot
+from rigid_body_ros.recording.observed import read_observed, Reading
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.fields import FIELDS, values_of
 from rigid_body_ros.scene.text import text_of
-from rigid_body_ros.sensing.recorded import read_observed, Reading
 
 
 def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:

@@ -29,7 +29,7 @@ from rigid_body_ros.identification.sensors import corrected
 from rigid_body_ros.identification.solve import Solution
 from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 #: Largest lag at which an autocorrelation is computed, in samples.
 _LONGEST = 2000

@@ -31,8 +31,8 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, rounded, scaled
-from rigid_body_ros.sensing.measured import Measured
 
 #: Half-width of the 95 % interval of a normal variable, in standard deviations.
 _NORMAL_95 = 1.959963984540054

@@ -25,7 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.names import split_topic
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 
 def topics_of(kind: str, channels: Sequence[Measured]) -> list[str]:

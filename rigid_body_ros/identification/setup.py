@@ -28,7 +28,7 @@ from rigid_body_ros.identification.windows import AxialInertia, Window
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 #: Approximate angle through which the body turns in each window of the first fit, rad.
 _FIRST = 8.0

@@ -38,7 +38,7 @@ from rigid_body_ros.identification.sensors import corrected
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics.states import Poses
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 #: If the first fit may have ended in the wrong minimum, another fit is tried with windows that are
 #: shorter by this factor.

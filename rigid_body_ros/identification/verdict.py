@@ -37,7 +37,7 @@ from rigid_body_ros.identification.suspects import (
     value_of,
     with_suspect,
 )
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.noise import ALARM
 
 #: Default of `accept`, the largest acceptable systematic error of an estimate relative to its

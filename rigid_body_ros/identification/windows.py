@@ -29,7 +29,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem, Trajectory
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 #: Parameters that change the torques in a window.
 _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'

@@ -49,10 +49,10 @@ from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading,
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.drain import DrainCallback, subscription
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
+from rigid_body_ros.recording.measurements import KINDS, samples
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
-from rigid_body_ros.sensing.reading import KINDS, samples
 
 #: Types of the functions that process messages. The first kind of function decodes one message.
 #: The second kind takes the stamps (in ns) and the contents of several messages.

@@ -20,7 +20,10 @@ topic from them. `mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` each rea
 and all of them implement the interface in `file`. `csv_columns` interprets the first line of a CSV
 file, and `unpack` decompresses files and messages. `bulk` decodes messages, and `transforms`
 decodes the transforms between one pair of frames. `torques` turns messages into a torque log and
-splits a node's log into epochs. `problem` combines torque logs with a scene.
+splits a node's log into epochs. `problem` combines torque logs with a scene. `measurements` reads
+attitudes and angular velocities from a recording, and `text_files` reads them from CSV files and
+TUM trajectories; the result is a `measured.Measured`. `observed` reads torques and measurements
+together.
 
 Writing: `writer` writes MCAP files, using `container` for the individual records. `folder` adds
 the metadata.yaml file that makes the output a rosbag2 bag.

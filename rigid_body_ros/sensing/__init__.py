@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read measured motions, infer which torque acted on the body, and check a model live."""
+"""Infer which torque acted on a body from measurements, and check a model live."""

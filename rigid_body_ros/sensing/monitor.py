@@ -30,8 +30,8 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.segment import WHEELS
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel, noises_of
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.windows import window_error
 
 #: Reasons why a window is not judged.

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 
 
 def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:

@@ -36,7 +36,7 @@ from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.lags import LaggingSources
-from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
 #: Length of a window, s, and minimum number of samples in it. If the samples of a window span more

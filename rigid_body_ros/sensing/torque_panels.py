@@ -19,10 +19,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.panels import limits, SINCE_FIRST
-from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 from rigid_body_ros.sensing.spectrum import spectrum
 

@@ -32,8 +32,8 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording.csv_columns import splits, time_scale
+from rigid_body_ros.recording.measured import FEWEST, Measured
 from rigid_body_ros.runtime.limits import open_file
-from rigid_body_ros.sensing.measured import FEWEST, Measured
 
 #: Suffixes of CSV files and of TUM trajectories.
 _CSV, _TUM = ('.csv',), ('.tum', '.txt')

@@ -25,10 +25,10 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Topics
+from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.measurements import read_all
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.sensing.measured import Measured
-from rigid_body_ros.sensing.reading import read_all
 
 _TOPICS_OF_SCENE = Topics()
 

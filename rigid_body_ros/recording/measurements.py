@@ -30,9 +30,9 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording import Messages, Source
+from rigid_body_ros.recording.measured import FEWEST, Measured
+from rigid_body_ros.recording.text_files import is_text_file, read_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
-from rigid_body_ros.sensing.measured import FEWEST, Measured
-from rigid_body_ros.sensing.text_files import is_text_file, read_text_file
 
 #: A value whose variance is at least this large, rad^2 or rad^2/s^2, counts as not measured.
 _MEANINGLESS = 1e3
