@@ -43,6 +43,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 from rigid_body_ros.identification.recorded import read_experiment
 from rigid_body_ros.recording import torques, writer
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
@@ -107,7 +108,7 @@ def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch
         np.testing.assert_array_equal(found.last.attitude, motion.attitude[-1])
         if keep:
             np.testing.assert_array_equal(found.trajectory.attitude, motion.attitude)
-    assert (first.messages, result.messages) == (40, 30)
+    assert (first.account.samples, result.account.samples) == (40, 30)
 
 
 def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):
@@ -267,7 +268,8 @@ def test_one_epoch_is_replayed_in_pieces(run, tmp_path, monkeypatch):
     whole = replay(log, run)
     np.testing.assert_array_equal(attitudes(tmp_path / 'out.mcap').values,
                                   whole.trajectory.attitude)
-    assert (result.messages, result.unordered) == (whole.messages, whole.unordered) == (20_000, 0)
+    assert result.account.as_dict() == whole.account.as_dict()
+    assert (whole.account.samples, whole.account.counted) == (20_000, '')
 
 
 def sources(run, start, count, first=0.1):
@@ -447,7 +449,7 @@ def test_one_motion_is_that_of_the_epoch_that_the_scene_names(two, tmp_path, beg
 
 def test_of_equal_starts_the_last_epoch_is_meant():
     run = scene.load(CONFIG / 'tumbler.yaml')
-    same = [recording.Logged(run.problem(start=State(begin_ns)), False, 0, 0, True, '', ())
+    same = [recording.Logged(run.problem(start=State(begin_ns)), False, Account(), True, '', ())
             for begin_ns in (5, 7, 5, 9)]
     assert recording.chosen('', replace(run, start=State(5)), same) is same[2]
     assert recording.chosen('', replace(run, start=State(1)), same[:1]) is same[0]

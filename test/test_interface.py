@@ -63,7 +63,7 @@ SIGNATURES = [
               f'actuator=None, {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
-           "wheel_command=None, inertia=None, interpolation=None, time_source='header'"),
+           "wheel_command=None, inertia=None, interpolation=None, time_source='header', columns=None"),
     (propagate, 'body, start, log=None, *, at, wheels=None, efforts=None, fields=(), '
                 f'changes=None, actuator=None, {OPTIONS}'),
     (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, fields=(), torque_gains=None, '
@@ -80,7 +80,7 @@ SIGNATURES = [
     (BodyLog, "times_ns, bodies, keep='rate'"),
     (build_info, ''),
     (warm_up, ''),
-    (Experiment, 'start, log, measured, wheels=None, fields=(), efforts=None'),
+    (Experiment, 'start, log, measured, wheels=None, fields=(), efforts=None, torques=None'),
     (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
                'rate_noise=None, validate=0.0, priors=None, gravity=(0.0, 0.0, -9.80665), '
                'accept=0.05, torque_timeout=0.0'),

@@ -228,9 +228,8 @@ def test_a_log_of_simulated_time_may_begin_at_zero(tmp_path):
 
 @pytest.mark.parametrize(('rows', 'message'), [
     ([], 'bad.mcap: /torque: expected torques, found no message'),
-    ([(1, '', [0, 0, 0]), (2, '', [0, np.nan, 0])],
-     r'bad.mcap: /torque: message 2 at 2 ns: expected a finite torque, found \[0.0, nan, 0.0\]$'),
-    ([(1, '', [np.inf, 0, 0])], 'message 1 at 1 ns: expected a finite torque'),
+    ([(1, '', [np.inf, 0, 0]), (2, '', [0, np.nan, 0])],
+     'bad.mcap: /torque: expected a finite torque, found none among 2 messages$'),
     ([(1, '', [0, 0, 0]), (2, 'map', [0, 0, 0])],
      "bad.mcap: /torque: message 2: frame_id: expected 'base_link' .*found 'map'"),
     ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),

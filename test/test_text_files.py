@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.recording.text_files import read_text_file
+from rigid_body_ros.recording.measurements import read_measured
 
 STAMPS = np.arange(1, 11) * 10_000_000 + 1_700_000_000_123_456_789
 RATES = np.arange(30.0).reshape(10, 3) / 10.0
@@ -48,7 +48,7 @@ def numbers(values):
 def test_angular_velocities_of_a_csv_file(tmp_path, heading, factor):
     path = tmp_path / 'gyro.csv'
     path.write_text(lines(heading, map(seconds, STAMPS.tolist()), numbers(RATES)))
-    found = read_text_file(str(path))
+    found = read_measured(str(path))
     assert found.topic == 'gyro.csv'
     assert found.attitude is None
     np.testing.assert_array_equal(found.stamps_ns, STAMPS)
@@ -60,7 +60,7 @@ def test_attitudes_and_rates_in_any_order_with_other_columns(tmp_path):
     rows = np.column_stack([TURNS[:, 3], RATES, TURNS[:, :3], np.ones(10)])
     path.write_text(lines('time_ns,q.w,wx,wy,wz,q.x,q.y,q.z,battery', STAMPS.tolist()[::-1],
                           numbers(rows[::-1])))
-    found = read_text_file(str(path))
+    found = read_measured(str(path))
     np.testing.assert_array_equal(found.stamps_ns, STAMPS)
     np.testing.assert_allclose(found.attitude, TURNS, atol=1e-15)
     np.testing.assert_array_equal(found.angular_velocity, RATES)
@@ -71,7 +71,7 @@ def test_a_trajectory(tmp_path):
     path.write_text('# timestamp tx ty tz qx qy qz qw\n' + '\n'.join(
         f'{seconds(stamp)} 1 2 3 {" ".join(map(repr, q))}'
         for stamp, q in zip(STAMPS.tolist(), TURNS.tolist())))
-    found = read_text_file(str(path))
+    found = read_measured(str(path))
     np.testing.assert_array_equal(found.stamps_ns, STAMPS)
     np.testing.assert_allclose(found.attitude, TURNS, atol=1e-15)
     assert found.angular_velocity is None
@@ -87,8 +87,8 @@ def test_a_trajectory(tmp_path):
     ('a.csv', 'time,wx,wy,wz\n1,2,3,x', 'line 2: expected numbers in the columns of time, wx'),
     ('a.csv', 'time,wx,wy,wz\n-1,2,3,4', 'line 2: expected numbers'),
     ('a.csv', 'time,wx,wy,wz\n1,2,3', 'line 2: expected numbers'),
-    ('a.csv', 'time,wx,wy,wz\n1,nan,3,4\n', 'expected at least 4 samples with finite values, '
-     'found 0 among 1'),
+    ('a.csv', 'time,wx,wy,wz\n1,nan,3,4\n', 'expected at least 4 messages with a finite '
+     'attitude or angular velocity, found 0 among 1'),
     ('a.csv', 'time,wx,wy,wz\n', 'found 0 among 0'),
     ('a.tum', '1 2 3\n', 'line 1: expected numbers'),
     ('a.csv', '\xff', 'expected text in UTF-8')])
@@ -96,14 +96,14 @@ def test_a_bad_file_is_one_line(tmp_path, name, text, message):
     path = tmp_path / name
     path.write_bytes(text.encode('latin-1'))
     with pytest.raises(InputError, match=message) as raised:
-        read_text_file(str(path))
+        read_measured(str(path))
     assert str(raised.value).startswith(str(path))
     assert '\n' not in str(raised.value)
 
 
 def test_a_file_that_is_missing_is_one_line(tmp_path):
     with pytest.raises(InputError, match='missing.csv: cannot read the measurements'):
-        read_text_file(str(tmp_path / 'missing.csv'))
+        read_measured(str(tmp_path / 'missing.csv'))
 
 
 @pytest.mark.slow

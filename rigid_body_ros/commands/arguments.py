@@ -25,6 +25,7 @@ from rigid_body_ros.runtime.terminal import progress, report
 
 if TYPE_CHECKING:
     from rigid_body_ros.recording import Logged, Topics
+    from rigid_body_ros.recording.account import Account
     from rigid_body_ros.recording.measured import Measured
     from rigid_body_ros.recording.observed import Reading
     from rigid_body_ros.scene import Scene
@@ -47,11 +48,15 @@ def note(options: argparse.Namespace, text: str) -> None:
     report(f'{options.command}: note: {text}')
 
 
-def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Measured]) -> None:
-    """Warn about measurements whose frames differ from those of the scene."""
-    for one in measured:
-        if one.frames:
-            report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
+def warn_of_samples(options: argparse.Namespace, path: str, torques: Account | None,
+                    measured: Iterable[Measured]) -> None:
+    """Warn about samples that are lost or in other frames, and note what was converted."""
+    for topic, frames, account in [*((one.topic, one.frames, one.account) for one in measured),
+                                   *([('torques', '', torques)] if torques else [])]:
+        for text in filter(None, (frames, *account.faults)):
+            report(f'{options.command}: warning: {path}: {topic}: {text}')
+        for text in account.notes:
+            note(options, f'{path}: {topic}: {text}')
 
 
 def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
@@ -68,7 +73,7 @@ def topics_of(options: argparse.Namespace) -> Topics:
     from rigid_body_ros import recording
     return recording.Topics.given(options.topic, options.wheel_torque,
                                   options.wheel_momentum, options.inertia,
-                                  options.wheel_command)
+                                  options.wheel_command, options.columns)
 
 
 def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = False) -> Logged:

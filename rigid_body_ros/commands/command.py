@@ -124,6 +124,11 @@ class Parser(argparse.ArgumentParser):
                           'default: inertia, if the recording contains this topic); needs a '
                           'scene with inertia_topic: true')
 
+        self.add_argument('--columns', type=_columns, metavar='NAME=COLUMN,...',
+                          help='where CSV files contain time and tx, ty, tz, or qx, qy, qz, qw, '
+                          'or wx, wy, wz: the number of each column, from 1, or its name, as in '
+                          "time_ms=1,'wx (deg/s)=2',wy=3,wz=4 (default: as the heading says)")
+
     def add_interpolation(self) -> None:
         """Add the option that selects how torques are interpolated."""
         self.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
@@ -203,6 +208,13 @@ def add_scheduler(parser: argparse._ActionsContainer) -> None:
     parser.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
                         'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that the '
                         'scheduler wrote; this does not change the results')
+
+
+def _columns(text: str) -> dict[str, str]:
+    pairs = [part.rpartition('=') for part in text.split(',')]
+    if not all(name and column for name, _, column in pairs):
+        raise argparse.ArgumentTypeError(f'expected NAME=COLUMN,..., found {text!r}')
+    return {name.strip(): column.strip() for name, _, column in pairs}
 
 
 def within(low: float, high: float, what: str = 'a number',

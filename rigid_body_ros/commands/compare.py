@@ -20,7 +20,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import load_scene, reading_of, warn_of_frames, warn_of_units
+from rigid_body_ros.commands.arguments import (
+    load_scene,
+    reading_of,
+    warn_of_samples,
+    warn_of_units,
+)
 from rigid_body_ros.commands.command import Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
@@ -50,7 +55,7 @@ def _run(options: argparse.Namespace) -> int:
             raise InputError('--check: expected a motion that is computed, found --motion')
         warn_of_units(options, [options.recording])
         comparison = _compared(options, scene)
-        warn_of_frames(options, options.recording, comparison.measured)
+        warn_of_samples(options, options.recording, comparison.torques, comparison.measured)
         verdict = _verdict(options, scene) if options.check else None
         facts = [*verdict.rows()] if verdict else []
         if options.output:

@@ -20,7 +20,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import load_scene, reading_of, warn_of_frames, warn_of_units
+from rigid_body_ros.commands.arguments import (
+    load_scene,
+    reading_of,
+    warn_of_samples,
+    warn_of_units,
+)
 from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked, Outputs
 from rigid_body_ros.common.errors import InputError, listed
@@ -68,7 +73,7 @@ def _identified(options: argparse.Namespace,
         warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, reading_of(options))
     for path, experiment in zip(options.recording, experiments):
-        warn_of_frames(options, path, experiment.measured)
+        warn_of_samples(options, path, experiment.torques, experiment.measured)
     found = identified(
         options.recording, scene, experiments, estimate=options.estimate,
         attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,

@@ -83,7 +83,7 @@ def _page(result: Replay, name: str, line: str) -> Page:
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
     names = ('topic', 'wheel_torque', 'wheel_momentum', 'wheel_command', 'inertia',
-             'interpolation', 'rate', 'until', 'start', 'time_source', 'also')
+             'interpolation', 'rate', 'until', 'start', 'time_source', 'also', 'columns')
     return {name: getattr(options, name) for name in names}
 
 

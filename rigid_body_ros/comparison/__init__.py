@@ -37,8 +37,8 @@ from rigid_body_ros.comparison.errors import Errors
 from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.recording.measurements import KINDS, read_all, read_measured
+from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
-__all__ = ['ALIGNMENTS', 'KINDS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',
-           'Measured', 'ResidualTorque', 'compare', 'read_all', 'read_measured']
+__all__ = ['ALIGNMENTS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',
+           'Measured', 'ResidualTorque', 'compare', 'read_measured']

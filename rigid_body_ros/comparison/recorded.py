@@ -91,7 +91,8 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         if moves_clocks and during.is_followed:
             sensors = during.until_end([one.clock_offset_s for one
                                         in aligned_by(moved, sensors, align)])
-        found = compare_motion(moved, sensors, align, horizons, track=track)
+        found = compare_motion(moved, sensors, align, horizons, causes=not during.faults,
+                               track=track)
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error
     if horizons and isinstance(moved, Problem) and is_checked(moved, scene.values):
@@ -101,7 +102,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     left_out = sum(map(len, during.sensors)) - sum(map(len, sensors))
     # A file name may contain bytes that cannot be decoded as text.
     return replace(found, recording=Path(path).name.encode(errors='replace').decode(),
-                   left_out=found.left_out + left_out)
+                   left_out=found.left_out + left_out, torques=during.torques)
 
 
 def read_motion(path: str | Path, scene: Scene) -> Recorded:

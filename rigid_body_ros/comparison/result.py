@@ -31,7 +31,7 @@ from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.motion import divided, inside, Motion
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, numbers, rounded, scaled
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
@@ -65,6 +65,8 @@ class Comparison:
         Name of the recording; empty if there is no recording.
     causes : tuple of Cause
         Likely causes of the errors.
+    torques : Account, optional
+        What became of the recorded torques.
     predictable_s : float, optional
         Time since the start, s, after which the uncertainty of a measured start alone causes
         errors of 0.1 rad. None if the measurement ends before this time, or if the motion was
@@ -82,6 +84,7 @@ class Comparison:
     recording: str = ''
     causes: tuple[Any, ...] = ()
     predictable_s: float | None = None
+    torques: Account | None = None
 
     @property
     def alignment(self) -> Alignment:
@@ -135,7 +138,9 @@ class Comparison:
         found: dict[str, Any] = {
             'recording': self.recording, 'measured': [errors.topic for errors in self.errors],
             'samples': self.samples, 'span_s': self.span_s, 'left_out': self.left_out,
-            'rejected': sum(sensor.rejected for sensor in self.measured),
+            'rejected': sum(sensor.account.rejected for sensor in self.measured),
+            'accounts': {sensor.topic: sensor.account.as_dict() for sensor in self.measured} | (
+                {'torques': self.torques.as_dict()} if self.torques else {}),
             'alignment': self.alignment.as_dict(),
             'alignments': {sensor.topic: one.of_sensor()
                            for one, sensor in zip(self.alignments, self.measured)},
@@ -165,9 +170,11 @@ class Comparison:
         """
         topics = ', '.join(errors.topic for errors in self.errors)
         yield 'measured', f'{self.samples} samples of {topics}, over {self.span_s:.9g} s'
-        rejected = sum(sensor.rejected for sensor in self.measured)
-        if rejected:
-            yield 'rejected', f'{rejected} messages without a finite value up to {FASTEST:g} rad/s'
+        for sensor in self.measured:
+            if text := sensor.account.counted:
+                yield 'account', f'{sensor.topic}: {text}'
+        if self.torques and self.torques.counted:
+            yield 'account', f'torques: {self.torques.counted}'
         if self.left_out:
             count = self.left_out
             yield 'left out', f'{count} sample{"s" if count > 1 else ""} outside of the motion'

@@ -148,7 +148,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     known = checked_priors(priors or {}, setup.parameters, setup.given)
     solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
     check_delay(solution.physics)
-    return _result(examined(solution), every if validate else [], accept)
+    return _result(examined(solution), every if validate else [], accept,
+                   [fault for experiment in experiments for fault in experiment.faults])
 
 
 def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, AxialInertia | None]:
@@ -226,12 +227,13 @@ def _clock_offset(problems: list[Problem], channels: list[list[Measured]], topic
                               key=lambda pair: sum(len(channel) for channel in pair[1])))
 
 
-def _result(findings: Findings, every: Sequence[Sequence[Measured]],
-            accept: float) -> Identification:
+def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: float,
+            faults: Sequence[str]) -> Identification:
     """
     Assemble the result of a fit.
 
-    The argument `every` holds all samples, or is empty if there is no validation.
+    The argument `every` holds all samples, or is empty if there is no validation. If there are any
+    faults of the samples, no suspects are named.
     """
     solution = findings.solution
     setup, physics = solution.problem.setup, solution.physics
@@ -243,7 +245,8 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     ahead = residuals.of_validation(solution, every) if every else []
     fitted = residuals.of_training(solution)
     findings = findings.with_validation(every, ahead)
-    attempts = tried(findings, every)
+    findings = replace(findings, scores=[]) if faults else findings
+    attempts = [] if faults else tried(findings, every)
     moved = [{name: abs(value - before) for name, value, before in zip(
                  numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
              for _, fit in attempts]

@@ -30,6 +30,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import Logs, torque_logs, TorqueLog
 from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
 
 #: Minimum number of samples in a channel.
@@ -61,6 +62,8 @@ class Experiment:
     efforts : EffortLog, optional
         Commands for the named wheels. The motion is first computed with the guess, to find out
         which commands are refused because a wheel has reached its maximum speed.
+    torques : Account, optional
+        What became of the recorded torques.
 
     """
 
@@ -70,6 +73,14 @@ class Experiment:
     wheels: TorqueLog | Sequence[Wheel] | None = None
     fields: Sequence[Field] = ()
     efforts: EffortLog | None = None
+    torques: Account | None = None
+
+    @property
+    def faults(self) -> list[str]:
+        """Return what is wrong with the samples, so that no cause can be inferred from them."""
+        accounts = [*(sensor.account for sensor in self.measured),
+                    *([self.torques] if self.torques else [])]
+        return [fault for account in accounts for fault in account.faults]
 
     @property
     def logs(self) -> list[TorqueLog]:

@@ -50,7 +50,7 @@ def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experim
             logs[k] = lagged(logs[k], actuator.time_constant, timeout_ns)
     wheels = problem.named_wheels.wheels if problem.named_wheels else problem.wheels
     return Experiment(problem.start, logs, measurements.until_end(), wheels, problem.fields,
-                      problem.efforts)
+                      problem.efforts, measurements.torques)
 
 
 def read_experiments(paths: Sequence[str | Path], scene: Scene,

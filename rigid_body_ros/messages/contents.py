@@ -124,9 +124,10 @@ def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
         The frame_id is not '', `body_frame` or `space_frame`.
 
     """
-    if frame_id in ('', body_frame):
+    name = frame_id.removeprefix('/')  # as in ROS 1; names of tf2 have no leading slash
+    if name in ('', body_frame):
         return 'body'
-    if frame_id == space_frame:
+    if name == space_frame:
         return 'space'
     raise ValueError(f"frame_id: expected '{body_frame}' or '' (body axes) or "
                      f"'{space_frame}' (space axes), found {quoted(frame_id)}")
@@ -148,9 +149,9 @@ def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
         any link, and `torque_frame` rejects it.
 
     """
-    if frame_id not in ('', body_frame, space_frame) and (
-            frame_id in links or frame_id in links.others):
-        return 'body', links[frame_id]
+    name = frame_id.removeprefix('/')
+    if name not in ('', body_frame, space_frame) and (name in links or name in links.others):
+        return 'body', links[name]
     try:
         axes = torque_frame(frame_id, body_frame, space_frame)
     except ValueError as error:

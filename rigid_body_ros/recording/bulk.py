@@ -90,6 +90,13 @@ class Raw(NamedTuple):
         return cls(np.frombuffer(filled.tobytes(), np.uint8), np.arange(len(values)) * size,
                    np.full(len(values), size), times_ns, times_ns)
 
+    def without_stamps(self) -> Raw:
+        """Return messages whose headers have the stamp 0, so that no stamp is invalid."""
+        data = self.data.copy()
+        long_enough = self.starts[self.sizes >= 12]
+        data[long_enough[:, None] + np.arange(4, 12)] = 0
+        return self._replace(data=data)
+
     def message(self, row: int) -> bytes:
         """Return the bytes of one message."""
         return self.data[self.starts[row]:self.starts[row] + self.sizes[row]].tobytes()

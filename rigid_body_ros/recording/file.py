@@ -45,6 +45,8 @@ class File(ABC):
     damage : str
         What data was lost and where; '' if nothing was lost. This is not known until the messages
         have been read.
+    notes : list of str
+        What was assumed about the messages; not known until the messages have been read.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class File(ABC):
         self.path, self._content = path, unpacked or path
         self.types: dict[str, str] = {}
         self.damage = ''
+        self.notes: list[str] = []
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the metadata record `name`, or {} if the format has no metadata records."""

@@ -17,13 +17,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants
 from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.recording.account import Account
 
 #: Minimum number of samples needed for a comparison with a motion.
 FEWEST = 4
@@ -52,8 +53,8 @@ class Measured:
     rate_covariance : array, shape (n, 3, 3), optional
         Covariance of the angular velocity in body axes, rad^2/s^2. None if the covariance is
         unknown.
-    rejected : int
-        Number of messages rejected by `read_measured`.
+    account : Account
+        What became of the messages: how many were rejected, and why.
     damage : str
         A description of what was lost from the recording. Empty if nothing was lost.
     frames : str
@@ -68,7 +69,7 @@ class Measured:
     angular_velocity: Floats | None
     attitude_covariance: Floats | None = None
     rate_covariance: Floats | None = None
-    rejected: int = 0
+    account: Account = field(default_factory=Account)
     damage: str = ''
     frames: str = ''
 

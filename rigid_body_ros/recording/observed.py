@@ -25,8 +25,9 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Topics
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.recording.measurements import read_all
+from rigid_body_ros.recording.measurements import Options, read_all
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 
@@ -65,9 +66,9 @@ class Reading:
 
     def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
         """Read the measurements, raising the same errors as `read_all`."""
-        return read_all(path, self.measured, frames=self.frames, body_frame=scene.body_frame,
-                        space_frame=scene.space_frame, time_source=self.time_source,
-                        track=self.track)
+        return read_all(path, self.measured, Options(
+            self.frames, scene.body_frame, scene.space_frame, scene.links, self.time_source,
+            self.topics.columns, self.track))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +82,21 @@ class Measurements:
         The measurements, including all samples of the recording.
     end_ns : int
         The time at which the motion ends because the node begins another epoch.
+    torques : Account, optional
+        What became of the torques.
 
     """
 
     sensors: list[Measured]
     end_ns: int = NEVER_NS // 2
+    torques: Account | None = None
+
+    @property
+    def faults(self) -> list[str]:
+        """Return what is wrong with the samples, so that no cause can be inferred from them."""
+        accounts = [*([self.torques] if self.torques else []),
+                    *(sensor.account for sensor in self.sensors)]
+        return [fault for account in accounts for fault in account.faults]
 
     @property
     def is_followed(self) -> bool:
@@ -155,10 +166,12 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
     else:
         epochs = recording.read_epochs(path, scene, reading.topics.found_in(path, scene),
                                        reading.interpolation, reading.track, reading.time_source)
-        problem = recording.chosen(path, scene, epochs, may_command=may_command).problem
+        logged = recording.chosen(path, scene, epochs, may_command=may_command)
+        problem = logged.problem
         begins_ns = [epoch.problem.start.time_ns for epoch in epochs]
         later_ns = [time_ns for time_ns in begins_ns if time_ns > problem.start.time_ns]
-        measurements = Measurements(sensors, *sorted(later_ns)[:1])
+        measurements = Measurements(sensors, min(later_ns, default=Measurements.end_ns),
+                                    logged.account)
     _check_overlap(path, problem, measurements, round(1e9 * largest_offset))
     return problem, measurements
 

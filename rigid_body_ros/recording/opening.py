@@ -16,16 +16,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 import os
 from pathlib import Path, PurePath
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.recording.csv_file import CsvFile
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
+from rigid_body_ros.recording.text_files import CsvFile
 from rigid_body_ros.recording.ulog_file import is_ulog, UlogFile
 from rigid_body_ros.recording.unpack import temporary, unpack_file
 from rigid_body_ros.runtime.limits import read_yaml
@@ -33,18 +34,21 @@ import yaml
 from yaml.constructor import BaseConstructor
 
 
-def open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, str]:
+def open_files(name: str | Path, stack: ExitStack, columns: Mapping[str, str] | None = None
+               ) -> tuple[list[File], bool, str]:
     """
     Open the files of a recording.
 
     Return three values: the files, whether their messages are compressed, and a text that says why
-    files are missing ('' if none are missing).
+    files are missing ('' if none are missing). `columns` are those of a CSV file; see
+    `headings.columns_of`.
     """
     if name == '':  # Path('') would be the current folder
         raise InputError('expected a recording, found an empty name')
     path = Path(name)
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
-        return [_open_file(path, stack)], False, ''
+        return [CsvFile(path, columns) if path.suffix.lower() == '.csv' else
+                _open_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')
     compressed = str(about.get('compression_mode', '')).lower() == 'message'
     files: list[File] = []

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -32,6 +32,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import source
+from rigid_body_ros.recording.account import Account, merged
 from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.recording.torques import check_stamped, epochs, torque_log
@@ -49,9 +50,7 @@ class Logged(NamedTuple):
     #: Whether the rotor torque is derived from the measured rotor momentum. A rotor torque that is
     #: derived in this way is never interpolated.
     is_measured: bool
-    messages: int
-    #: The number of messages whose stamp is not later than that of the message before.
-    unordered: int
+    account: Account
     #: Whether the start state comes from the marker of an epoch rather than from the scene.
     is_epoch: bool
     damage: str
@@ -68,7 +67,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
          topic: str | Sequence[str] | None = None, wheel_torque: str | None = None,
          wheel_momentum: str | None = None, wheel_command: str | None = None,
          inertia: str | None = None, interpolation: str | None = None,
-         time_source: str = 'header') -> Problem:
+         time_source: str = 'header', columns: Mapping[str, str] | None = None) -> Problem:
     """
     Return the problem that the command `attitude_replay` solves for a recording and a scene.
 
@@ -81,7 +80,9 @@ def read(path: str | Path, scene: str | Path | Scene, *,
         The recording.
     scene : str, Path or Scene
         The scene, or the scene file.
-    topic, wheel_torque, wheel_momentum, wheel_command, inertia, interpolation, time_source
+    topic, wheel_torque, wheel_momentum, wheel_command, inertia
+        See `replay`.
+    interpolation, time_source, columns
         See `replay`.
 
     Returns
@@ -96,8 +97,8 @@ def read(path: str | Path, scene: str | Path | Scene, *,
 
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
-    topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia,
-                          wheel_command).found_in(path, loaded)
+    topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command,
+                          columns).found_in(path, loaded)
     return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
                                             time_source=time_source), may_change=True,
                   may_command=True).problem
@@ -136,7 +137,8 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         epochs.
 
     """
-    torques = [source.read(path, name, None, track, time_source, skip, topics.preferred)
+    torques = [source.read(path, name, None, track, time_source, skip, topics.preferred,
+                           topics.columns)
                for name in topics.wrenches]
     momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, track, time_source) \
         if topics.wheel_momentum else None
@@ -198,11 +200,13 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
     """
     body, measured = [*parts], None
     every = [*parts, *([] if momentum is None else [momentum])]
+    accounts = {one.topic: Account() for one in every}
     efforts = _efforts(path, body.pop()) if topics.wheel_command else None
     changes = _changes(path, body.pop(), scene) if topics.inertia else None
-    wheels = _wheel_log(path, body.pop(), scene, interpolation) if topics.wheel_torque else None
+    wheels = _wheel_log(path, body.pop(), scene, interpolation, accounts) \
+        if topics.wheel_torque else None
     actuators = topics.actuators(scene)
-    logs = [_log(path, one, scene, 'hold' if held else interpolation)
+    logs = [_log(path, one, scene, 'hold' if held else interpolation, accounts)
             for one, held in zip(body, actuators or (None,) * len(body))]
     if momentum is not None:
         measured = _momentum(path, momentum, scene)
@@ -224,9 +228,12 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
             log=logs, wheels=wheels, changes=changes, efforts=efforts, actuator=actuators)
     except ValueError as error:
         raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
-    return Logged(problem, measured is not None, sum(len(one) for one in every),
-                  sum(int(np.sum(np.diff(one.stamps_ns) <= 0)) for one in every),
-                  begin is not None, damage, tuple(one.topic for one in every))
+    for one in every:
+        if accounts[one.topic].samples < len(one):  # not a torque
+            accounts[one.topic].add(one.stamps_ns)
+            accounts[one.topic].finish(len(np.unique(one.stamps_ns)), '')
+    return Logged(problem, measured is not None, merged(accounts), begin is not None, damage,
+                  tuple(accounts))
 
 
 def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
@@ -282,18 +289,19 @@ def _check_same_start(path: str | Path, part: Messages, expected: Messages,
                          f'{expected.topic}, found {found}')
 
 
-def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str) -> TorqueLog:
+def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str,
+         accounts: Mapping[str, Account]) -> TorqueLog:
     """Return the torque log of a topic; the log is empty if there are no messages."""
     if not len(recorded):
         return TorqueLog([], [], interpolation=interpolation)
     return torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
-                      scene.links)
+                      scene.links, accounts[recorded.topic])
 
 
 def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
-               interpolation: str) -> TorqueLog:
+               interpolation: str, accounts: Mapping[str, Account]) -> TorqueLog:
     check_axes(path, recorded, scene)
-    return _log(path, recorded, scene, interpolation)
+    return _log(path, recorded, scene, interpolation, accounts)
 
 
 def _efforts(path: str | Path, recorded: Messages) -> EffortLog:
@@ -326,7 +334,7 @@ def check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
     """Raise InputError unless all messages (rotor vectors or inertias) are in body axes."""
     body = scene.body_frame
     for code, name in enumerate(recorded.names):
-        if name not in ('', body):
+        if name.removeprefix('/') not in ('', body):
             number = recorded.before + int(np.argmax(recorded.frames == code)) + 1
             raise InputError(f'{path}: {recorded.topic}: message {number}: frame_id: '
                              f"expected '{body}' or '' (body axes), found {quoted(name)}")

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 import re
@@ -56,6 +56,8 @@ class Topics:
         The inertia topic, if the inertia changes.
     wheel_command : str, optional
         The topic with the commands to named wheels.
+    columns : mapping of str to str, optional
+        The columns to read from CSV files; see `headings.columns_of`.
     preferred : str
         If `preferred` is set and the recording has only one torque topic, the torques are read
         from that topic. If `preferred` is set and the recording has several torque topics, the
@@ -74,6 +76,7 @@ class Topics:
     inertia: str | None = None
     preferred: str = ''
     wheel_command: str | None = None
+    columns: Mapping[str, str] | None = None
 
     def __post_init__(self) -> None:
         if self.wheel_torque and self.wheel_momentum:
@@ -89,10 +92,12 @@ class Topics:
     @classmethod
     def given(cls, topic: str | Sequence[str] | None, wheel_torque: str | None = None,
               wheel_momentum: str | None = None, inertia: str | None = None,
-              wheel_command: str | None = None) -> Topics:
+              wheel_command: str | None = None,
+              columns: Mapping[str, str] | None = None) -> Topics:
         """Return the topics that the caller has named."""
         names = (topic,) if isinstance(topic, str) else tuple(topic or ())
-        return cls(names, wheel_torque, wheel_momentum, inertia, wheel_command=wheel_command)
+        return cls(names, wheel_torque, wheel_momentum, inertia, wheel_command=wheel_command,
+                   columns=columns)
 
     @property
     def _options(self) -> list[tuple[str, str | None]]:

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -70,6 +70,8 @@ class Messages:
     pairs : tuple of (str, str)
         The first few distinct pairs of frame_id and child_frame_id. Set only if the message type
         has both names and the caller did not choose a pair.
+    notes : tuple of str
+        What was assumed about the messages, such as the unit of their times.
 
     """
 
@@ -82,6 +84,7 @@ class Messages:
     before: int = 0
     start: State | None = None
     pairs: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -123,6 +126,8 @@ class Source:
         The topic to read if `topic` is omitted and several topics have a type from `kinds`.
     frames : tuple of str, optional
         The frame and child frame of the transforms to read, if the messages contain transforms.
+    columns : mapping of str to str, optional
+        The columns of a CSV file; see `headings.columns_of`.
 
     Attributes
     ----------
@@ -150,14 +155,16 @@ class Source:
 
     def __init__(self, path: str | Path, topic: str | None, kinds: Sequence[MessageType],
                  time_source: str = 'header', skip: float = 0.0, preferred: str = '',
-                 frames: tuple[str, str] | None = None) -> None:
+                 frames: tuple[str, str] | None = None,
+                 columns: Mapping[str, str] | None = None) -> None:
         self._path, self._frames = path, frames
         self._skip_ns = duration_ns(skip, 'skip')
         self._time_source = time_source
         self._longer = 0
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files, self._compressed, self._missing = open_files(path, stack)
+            self._files, self._compressed, self._missing = open_files(path, stack,
+                                                                        columns)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
             self.topic, self.kind = _select_topic(path, self.types, topic, kinds,
                                                   preferred)
@@ -179,9 +186,23 @@ class Source:
             f'{self.kind.name}; the bytes after its last field are ignored' if self._longer else ''
         return shortened('; '.join([*found, *filter(None, [self._missing, longer])]))
 
+    @property
+    def notes(self) -> list[str]:
+        """Return what was assumed about the messages; complete once all have been read."""
+        return [note for file in self._files for note in file.notes]
+
     def metadata(self, name: str) -> dict[str, str]:
         """Return the metadata record `name`, or {} if there is none."""
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the pairs of frame_id and child_frame_id on a topic of transforms."""
+        pairs: dict[tuple[str, str], None] = {}
+        for file in self._with_topic:
+            for raw in file.read(self.topic, self.kind):
+                plain = self._decompressed(raw, self.topic, 0)
+                pairs |= dict.fromkeys(transforms.pairs(self.kind, plain))
+        return [*pairs]
 
     def check_copied(self, topics: Collection[str]) -> None:
         """Raise InputError if the recording cannot be copied to a file that has `topics`."""
@@ -227,6 +248,8 @@ class Source:
 
     def _messages(self, raw: Raw, number: int) -> Messages:
         plain = self._decompressed(raw, self.topic, number)
+        if self._time_source != 'header' and self.kind.has_header and not self.kind.is_list:
+            plain = plain.without_stamps()
         pairs: list[tuple[str, str]] = []
         try:
             if self._frames and self.kind.has_child_frame:
@@ -258,7 +281,8 @@ class Source:
 
 def read(path: str | Path, topic: str | None = None, kind: MessageType | None = None,
          track: Track = no_progress, time_source: str = 'header',
-         skip: float = 0.0, preferred: str = '') -> Messages:
+         skip: float = 0.0, preferred: str = '',
+         columns: Mapping[str, str] | None = None) -> Messages:
     """
     Read all messages of a topic.
 
@@ -276,7 +300,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
     time_source : str
         Where the stamps come from: 'header', 'log' (time of recording) or 'publish' (time of
         publishing).
-    skip, preferred
+    skip, preferred, columns
         See `Source`.
 
     Returns
@@ -291,8 +315,10 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
 
     """
     with Source(path, topic, TORQUES if kind is None else (kind,), time_source, skip,
-                preferred) as source:
-        return joined(source.topic, source.kind, list(track(source, source.count)), source.damage)
+                preferred, columns=columns) as source:
+        blocks = list(track(source, source.count))
+        return replace(joined(source.topic, source.kind, blocks, source.damage),
+                       notes=tuple(source.notes))
 
 
 def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:

@@ -18,31 +18,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.messages import is_epoch_marker
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.problem import check_axes, Logged
 from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import Messages, Source, TORQUES
 from rigid_body_ros.recording.torques import first_epoch, NotInOrderError, Piece, torque_pieces
 from rigid_body_ros.runtime.terminal import Track
 from rigid_body_ros.scene import Scene
-
-
-@dataclass
-class Counts:
-    """
-    The number of messages read, and the number of messages that are out of order.
-
-    A message is out of order if its stamp is not later than that of the message before.
-    """
-
-    messages: int = 0
-    unordered: int = 0
 
 
 class Stream:
@@ -57,8 +44,8 @@ class Stream:
     is_held : bool
         Whether the torques are never interpolated. Commands to an actuator are never interpolated,
         and neither are torques that are derived from the rotor momentum.
-    counts : Counts, optional
-        The counts for the messages read so far.
+    account : Account, optional
+        What became of the messages; complete once the last piece has been read.
     topic : str
         The name of the topic, for error messages.
 
@@ -70,9 +57,9 @@ class Stream:
     """
 
     def __init__(self, pieces: Iterator[Piece], on_rotors: bool = False,
-                 is_held: bool = False, counts: Counts | None = None,
+                 is_held: bool = False, account: Account | None = None,
                  topic: str = '') -> None:
-        self._pieces, self.topic, self.counts = pieces, topic, counts or Counts()
+        self._pieces, self.topic, self.account = pieces, topic, account
         self.on_rotors, self._is_held = on_rotors, is_held
         self.piece = next(pieces)
 
@@ -129,7 +116,8 @@ class Streams:
         self._path, self._scene, self._track = path, scene, track
         with ExitStack() as stack:
             self._sources = [stack.enter_context(Source(path, name, TORQUES, time_source, skip,
-                                                        topics.preferred))
+                                                        topics.preferred,
+                                                        columns=topics.columns))
                              for name in topics.wrenches]
             self._wheel_torque, self._stack = topics.wheel_torque, stack.pop_all()
         self.start: State | None = None
@@ -169,20 +157,17 @@ class Streams:
     def _begun(self, source: Source) -> tuple[State | None, Stream]:
         scene, on_rotors = self._scene, source.topic == self._wheel_torque
         start, blocks = first_epoch(self._path, iter(self._track(source, source.count)))
-        counts = Counts()
+        account = Account()
 
-        def counted() -> Iterator[Messages]:
-            last: list[int] = []
+        def checked() -> Iterator[Messages]:
             for block in blocks:
                 if on_rotors and not any(map(is_epoch_marker, block.names)):
                     check_axes(self._path, block, scene)
-                counts.messages += len(block)
-                counts.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
-                last = [int(block.stamps_ns[-1])]
                 yield block
-        pieces = torque_pieces(f'{self._path}: {source.topic}', counted(), scene.body_frame,
-                               scene.space_frame, scene.links)
-        return start, Stream(pieces, on_rotors, counts=counts, topic=source.topic)
+            account.notes += source.notes
+        pieces = torque_pieces(f'{self._path}: {source.topic}', checked(), scene.body_frame,
+                               scene.space_frame, scene.links, account)
+        return start, Stream(pieces, on_rotors, account=account, topic=source.topic)
 
     @property
     def damage(self) -> str:

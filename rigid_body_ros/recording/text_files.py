@@ -12,50 +12,57 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read measured attitudes and angular velocities from CSV files and TUM trajectories."""
+"""Read torques, attitudes and angular velocities from CSV files and TUM trajectories."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 import csv
 from decimal import Decimal, DecimalException
 from io import TextIOWrapper
+from itertools import chain, islice
 import math
 from pathlib import Path
-import re
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.mechanics import so3
-from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.recording.csv_columns import splits, time_scale
-from rigid_body_ros.recording.measured import FEWEST, Measured
+from rigid_body_ros.messages import MessageType
+from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.file import File
+from rigid_body_ros.recording.headings import (
+    apply,
+    ATTITUDE,
+    Column,
+    columns_of,
+    RATES,
+    TIME_UNITS,
+    TORQUE,
+)
 from rigid_body_ros.runtime.limits import open_file
 
+#: The name of the only topic in a CSV file of torques.
+_TOPIC = '/torque'
 #: Suffixes of CSV files and of TUM trajectories.
 _CSV, _TUM = ('.csv',), ('.tum', '.txt')
-#: Column names without units, such as qx, orientation.x or angular_velocity/x. The names used in
-#: EuRoC files are included.
-_ATTITUDE = re.compile(r'(?:.*[/.])?(?:q|quat|quaternion|orientation|attitude|q_rs)[/._ ]?'
-                       r'([xyzw])')
-_RATE = re.compile(r'(?:.*[/.])?(?:w|omega|gyro|angular_velocity|w_rs_s)[/._ ]?([xyz])')
-#: The size of each unit of angular velocity in rad/s, keyed by the unit.
-_RATE_UNITS = {**dict.fromkeys(('', 'rad/s', 'rad s^-1', 'rads'), 1.0),
-               **dict.fromkeys(('deg/s', 'deg s^-1', 'degs'), math.radians(1.0))}
-_QUANTITIES = tuple(f'q{axis}' for axis in 'xyzw'), tuple(f'w{axis}' for axis in 'xyz')
-_ACCEPTED = ('expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (rad/s, deg/s), with '
-             'units as in "wx (deg/s)" or "time_ms"')
-#: Maximum length of a line, in characters.
-_LONGEST = 2 ** 16
-
-
-#: For each quantity, keyed by its name: the position in a line, and the factor of the unit.
-_Columns = dict[str, tuple[int, float]]
-_TRAJECTORY: _Columns = {'time': (0, 1e9),
-                         **{name: (4 + k, 1.0) for k, name in enumerate(_QUANTITIES[0])}}
+#: The number of lines in a block, and the longest line that is accepted, in characters.
+_BLOCK, _LONGEST = 8192, 2 ** 16
+#: The most digits before the decimal point of a time.
+_MOST_DIGITS = 30
+#: The columns of a file without a heading.
+_TRAJECTORY = 8, {'time': Column(0, Decimal(10 ** 9)),
+                  **{name: Column(4 + k, 1.0) for k, name in enumerate(ATTITUDE)}}
+_TORQUES = 4, {name: Column(k, Decimal(1) if k else None) for k, name in enumerate(
+    ('time', *TORQUE))}
+#: The earliest time, ns since 1970, that a large number is taken for: September 2001.
+_RECENT_NS = 10 ** 18
+#: The unit of whole numbers without a unit is judged in at least this many lines. No other unit
+#: than seconds is assumed if samples would then be further apart than `_FARTHEST_S`; without
+#: angular velocities, seconds are assumed unless samples would be `_SELDOM_S` apart.
+_FEWEST, _FARTHEST_S, _SELDOM_S = 20, 1.0, 1000.0
 
 
 def is_text_file(name: str) -> bool:
@@ -63,135 +70,256 @@ def is_text_file(name: str) -> bool:
     return Path(name).suffix.lower() in (*_CSV, *_TUM)
 
 
-def read_text_file(path: str) -> Measured:
+class Table:
     """
-    Read a CSV file or a TUM trajectory.
+    The lines of a CSV file or a TUM trajectory, as numbers.
+
+    Iterate over the table to get blocks of lines: the stamps, ns, shape (n,), and the quantities,
+    shape (n, k), with NaN where a cell is empty.
 
     Parameters
     ----------
-    path : str
-        A CSV file or a trajectory. The first line of a CSV file contains the column names and may
-        begin with #. Each line of a trajectory (.tum, .txt) contains the time (s), x, y, z, qx,
-        qy, qz and qw, separated by spaces. Apart from the column names, lines that begin with #
-        are ignored. Angular velocities must be in body axes.
+    path : str or Path
+        The first line of a CSV file contains the column names and may begin with #; a file of
+        torques may lack it. The columns are separated by commas, semicolons or tabs; with the
+        latter two, the decimal separator may be a comma. Each line of a trajectory (.tum, .txt)
+        contains the time (s), x, y, z, qx, qy, qz and qw, separated by spaces. Other lines that
+        begin with # are ignored.
+    groups : sequence of tuple of str
+        The quantities to read; see `headings`.
+    chosen : mapping of str to str, optional
+        The columns; see `headings.columns_of`. They are ignored if they contain none of the
+        quantities.
 
-    Returns
-    -------
-    Measured
-        The samples, sorted by stamp. If several samples have the same stamp, the last one is used.
-        The topic is the name of the file.
+    Attributes
+    ----------
+    names : list of str
+        The quantities in the table, once iteration has begun.
+    notes : list of str
+        What was assumed about units.
+    width : int
+        The number of columns in a line.
 
     Raises
     ------
     InputError
-        The file cannot be read, a line is invalid, or fewer than four samples are finite.
+        The file cannot be read, or a line is invalid.
 
     """
-    try:
-        with TextIOWrapper(open_file(path, 'measurements'), 'utf-8-sig', newline='') as text:
-            return _measured(path, text)
-    except OSError as error:
-        raise InputError(f'{path}: cannot read the measurements: {reason(error)}') from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f'{path}: expected text in UTF-8 ({reason(error)})') from error
 
+    def __init__(self, path: str | Path, groups: Sequence[tuple[str, ...]],
+                 chosen: Mapping[str, str] | None = None) -> None:
+        self._path, self._groups = path, groups
+        self._chosen = chosen if chosen and apply(chosen, groups) else None
+        self._is_csv = Path(path).suffix.lower() in _CSV
+        self.width, self._columns = _TORQUES if self._is_csv else _TRAJECTORY
+        self._rates: list[Column] = []
+        self.names: list[str] = []
+        self.notes: list[str] = []
 
-def _measured(path: str, text: TextIOWrapper) -> Measured:
-    lines = _lines(path, text)
-    found = _TRAJECTORY
-    if Path(path).suffix.lower() in _CSV:
-        number, heading = next(lines, (1, []))
-        found = _columns_of(f'{path}: line {number}', heading)
-    groups = [names for names in _QUANTITIES if names[0] in found]
-    stamps_ns, rows = [], []
-    for number, line in lines:
-        if line[0].startswith('#'):
-            continue
+    def __iter__(self) -> Iterator[tuple[NDArray[np.int64], Floats]]:
+        what = 'recording' if TORQUE in self._groups else 'measurements'
         try:
-            stamps_ns.append(_stamp_ns(line, found))
-            rows.append([float(line[position]) * scale for names in groups
-                         for position, scale in (found[name] for name in names)])
-        except (ValueError, OverflowError, IndexError, DecimalException):
-            raise InputError(f'{path}: line {number}: expected numbers in the columns of '
-                             f'{", ".join(found)}, found {quoted(",".join(line))}'
-                             ) from None
-    values = np.array(rows, float).reshape(len(rows), sum(map(len, groups)))
-    return _sorted(path, np.array(stamps_ns, np.int64), values, groups)
+            with TextIOWrapper(open_file(self._path, what), 'utf-8-sig', newline='') as text:
+                lines = self._begun(self._lines(text))
+                while block := list(islice(lines, _BLOCK)):
+                    yield self._numbers(block)
+        except OSError as error:
+            raise InputError(f'{self._path}: cannot read the {what}: {reason(error)}') from error
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f'{self._path}: expected text in UTF-8 ({reason(error)})') from error
+
+    def _lines(self, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
+        """Generate the line number and the cells of each line that is not empty."""
+        number, delimiter = 0, ''
+
+        def checked() -> Iterator[str]:
+            nonlocal number, delimiter
+            while line := text.readline(_LONGEST):
+                number += 1
+                if len(line) == _LONGEST:
+                    raise InputError(f'{self._path}: line {number}: expected fewer than '
+                                     f'{_LONGEST} characters, found {quoted(line)}')
+                if line.strip():
+                    delimiter = delimiter or max(',;\t', key=line.count)
+                    yield line
+        if not self._is_csv:
+            yield from ((number, cells) for line in checked() if (cells := line.split()))
+            return
+        source = checked()
+        first = next(source, '')
+        for cells in csv.reader(chain([first], source), delimiter=delimiter or ','):
+            if cells:
+                yield number, cells if delimiter == ',' else [
+                    cell.replace(',', '.') for cell in cells]
+
+    def _begun(self, lines: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
+        """Interpret the heading, and return the lines of numbers."""
+        number, first = next(lines, (1, ['']))
+        has_numbers = _is_number(first[0])
+        if self._is_csv and (self._chosen or TORQUE not in self._groups or not has_numbers):
+            stem = Path(self._path).stem.lower()
+            try:
+                self._columns = columns_of(first, self._groups, stem, self._chosen)
+            except InputError as error:
+                raise InputError(f'{self._path}: line {number}: {error}') from error
+            self.width = len(first)
+            with suppress(InputError):  # the rates tell whether whole numbers can be seconds
+                columns = columns_of(first, [RATES], stem, self._chosen)
+                self._rates = [columns[name] for name in RATES]
+        self.names = [name for group in self._groups for name in group if name in self._columns]
+        kept = [(number, first)] if has_numbers else []
+        return (line for line in chain(kept, lines) if not line[1][0].startswith('#'))
+
+    def _numbers(self, block: list[tuple[int, list[str]]]) -> tuple[NDArray[np.int64], Floats]:
+        columns = [self._columns[name] for name in self.names]
+        position, factor = self._columns['time']
+        stamps, rows = [], []
+        for number, line in block:
+            try:
+                if len(line) != self.width:
+                    raise ValueError
+                stamps.append(_finite(line[position]))
+                rows.append([_number(line[column.position], column.factor) for column in columns])
+            except (ValueError, OverflowError, DecimalException):
+                raise InputError(f'{self._path}: line {number}: expected {self._expected(line)}, '
+                                 f'found {quoted(",".join(line))}') from None
+        if factor is None:
+            factor = self._assumed_unit(stamps, [line for _, line in block])
+            self._columns = {**self._columns, 'time': Column(position, factor)}
+        values = np.array(rows, float).reshape(len(rows), len(columns))
+        return self._stamps_ns(block, stamps, int(factor)), values
+
+    def _expected(self, line: Sequence[str]) -> str:
+        if len(line) == 12 and not self._is_csv:
+            return 'time (s), x, y, z, qx, qy, qz, qw, found 12 numbers, as in a pose matrix of ' \
+                   '3 x 4 (convert it to a TUM trajectory)'
+        if len(line) != self.width and self.width != _TORQUES[0]:
+            return f'{self.width} columns as in the first line' if self._is_csv else \
+                'numbers: time (s), x, y, z, qx, qy, qz, qw'
+        return f'numbers in the columns of time, {", ".join(self.names)}'
+
+    def _stamps_ns(self, block: list[tuple[int, list[str]]], stamps: list[Decimal],
+                   unit_ns: int) -> NDArray[np.int64]:
+        stamps_ns = []
+        for (number, _), stamp in zip(block, stamps):
+            time_ns = (stamp * unit_ns).to_integral_value()
+            if not 0 <= time_ns <= messages.LAST_NS:
+                raise InputError(
+                    f'{self._path}: line {number}: expected numbers, and a time from 0 to '
+                    f'{messages.LAST_NS // unit_ns} {_name_of(unit_ns)}, found '
+                    f'{quoted(str(stamp))}; name another unit as in "time_ns" or "time (ms)"')
+            stamps_ns.append(int(time_ns))
+        return np.array(stamps_ns, np.int64)
+
+    def _assumed_unit(self, stamps: Sequence[Decimal], lines: Sequence[Sequence[str]]) -> Decimal:
+        """Return the unit of times without a unit, ns, and note what was assumed."""
+        first = stamps[0]
+        if first * 10 ** 9 > messages.LAST_NS:
+            for unit_ns in (10 ** 6, 10 ** 3, 1):
+                if _RECENT_NS <= first * unit_ns <= messages.LAST_NS:
+                    return self._noted(unit_ns, f'because the first, {first}, is then a time since '
+                                       '1970')
+        if len(stamps) < _FEWEST or any(stamp != stamp.to_integral_value() for stamp in stamps):
+            return Decimal(10 ** 9)
+        return self._plausible_unit(np.array([*map(float, stamps)]), lines)
+
+    def _noted(self, unit_ns: int, why: str) -> Decimal:
+        """Return a unit of time, and note that it was assumed."""
+        self.notes.append(f'the times have no unit: {_name_of(unit_ns)} is assumed, {why}; a '
+                          'heading such as "time_ms" names the unit')
+        return Decimal(unit_ns)
+
+    def _plausible_unit(self, stamps: Floats, lines: Sequence[Sequence[str]]) -> Decimal:
+        """
+        Return the unit of whole numbers, ns: seconds, unless they cannot be seconds.
+
+        They cannot be seconds if the body would turn by more than half a turn between samples, or
+        if no angular velocity is known and samples would be very far apart.
+        """
+        steps = np.diff(stamps)
+        step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+        rates = np.array([[_number(line[column.position], column.factor) for column in self._rates]
+                          for line in lines])
+        rates = rates[np.isfinite(rates).all(axis=1)]
+        rate = float(np.median(np.linalg.norm(rates, axis=1))) if rates.size else 0.0
+        if step * rate <= math.pi and step < _SELDOM_S:
+            return Decimal(10 ** 9) if step <= 1.0 else \
+                self._noted(10 ** 9, f'so samples are {step:g} s apart')
+        unit_ns = next((unit_ns for unit_ns in (10 ** 6, 10 ** 3) if step * unit_ns
+                        < _FARTHEST_S * 1e9 and step * rate * unit_ns <= math.pi * 1e9), 1)
+        return self._noted(unit_ns, f'because samples {step:g} s apart could not follow the '
+                           'motion')
 
 
-def _sorted(path: str, stamps_ns: NDArray[np.int64], values: Floats,
-            groups: Sequence[Sequence[str]]) -> Measured:
-    usable = np.isfinite(values).all(axis=1) & (np.abs(values) <= FASTEST).all(axis=1)
-    has_attitude = groups[0] == _QUANTITIES[0]
-    if has_attitude:
-        usable &= values[:, :4].any(axis=1)
-    order = np.flatnonzero(usable)
-    order = order[np.argsort(stamps_ns[order], kind='stable')]
-    order = order[np.append(np.diff(stamps_ns[order]) != 0, True)[:len(order)]]
-    if len(order) < FEWEST:
-        raise InputError(f'{path}: expected at least {FEWEST} samples with finite values, found '
-                         f'{len(order)} among {len(stamps_ns)}')
-    chosen = values[order]
-    return Measured(Path(path).name, stamps_ns[order],
-                    so3.normalize(chosen[:, :4]) if has_attitude else None,
-                    chosen[:, -3:] if groups[-1] == _QUANTITIES[1] else None,
-                    rejected=int(np.sum(~usable)))
+class CsvFile(File):
+    """
+    A CSV file of torques.
+
+    Each line is read as a WrenchStamped message in body axes; see `Table`. Without a heading, the
+    columns are time (s), tx, ty, tz (N m).
+    """
+
+    def __init__(self, path: Path, columns: Mapping[str, str] | None = None) -> None:
+        super().__init__(path)
+        self.types = {_TOPIC: messages.WRENCH.name}
+        self._table = Table(path, [TORQUE], columns)
+        self.notes = self._table.notes
+
+    def count(self, topic: str) -> int:
+        """Return 0, because the lines cannot be counted without reading the file."""
+        return 0
+
+    def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
+        """Generate the torques in blocks, in file order."""
+        for stamps_ns, torques in self._table:
+            rows = is_sample(torques, self._table.width)
+            values = np.pad(torques[rows], ((0, 0), (3, 0)))
+            yield Raw.from_values(messages.WRENCH, stamps_ns[rows], values)
 
 
-def _stamp_ns(line: Sequence[str], found: _Columns) -> int:
-    position, scale = found['time']
-    # Use Decimal, because a double cannot resolve nanoseconds in a time since 1970.
-    time_ns = (Decimal(line[position]) * int(scale)).to_integral_value()
-    if not 0 <= time_ns <= messages.LAST_NS:
+def is_sample(values: Floats, width: int) -> NDArray[np.bool_]:
+    """
+    Return a mask of the lines that contain a sample of a quantity.
+
+    A table of several quantities with different rates has empty cells, often written as nan.
+
+    Parameters
+    ----------
+    values : array, shape (n, k)
+        The columns of the quantity.
+    width : int
+        The number of columns of the table.
+
+    """
+    is_joined = width > 1 + values.shape[1]
+    return ~(np.isnan(values).all(axis=1) & is_joined)
+
+
+def _number(text: str, factor: Decimal | float | None) -> float:
+    if not text or text.isspace():
+        return math.nan
+    if isinstance(factor, Decimal) and factor != 1:
+        return float(Decimal(text) * factor)
+    return float(text) * float(factor or 1.0)
+
+
+def _finite(text: str) -> Decimal:
+    """Return a time. A double could not resolve nanoseconds in a time since 1970."""
+    time = Decimal(text)
+    if not time.is_finite() or time and time.adjusted() > _MOST_DIGITS:
         raise ValueError
-    return int(time_ns)
+    return time or Decimal(0)  # without an exponent that `int` would expand
 
 
-def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
-    """Generate the line number and the columns of each line that is not empty."""
-    is_csv = Path(path).suffix.lower() in _CSV
-    for number, line in enumerate(iter(lambda: text.readline(_LONGEST), ''), 1):
-        if len(line) == _LONGEST:
-            raise InputError(f'{path}: line {number}: expected fewer than {_LONGEST} characters, '
-                             f'found {quoted(line)}')
-        columns = next(csv.reader([line]), []) if is_csv else line.split()
-        if columns:
-            yield number, columns
+def _name_of(unit_ns: int) -> str:
+    """Return the name of a unit of time."""
+    return next(name for name, size in TIME_UNITS.items() if size == unit_ns)
 
 
-def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
-    """Find the columns with known names in a heading, and ignore all others."""
-    found: _Columns = {}
-    for position, text in enumerate(heading):
-        name, scale = _meaning(where, text.lstrip('#').strip())
-        if name in found:
-            raise InputError(f'{where}: two columns for {name}: '
-                             f'{quoted(heading[found[name][0]])} and {quoted(text)}; {_ACCEPTED}')
-        if name:
-            found[name] = position, scale
-    given = [names for names in _QUANTITIES if any(name in found for name in names)]
-    missing = [name for names in [('time',), *(given or _QUANTITIES)] for name in names
-               if name not in found]
-    if missing:
-        raise InputError(f'{where}: no column for {missing[0]}; {_ACCEPTED}, found '
-                         f'{quoted(",".join(heading))}')
-    return found
-
-
-def _meaning(where: str, text: str) -> tuple[str, float]:
-    """
-    Return the quantity that a column contains, and the factor of the column's unit.
-
-    The quantity is an empty string if the column name is unknown.
-    """
-    for name, unit in splits(text.replace('[]', '').strip()):
-        attitude, rate = _ATTITUDE.fullmatch(name.lower()), _RATE.fullmatch(name.lower())
-        if attitude and not unit:
-            return f'q{attitude[1]}', 1.0
-        if rate and unit not in _RATE_UNITS:
-            raise InputError(f'{where}: column {quoted(text)}: unknown unit; {_ACCEPTED}')
-        if rate:
-            return f'w{rate[1]}', _RATE_UNITS[unit]
-        if scale := time_scale(name, unit):
-            return 'time', float(scale)
-    return '', 0.0
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

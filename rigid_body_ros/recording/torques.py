@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -31,11 +31,14 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, OffAxisError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.source import Messages
 
 #: Ten years, ns. A stamp below this limit is simulated time. Wall-clock time counts from 1970 and
 #: is always above it.
 _SIMULATED_NS = 315_576_000 * 10 ** 9
+#: What a rejected message lacks.
+FINITE = 'a finite torque'
 #: Approximate number of samples in a piece.
 _SAMPLES = 2 ** 13
 #: Consecutive pieces overlap, because cubic interpolation needs neighbouring samples. The next
@@ -121,7 +124,8 @@ def first_epoch(path: str | Path, blocks: Iterator[Messages]
 
 
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
-               interpolation: str = 'hold', links: Frames = NO_FRAMES) -> TorqueLog:
+               interpolation: str = 'hold', links: Frames = NO_FRAMES,
+               account: Account | None = None) -> TorqueLog:
     """
     Turn the WrenchStamped messages of one epoch (see `epochs`) into a torque log.
 
@@ -138,16 +142,19 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     links : Frames
         The link frames of a URDF (see `urdf.fixed_frames`). A wrench in a link frame acts at the
         origin of that frame.
+    account : Account, optional
+        Counts the messages.
 
     Returns
     -------
     TorqueLog
+        Without the messages whose torque is not finite; `account` counts them.
 
     Raises
     ------
     InputError
-        `recorded` has neither messages nor a start state; a message has an unknown frame_id, no
-        stamp, or a torque that is not finite; a wrench in a turning frame does not point along
+        `recorded` has neither messages with a finite torque nor a start state; a message has an
+        unknown frame_id or no stamp; a wrench in a turning frame does not point along
         the axis of that frame; or the torques mix body axes and space axes, which only the
         interpolation 'hold' allows.
 
@@ -156,26 +163,33 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     if not len(recorded) and not recorded.start:
         lost = f' ({recorded.damage})' if recorded.damage else ''
         raise InputError(f'{where}: expected torques, found no messages{lost}')
-    torques, axes = _torques(where, recorded, (body_frame, space_frame, links))
+    account = account or Account()
+    account.notes += recorded.notes
+    piece = _torques(where, recorded, (body_frame, space_frame, links), account)
+    if len(recorded) and not len(piece.times_ns):
+        raise InputError(f'{where}: expected {FINITE}, found none among {len(recorded)} messages')
     if not recorded.start:  # a node never accepts a torque without a stamp
         check_stamped(where, recorded.stamps_ns)
-    in_space = np.array([name == 'space' for name in axes], np.bool_)[recorded.frames]
     try:
-        return TorqueLog(recorded.stamps_ns, torques, in_space, interpolation)
+        log = piece.log(interpolation)
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
+    account.finish(len(log.times_ns), FINITE, Path(path).suffix.lower() != '.csv')
+    return log
 
 
-def _torques(where: str, recorded: Messages,
-             frames: tuple[str, str, Frames]) -> tuple[Floats, list[str]]:
+def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
+             account: Account) -> Piece:
     """
-    Return the torques about the centre of mass, N m, shape (n, 3), and the axes of each frame_id.
+    Return the finite torques about the centre of mass, and count the messages.
 
     `frames` contains the body frame, the space frame and the link frames. If a message is invalid,
     raise an InputError that names the first such message.
     """
     axes, moved = [], {}
     for code, frame_id in enumerate(recorded.names):
+        if frame_id.startswith('/'):  # as in ROS 1
+            account.note(f'the leading slash of frame_id {quoted(frame_id)} is ignored')
         try:
             one, frame = messages.wrench_frame(frame_id, *frames)
         except ValueError as error:
@@ -185,8 +199,14 @@ def _torques(where: str, recorded: Messages,
         if frame:
             moved[code] = frame
     torques = _moved(where, recorded, moved) if moved else recorded.values[:, 3:]
-    _check_finite(where, recorded, torques, moved)
-    return torques, axes
+    in_space = np.array([name == 'space' for name in axes], np.bool_)[recorded.frames]
+    account.add(recorded.stamps_ns)
+    finite = np.asarray(np.isfinite(torques).all(axis=1))
+    piece = Piece(recorded.stamps_ns, torques, in_space)
+    if finite.all():
+        return piece
+    account.rejected += int(np.sum(~finite))
+    return piece.rows(finite)
 
 
 def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Floats:
@@ -203,19 +223,6 @@ def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Float
         row = min(off_axis)
         raise InputError(f'{where}: message {recorded.before + row + 1}: {off_axis[row]}')
     return torques
-
-
-def _check_finite(where: str, recorded: Messages, torques: Floats,
-                  moved: Collection[int]) -> None:
-    """Raise an InputError that names the first message whose torque is not finite."""
-    if np.isfinite(torques).all():
-        return
-    row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
-    source = f', from the wrench {recorded.values[row].tolist()} in frame ' \
-             f'{recorded.names[recorded.frames[row]]!r}' if recorded.frames[row] in moved else ''
-    raise InputError(f'{where}: message {recorded.before + row + 1} at '
-                     f'{recorded.stamps_ns[row]} ns: expected a finite torque, '
-                     f'found {torques[row].tolist()}{source}')
 
 
 def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
@@ -253,7 +260,7 @@ class Piece(NamedTuple):
     in_space: NDArray[np.bool_]
     stop: int | None = None
 
-    def rows(self, chosen: slice | NDArray[np.intp]) -> Piece:
+    def rows(self, chosen: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Piece:
         """Return a piece that contains only the chosen samples."""
         return Piece(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen])
 
@@ -271,35 +278,39 @@ class Piece(NamedTuple):
 
 
 def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space_frame: str,
-                  links: Frames = NO_FRAMES) -> Iterator[Piece]:
+                  links: Frames = NO_FRAMES, account: Account | None = None) -> Iterator[Piece]:
     """
     Turn blocks of messages into the pieces of a torque log that need not fit in memory.
 
     The samples are sorted by stamp, within each block and across two neighbouring blocks.
-    If several samples have the same stamp, only the one that was recorded last is kept.
+    If several samples have the same stamp, only the one that was recorded last is kept. Torques
+    that are not finite are left out. `account` counts the messages, until the last piece is
+    generated.
 
     Raises
     ------
     InputError
-        A message has an unknown frame_id, a torque is not finite, or a wrench in a turning frame
-        does not point along the axis of that frame.
+        A message has an unknown frame_id, or a wrench in a turning frame does not point along the
+        axis of that frame.
     NotInOrderError
         A message begins another epoch, has no stamp, or has a stamp that is not later than the
         last stamp in earlier pieces.
 
     """
-    piece = _EMPTY
-    for samples in _ascending(where, blocks, (body_frame, space_frame, links)):
+    piece, account, count = _EMPTY, account or Account(), 0
+    for samples in _ascending(where, blocks, (body_frame, space_frame, links), account):
+        count += len(samples.times_ns)
         piece = _concatenated(piece, samples)
         stop = len(piece.times_ns) - 1 - _NEIGHBOURS
         if stop >= _SAMPLES:
             yield piece._replace(stop=stop)
             piece = piece.rows(slice(stop - _NEIGHBOURS, None))
+    account.finish(count, FINITE)
     yield piece
 
 
 def _ascending(where: str, blocks: Iterable[Messages],
-               frames: tuple[str, str, Frames]) -> Iterator[Piece]:
+               frames: tuple[str, str, Frames], account: Account) -> Iterator[Piece]:
     """
     Generate the samples of all blocks, sorted by stamp.
 
@@ -310,13 +321,10 @@ def _ascending(where: str, blocks: Iterable[Messages],
     for block in blocks:
         if any(map(messages.is_epoch_marker, block.names)):
             raise NotInOrderError
-        torques, axes = _torques(where, block, frames)
-        in_space = np.array([name == 'space' for name in axes])[block.frames]
         first_ns = int(block.stamps_ns.min())
         if first_ns <= last_ns or not block.stamps_ns.all():
             raise NotInOrderError
-        waiting = _sorted(_concatenated(
-            waiting, Piece(block.stamps_ns, torques, in_space)))
+        waiting = _sorted(_concatenated(waiting, _torques(where, block, frames, account)))
         ready = int(np.searchsorted(waiting.times_ns, first_ns))
         if ready:
             last_ns = int(waiting.times_ns[ready - 1])

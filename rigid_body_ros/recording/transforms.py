@@ -16,16 +16,19 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 from rigid_body_ros.engine import kernels, RawMessages
 from rigid_body_ros.messages import MessageType
+from rigid_body_ros.messages.kinds import header_at, opened, text_at
 from rigid_body_ros.recording.bulk import BadMessageError, Decoded, Raw
 
 #: The doubles of a transform are preceded by at least this many bytes: a stamp and two empty
 #: names.
 _LEAST = 8 + 2 * 5
-#: The largest number of pairs of frames that `pairs` returns.
-_PAIRS = 7
+#: `pairs` stops when it has found this many pairs of frames.
+_MOST_PAIRS = 1000
 
 
 def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, Decoded]:
@@ -71,7 +74,9 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
 
 def pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
     """
-    Return the first few distinct pairs of frame_id and child_frame_id in messages.
+    Return the distinct pairs of frame_id and child_frame_id in messages.
+
+    Messages of the same size that share a transform are assumed to contain the same transforms.
 
     Raises
     ------
@@ -79,14 +84,32 @@ def pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
         A message does not match its type.
 
     """
-    found: list[tuple[str, str]] = []
+    found: dict[tuple[str, str], None] = {}
     rows = np.arange(len(raw.starts))
-    while rows.size and len(found) < _PAIRS:
+    while rows.size and len(found) < _MOST_PAIRS:
         try:
-            first = kind.decode(raw.message(rows[0]))
-        except ValueError as error:
+            names = _names(kind, raw.message(rows[0]))
+        except (ValueError, struct.error) as error:
             raise BadMessageError(int(rows[0]), str(error)) from error
-        found.append((first.frame_id, first.child_frame_id))
-        same, _ = decode(kind, raw, found[-1])
-        rows = rows[1:][~np.isin(raw.starts[rows[1:]], same.starts)]
-    return found
+        found |= dict.fromkeys(names)
+        alike = raw.sizes[rows] == raw.sizes[rows[0]]
+        if names:
+            same, _ = decode(kind, raw, names[0])
+            alike &= np.isin(raw.starts[rows], same.starts)
+            alike[0] = True
+        rows = rows[~alike]
+    return [*found]
+
+
+def _names(kind: MessageType, data: bytes) -> list[tuple[str, str]]:
+    """Return the frame_id and the child_frame_id of each transform in a message."""
+    body, order = opened(data)
+    count, offset, names = 1, 0, []
+    if kind.is_list:
+        (count,), offset = struct.unpack_from(order + 'I', body), 4
+    for _ in range(count):
+        _, frame_id, offset = header_at(body, offset, order)
+        child_frame_id, offset = text_at(body, offset, order)
+        names.append((frame_id, child_frame_id))
+        offset += -offset % 8 + 8 * kind.doubles
+    return names

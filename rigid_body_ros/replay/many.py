@@ -259,6 +259,6 @@ def _summary(result: Replay, output: str) -> str:
     lost = f'; lost: {result.damage}' if result.damage else ''
     warned = ''.join(f'; warning: {text}' for text in result.warnings)
     epochs = f'{len(result.earlier) + 1} epochs, the last: ' if result.earlier else ''
-    return (f'{epochs}{result.messages} torques, '
+    return (f'{epochs}{result.account.samples} torques, '
             f'{(result.last.time_ns - result.start.time_ns) * 1e-9:.9g} s -> {output}; '
             f'{result.check}{lost}{warned}')

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem, Trajectory
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.check import Check, LastDigits
 from rigid_body_ros.replay.gaps import Gaps
@@ -45,10 +46,8 @@ class Replay:
         The torque topics, separated by commas.
     wheel_source : str
         A phrase that says where the rotor torque comes from.
-    messages : int
-        The number of torque messages.
-    unordered : int
-        The number of messages whose stamp is not later than that of the message before.
+    account : Account
+        What became of the torque messages.
     first_ns, last_ns : int
         The first and last stamps of the torques and wheel commands, ns. If there are no torques or
         wheel commands, both stamps are the start time.
@@ -90,8 +89,7 @@ class Replay:
     interpolation: str
     topic: str
     wheel_source: str = ''
-    messages: int = 0
-    unordered: int = 0
+    account: Account = field(default_factory=Account)
     first_ns: int = 0
     last_ns: int = 0
     damage: str = ''
@@ -118,8 +116,8 @@ class Replay:
 
     @property
     def warnings(self) -> list[str]:
-        """Return the warnings about gaps between torques and about the limits of wheels."""
-        return [*(gaps.warning for gaps in self.gaps if gaps.warning),
+        """Return the warnings about lost torques, gaps between torques, and limits of wheels."""
+        return [*self.account.faults, *(gaps.warning for gaps in self.gaps if gaps.warning),
                 *(self.saturation.warnings if self.saturation else [])]
 
     def rows(self, digits: int = 15) -> list[tuple[str, object]]:
@@ -132,12 +130,11 @@ class Replay:
         speed = sum(map(_span, epochs)) / sum(seconds.values())
         return [
             *_earlier(self, digits),
-            ('torques', f'{self.messages} on {self.topic}, over '
+            ('torques', f'{self.account.samples} on {self.topic}, over '
                         f'{(self.last_ns - self.first_ns) * 1e-9:.9g} s'),
             *([('lost', self.damage)] if self.damage else []),
-            *([('order', f'{self.unordered} of {self.messages} stamps were not later than the '
-                         'previous one: sorted; of messages with equal stamps, the last is used')]
-              if self.unordered else []),
+            *([('account', self.account.counted)] if self.account.counted else []),
+            *(('note', text) for text in self.account.notes),
             *_longest_gap(self),
             *(('warning', text) for text in self.warnings),
             ('interpolation', interpolation_row(self.interpolation,

@@ -22,7 +22,7 @@ far out of order, or if they contain several epochs of a node.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
@@ -44,6 +44,7 @@ from rigid_body_ros.recording import (
     Topics,
     whole,
 )
+from rigid_body_ros.recording.account import merged
 from rigid_body_ros.replay import outputs
 from rigid_body_ros.replay.batches import Batch, Batches, Collector, INPUT, Request
 from rigid_body_ros.replay.check import drift, last_digits
@@ -66,6 +67,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            time_source: str = 'header', also: Collection[str] = (), keep: bool | None = None,
            wheel_torque: str | None = None, wheel_momentum: str | None = None,
            wheel_command: str | None = None, inertia: str | None = None,
+           columns: Mapping[str, str] | None = None,
            collect: Callable[[], Collector] | None = None) -> Replay:
     """
     Compute the motion of a body from the torques in a recording.
@@ -126,6 +128,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         The topic of the inertia, for a body whose inertia changes. By default, the topic `inertia`
         is read if the scene sets `inertia_topic` and the recording has that topic. If this topic
         is used, the whole recording is read into memory.
+    columns : mapping of str to str, optional
+        The columns of a CSV file: for each of time, tx, ty and tz, with its unit as in a heading,
+        the number of its column, which counts from 1, or its name.
     collect : callable, optional
         Returns an object that collects the motion. Each `Batch` is passed to the method `add` of
         this object. If there are several epochs, only the motion of the last epoch is collected.
@@ -144,7 +149,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
 
     """
     outputs.check_names(also)
-    given = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command)
+    given = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command, columns)
     given.check(scene)
     keep = output is None if keep is None else keep
     request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
@@ -189,7 +194,7 @@ def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoc
 def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequence[Epoch]:
     """Return all epochs, with the torques of each epoch as a single piece."""
     return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
-                    topics.wheel_source, each.messages, each.unordered, damage=each.damage),
+                    topics.wheel_source, each.account, damage=each.damage),
              Batches(request, ', '.join(each.topics), whole(each), each.problem, each.is_epoch))
             for each in epochs]
 
@@ -238,9 +243,9 @@ def _compute(request: Request, result: Replay, batches: Batches,
         if keep:
             kept.append(batch)
     result.interpolation_differences = batches.differences(result.last.attitude)
-    for stream in batches.streams:
-        result.messages += stream.counts.messages
-        result.unordered += stream.counts.unordered
+    accounts = {stream.topic: stream.account for stream in batches.streams if stream.account}
+    if accounts:
+        result.account = merged(accounts)
     if keep:
         result.problem = kept[0].problem
         result.trajectory = _joined(kept)

@@ -1,0 +1,190 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Account for the samples of a topic: each of them is used, or counted and named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+
+#: If more than this fraction of the samples is lost, no cause is named from the rest.
+_LOST = 0.01
+#: Largest deviation of the norm of a quaternion from 1. The limit allows for components that were
+#: rounded to three digits; the check of scenes uses the same limit.
+UNIT = 1e-2
+#: A step back of the stamps is a change of the clock, not a sample that arrived late, unless the
+#: stamps make up for more than this fraction of the step.
+_MADE_UP = 0.5
+
+
+@dataclass
+class Account:
+    """
+    What became of the samples of one topic.
+
+    Attributes
+    ----------
+    samples : int
+        The number of samples in the recording.
+    rejected : int
+        The number of samples without a usable value.
+    replaced : int
+        The number of samples that are not used because a later sample has the same stamp.
+    steps_back : int
+        How often the clock of the stamps went back. Samples that arrive late do not count; they
+        are sorted.
+    faults : list of str
+        Warnings about samples that are lost or doubtful. While there are any, no cause of an error
+        can be inferred.
+    notes : list of str
+        What was converted, assumed or left out.
+
+    """
+
+    samples: int = 0
+    rejected: int = 0
+    replaced: int = 0
+    steps_back: int = 0
+    faults: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    #: The previous block of stamps, the latest stamp, and how many stamps are not later than it.
+    _held: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
+    _latest_ns: int = field(default=-2 ** 63, repr=False)
+    _not_later: int = field(default=0, repr=False)
+    #: The number and the size in ns of each step back.
+    _steps: list[tuple[int, int]] = field(default_factory=list, repr=False)
+    #: The number of the first repeated sample.
+    _first_repeated: int = field(default=0, repr=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers and texts as JSON types."""
+        return {name: getattr(self, name) for name in (
+            'samples', 'rejected', 'replaced', 'steps_back', 'faults', 'notes')}
+
+    def add(self, stamps_ns: NDArray[np.int64]) -> None:
+        """Count the next block of samples, given their stamps in the order of the recording."""
+        earlier = self.samples - len(self._held)
+        stamps = np.concatenate([self._held, stamps_ns])
+        # Whether a stamp steps back or only arrives late, the next block may decide.
+        self._steps = [step for step in self._steps if step[0] <= earlier] + [
+            (earlier + row + 1, size_ns) for row, size_ns in _steps_back(stamps)]
+        self.steps_back = len(self._steps)
+        latest = np.maximum.accumulate(np.append(self._latest_ns, stamps_ns))
+        self._not_later += int(np.sum(stamps_ns <= latest[:-1]))
+        order = np.argsort(stamps, kind='stable')
+        repeated = order[:-1][np.diff(stamps[order]) == 0]
+        if repeated.size and not self._first_repeated:
+            self._first_repeated = earlier + int(repeated.min()) + 1
+        self._held, self._latest_ns = stamps_ns, int(latest[-1])
+        self.samples += len(stamps_ns)
+
+    def finish(self, used: int, expected: str, has_log_times: bool = True) -> None:
+        """
+        Name what was lost, after all samples have been added.
+
+        Parameters
+        ----------
+        used : int
+            The number of samples that are neither rejected nor replaced.
+        expected : str
+            What rejected samples lack.
+        has_log_times : bool
+            Whether the recording has other stamps, which the option --time-source selects.
+
+        """
+        self.replaced = self.samples - self.rejected - used
+        if self.rejected:
+            self._say(self.rejected, f'{self.rejected} of {self.samples} samples are rejected: '
+                      f'expected {expected}')
+        advice = ' (--time-source log uses the times of the recording)' if has_log_times else ''
+        repeated = f'{self.replaced} of {self.samples} samples have the same stamp as a later ' \
+                   f'one, which replaces them; the first is sample {self._first_repeated}'
+        if self._steps:
+            number, size_ns = self._steps[0]
+            more = f', and {len(self._steps) - 1} more times' if len(self._steps) > 1 else ''
+            # Until the stamps have caught up, samples of two times are mixed.
+            self._say(max(self._not_later, self.replaced), (
+                f'the stamps go back by {size_ns * 1e-9:.6g} s at sample {number}{more}: was the '
+                f'clock set, or do two publishers use the topic?{advice}')
+                + f' {repeated}' * bool(self.replaced))
+        elif self.replaced:
+            self._say(self.replaced, f'{repeated}: are the stamps rounded, or do two publishers '
+                      f'use the topic?{advice}')
+
+    @property
+    def counted(self) -> str:
+        """Return the numbers as text, or '' if all samples are used as they were recorded."""
+        late = self._not_later - self.replaced
+        counts = [f'{count} {what}' for count, what in (
+            (self.rejected, 'rejected'), (self.replaced, 'replaced by a later one of that stamp'),
+            (0 if self._steps else late, 'late and sorted'),
+            (self.steps_back, 'at which the clock goes back')) if count > 0]
+        used = self.samples - self.rejected - self.replaced
+        return f'{used} of {self.samples} samples are used: {", ".join(counts)}' if counts else ''
+
+    def note(self, text: str) -> None:
+        """Add a note, once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def _say(self, count: int, text: str) -> None:
+        """Add a fault if too many samples are concerned."""
+        if count > _LOST * self.samples:
+            self.faults.append(text)
+
+    def check_norms(self, quaternions: Floats) -> None:
+        """Count quaternions, shape (n, 4), without norm 1, and name the worst norm."""
+        norms = np.linalg.norm(quaternions, axis=1)
+        wrong = norms[np.abs(norms - 1.0) > UNIT]
+        if len(wrong):
+            worst = float(wrong[np.argmax(np.abs(wrong - 1.0))])
+            self._say(len(wrong), f'{len(wrong)} of {len(norms)} quaternions do not have norm 1; '
+                      f'the worst has norm {worst:.6g}: they are normalised, but are they '
+                      'rotations?')
+
+
+def merged(accounts: Mapping[str, Account]) -> Account:
+    """Return one account for several topics, by name; faults and notes then name the topic."""
+    if len(accounts) == 1:
+        return next(iter(accounts.values()))
+    total = Account()
+    for topic, account in accounts.items():
+        for name in ('samples', 'rejected', 'replaced', 'steps_back'):
+            setattr(total, name, getattr(total, name) + getattr(account, name))
+        total.faults += [f'{topic}: {text}' for text in account.faults]
+        total.notes += [f'{topic}: {text}' for text in account.notes]
+    return total
+
+
+def _steps_back(stamps_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return the index and the size, ns, of each step back of the clock of the stamps."""
+    steps = np.diff(stamps_ns)
+    back = np.flatnonzero(steps < 0) + 1
+    if not back.size:
+        return []
+    sizes, period = -steps[back - 1], max(float(np.median(np.abs(steps[steps != 0]))), 1.0)
+    # A sample that arrives late leaves a gap in the stamps before it or after it, which makes up
+    # for the step.
+    around = np.minimum(sizes / period, len(stamps_ns)).astype(np.intp) + 3
+    first = np.maximum(back - 1 - around, 0)
+    last = np.minimum(back + around, len(stamps_ns) - 1)
+    passed = stamps_ns[last] - stamps_ns[first]
+    is_step = passed < (last - first) * period - _MADE_UP * sizes
+    return [*zip(back[is_step].tolist(), (sizes[is_step] + round(period)).tolist())]
