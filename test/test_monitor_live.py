@@ -38,11 +38,11 @@ import numpy as np
 import pytest
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rigid_body_ros import messages
+from rigid_body_ros import messages, recording
 from rigid_body_ros.commands import main
 from rigid_body_ros.node.attitude_monitor import AttitudeMonitor
 from rigid_body_ros.recording import Writer
-from rigid_body_ros.recording.measurements import samples
+from rigid_body_ros.recording.quantities import of_messages
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
 
 pytestmark = pytest.mark.ros
@@ -67,11 +67,14 @@ def expected(session, found):
     monitor = Monitor(session.scene.problem(), settings_of(session.scene.values),
                       session.scene.actuators or ())
     for stamp_ns, topic, data in found:
-        values = TOPICS[topic][1].decode(data).values[None]
+        kind = TOPICS[topic][1]
+        values = kind.decode(data).values[None]
         if topic == '/torque':
             monitor.apply([stamp_ns], values[:, 3:])
         else:
-            monitor.measure(topic, [stamp_ns], *samples(TOPICS[topic][1], values))
+            recorded = recording.Messages(topic, np.array([stamp_ns]), np.zeros(1, int), [''],
+                                          values)
+            monitor.measure(topic, [stamp_ns], *of_messages(recorded, kind).usable)
     return [*monitor.judgements()]
 
 

@@ -136,6 +136,7 @@ class AttitudeMonitor(Node):
                                        for reason, count in monitor.skipped.items()}
         doubt = f'the last window was skipped: {monitor.last_skipped}' if monitor.last_skipped \
             else ''
+        notes = [f'{topic}: {note}' for topic, note in monitor.notes.items()]
         if last is None:
             return inputs.diagnostics.status(
                 'model', False, bool(doubt), '; '.join(filter(None, ['no window yet', doubt])),
@@ -145,7 +146,7 @@ class AttitudeMonitor(Node):
             doubt = f'no measurements since {error.end_ns} ns'
         return inputs.diagnostics.status(
             'model', last.level == ERROR, last.level == WARN or bool(doubt),
-            '; '.join(filter(None, [doubt, _described(last)])), {
+            '; '.join(filter(None, [doubt, _described(last), *notes])), {
                 'sigma': f'{last.sigma:.2f}', 'windows tested together': last.windows,
                 'largest component': last.axis, 'since (ns)': last.since_ns,
                 'end of the window (ns)': error.end_ns, 'outliers': error.outliers,

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 import time
@@ -28,7 +29,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rigid_body_ros import messages
-from rigid_body_ros.common.errors import listed, quoted
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.events import (
     APPLIED,
@@ -49,7 +50,10 @@ from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading,
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.drain import DrainCallback, subscription
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
-from rigid_body_ros.recording.measurements import KINDS, samples
+from rigid_body_ros.recording import Messages
+from rigid_body_ros.recording.account import Account
+from rigid_body_ros.recording.measurements import in_body_axes, Options, parts_of, QUANTITIES
+from rigid_body_ros.recording.quantities import KINDS, of_messages
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
@@ -100,9 +104,14 @@ class MonitorInputs:
     def __init__(self, node: Node, scene: Scene) -> None:
         self._node, self._scene = node, scene
         torques = sources_of(scene)
+        parts = [parts_of('', name) for name in scene.values['monitor.measured']]
         measured = [TorqueTopic(_FIRST_MEASURED + number, topic, '', f'measured {topic}',
                                 what='measurement')
-                    for number, topic in enumerate(scene.values['monitor.measured'])]
+                    for number, (_, topic, _) in enumerate(parts)]
+        #: What is not used of each measured topic, and how its frames are interpreted.
+        self._unused = {source.number: {*QUANTITIES} - {quantity} if quantity else ()
+                        for source, (*_, quantity) in zip(measured, parts)}
+        self._options = Options(None, scene.body_frame, scene.space_frame, scene.links)
         self.sources = {source.number: source for source in (*torques, *measured)}
         self.diagnostics = Diagnostics(node, [*self.sources.values()])
         self._history_ns = duration_ns(scene.history, 'history')
@@ -138,6 +147,7 @@ class MonitorInputs:
         #: What each measured topic contains: 1 for attitudes, 2 for angular velocities, and 3 for
         #: both.
         self._measured: dict[int, int] = {}
+        self._accounts = {number: Account('') for number in self._unused}
         #: When a message of each source was last accepted, in seconds on the monotonic clock.
         self._heard_at: dict[int, float] = {}
         #: When each source last kept up with the others, in seconds on the monotonic clock. A
@@ -187,6 +197,8 @@ class MonitorInputs:
             age = ages[number]
             if age is not None and age > longest > 0.0:
                 problems[number].append(f'{source.topic}: nothing for {age:.3g} s')
+            if number in self._accounts:
+                problems[number] += self._accounts[number].faults
         return problems
 
     def _found(self, source: TorqueTopic) -> list[str]:
@@ -322,8 +334,18 @@ class MonitorInputs:
 
     def _measure(self, kind: messages.MessageType, source: int, topic: str,
                  stamps_ns: NDArray[np.int64], found: Sequence[messages.Stamped]) -> None:
-        """Pass measurements to the monitor."""
-        attitude, rates = samples(kind, np.array([message.values for message in found]))
+        """Pass measurements to the monitor, converted to body axes."""
+        attitude, rates = np.full((len(found), 4), np.nan), np.full((len(found), 3), np.nan)
+        pairs = [(message.frame_id, message.child_frame_id) for message in found]
+        for pair in dict.fromkeys(pairs):
+            rows = np.array([each == pair for each in pairs])
+            recorded = Messages(topic, stamps_ns[rows], np.zeros(rows.sum(), np.intp), [pair[0]],
+                                np.array([message.values for message in found])[rows],
+                                pairs=(pair,))
+            with suppress(InputError):  # space axes, without an attitude
+                samples = in_body_axes(topic, of_messages(recorded, kind), recorded, kind,
+                                       self._options)
+                attitude[rows], rates[rows] = samples.without(self._unused[source]).usable
         sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])
         if sent.any():
             self._measured.setdefault(source, int(sent[sent > 0][0]))
@@ -334,6 +356,7 @@ class MonitorInputs:
             self.diagnostics.reject(RejectedError(
                 NOT_FINITE, 'expected a finite attitude, angular velocity or both, as in the '
                 'first message, found another'), source)
+        self._accounts[source].add(stamps_ns[usable])
         self._count(source, stamps_ns[usable], self.monitor.measure(
             topic, stamps_ns[usable], attitude[usable], rates[usable]))
 
@@ -368,13 +391,8 @@ class MonitorInputs:
         return message
 
     def _check_frame(self, kind: messages.MessageType, message: messages.Stamped) -> None:
-        space, body = self._scene.space_frame, self._scene.body_frame
-        expected = (body,) if kind in (messages.IMU, messages.VECTOR3) else \
-            (space, body) if kind.has_child_frame else (space,)
-        for frame, found in zip(expected, (message.frame_id, message.child_frame_id)):
-            if found not in ('', frame):
-                raise RejectedError(FRAME, f'frame_id: expected {quoted(frame)}, found '
-                                    f'{quoted(found)}')
+        if text := self._options.other_frames(kind, message.frame_id, message.child_frame_id):
+            raise RejectedError(FRAME, text)
 
     def complete_ns(self, now: float) -> int:
         """

@@ -27,11 +27,12 @@ from rigid_body_ros.common.arrays import Floats
 #: If more than this fraction of the samples is lost, no cause is named from the rest.
 _LOST = 0.01
 #: Largest deviation of the norm of a quaternion from 1. The limit allows for components that were
-#: rounded to three digits; the check of scenes uses the same limit.
+#: rounded to three digits.
 UNIT = 1e-2
 #: A step back of the stamps is a change of the clock, not a sample that arrived late, unless the
 #: stamps make up for more than this fraction of the step.
 _MADE_UP = 0.5
+_Stamps = NDArray[np.int64]
 
 
 @dataclass
@@ -41,123 +42,111 @@ class Account:
 
     Attributes
     ----------
+    advice : str
+        What to do about stamps that cannot be right; '' if there is no other source of stamps.
     samples : int
         The number of samples in the recording.
     rejected : int
         The number of samples without a usable value.
     replaced : int
         The number of samples that are not used because a later sample has the same stamp.
-    steps_back : int
-        How often the clock of the stamps went back. Samples that arrive late do not count; they
-        are sorted.
-    faults : list of str
-        Warnings about samples that are lost or doubtful. While there are any, no cause of an error
-        can be inferred.
+    steps : list of tuple
+        The number of the sample, and the size in ns, of each step back of the clock of the stamps.
+        Samples that only arrive late do not count; they are sorted.
     notes : list of str
         What was converted, assumed or left out.
 
     """
 
+    advice: str = ' (--time-source log uses the times of the recording)'
     samples: int = 0
     rejected: int = 0
     replaced: int = 0
-    steps_back: int = 0
-    faults: list[str] = field(default_factory=list)
+    steps: list[tuple[int, int]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    #: The previous block of stamps, the latest stamp, and how many stamps are not later than it.
-    _held: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
+    _others: list[str] = field(default_factory=list, repr=False)
+    #: The previous block of stamps, the latest stamp, how many stamps are not later than it, and
+    #: the number of the first repeated sample.
+    _held: _Stamps = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
     _latest_ns: int = field(default=-2 ** 63, repr=False)
     _not_later: int = field(default=0, repr=False)
-    #: The number and the size in ns of each step back.
-    _steps: list[tuple[int, int]] = field(default_factory=list, repr=False)
-    #: The number of the first repeated sample.
     _first_repeated: int = field(default=0, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers and texts as JSON types."""
-        return {name: getattr(self, name) for name in (
-            'samples', 'rejected', 'replaced', 'steps_back', 'faults', 'notes')}
+        return {'samples': self.samples, 'rejected': self.rejected, 'replaced': self.replaced,
+                'steps_back': len(self.steps), 'faults': self.faults, 'notes': self.notes}
 
-    def add(self, stamps_ns: NDArray[np.int64]) -> None:
-        """Count the next block of samples, given their stamps in the order of the recording."""
+    def add(self, stamps_ns: _Stamps, rejected: int = 0) -> None:
+        """
+        Count the next block of samples.
+
+        `stamps_ns` are the stamps of those that are not rejected, in the order of the recording.
+        """
         earlier = self.samples - len(self._held)
         stamps = np.concatenate([self._held, stamps_ns])
         # Whether a stamp steps back or only arrives late, the next block may decide.
-        self._steps = [step for step in self._steps if step[0] <= earlier] + [
+        self.steps = [step for step in self.steps if step[0] <= earlier] + [
             (earlier + row + 1, size_ns) for row, size_ns in _steps_back(stamps)]
-        self.steps_back = len(self._steps)
         latest = np.maximum.accumulate(np.append(self._latest_ns, stamps_ns))
         self._not_later += int(np.sum(stamps_ns <= latest[:-1]))
-        order = np.argsort(stamps, kind='stable')
-        repeated = order[:-1][np.diff(stamps[order]) == 0]
+        repeated = _repeated(stamps)
         if repeated.size and not self._first_repeated:
             self._first_repeated = earlier + int(repeated.min()) + 1
+        self.replaced += len(repeated) - len(_repeated(self._held))
         self._held, self._latest_ns = stamps_ns, int(latest[-1])
-        self.samples += len(stamps_ns)
+        self.samples += len(stamps_ns) + rejected
+        self.rejected += rejected
 
-    def finish(self, used: int, expected: str, has_log_times: bool = True) -> None:
-        """
-        Name what was lost, after all samples have been added.
-
-        Parameters
-        ----------
-        used : int
-            The number of samples that are neither rejected nor replaced.
-        expected : str
-            What rejected samples lack.
-        has_log_times : bool
-            Whether the recording has other stamps, which the option --time-source selects.
-
-        """
-        self.replaced = self.samples - self.rejected - used
-        if self.rejected:
-            self._say(self.rejected, f'{self.rejected} of {self.samples} samples are rejected: '
-                      f'expected {expected}')
-        advice = ' (--time-source log uses the times of the recording)' if has_log_times else ''
-        repeated = f'{self.replaced} of {self.samples} samples have the same stamp as a later ' \
-                   f'one, which replaces them; the first is sample {self._first_repeated}'
-        if self._steps:
-            number, size_ns = self._steps[0]
-            more = f', and {len(self._steps) - 1} more times' if len(self._steps) > 1 else ''
-            # Until the stamps have caught up, samples of two times are mixed.
-            self._say(max(self._not_later, self.replaced), (
-                f'the stamps go back by {size_ns * 1e-9:.6g} s at sample {number}{more}: was the '
-                f'clock set, or do two publishers use the topic?{advice}')
-                + f' {repeated}' * bool(self.replaced))
-        elif self.replaced:
-            self._say(self.replaced, f'{repeated}: are the stamps rounded, or do two publishers '
-                      f'use the topic?{advice}')
-
-    @property
-    def counted(self) -> str:
-        """Return the numbers as text, or '' if all samples are used as they were recorded."""
-        late = self._not_later - self.replaced
-        counts = [f'{count} {what}' for count, what in (
-            (self.rejected, 'rejected'), (self.replaced, 'replaced by a later one of that stamp'),
-            (0 if self._steps else late, 'late and sorted'),
-            (self.steps_back, 'at which the clock goes back')) if count > 0]
-        used = self.samples - self.rejected - self.replaced
-        return f'{used} of {self.samples} samples are used: {", ".join(counts)}' if counts else ''
+    def check_norms(self, quaternions: Floats) -> None:
+        """Name quaternions, shape (n, 4), without norm 1."""
+        norms = np.linalg.norm(quaternions, axis=1)
+        wrong = norms[np.abs(norms - 1.0) > UNIT]
+        if len(wrong) > _LOST * len(norms):
+            self._others.append(
+                f'{len(wrong)} of {len(norms)} quaternions do not have norm 1; the worst has norm '
+                f'{wrong[np.argmax(np.abs(wrong - 1.0))]:.6g}: they are normalised, but are they '
+                'rotations?')
 
     def note(self, text: str) -> None:
         """Add a note, once."""
         if text not in self.notes:
             self.notes.append(text)
 
-    def _say(self, count: int, text: str) -> None:
-        """Add a fault if too many samples are concerned."""
-        if count > _LOST * self.samples:
-            self.faults.append(text)
+    @property
+    def faults(self) -> list[str]:
+        """
+        Return warnings about samples that are lost or doubtful.
 
-    def check_norms(self, quaternions: Floats) -> None:
-        """Count quaternions, shape (n, 4), without norm 1, and name the worst norm."""
-        norms = np.linalg.norm(quaternions, axis=1)
-        wrong = norms[np.abs(norms - 1.0) > UNIT]
-        if len(wrong):
-            worst = float(wrong[np.argmax(np.abs(wrong - 1.0))])
-            self._say(len(wrong), f'{len(wrong)} of {len(norms)} quaternions do not have norm 1; '
-                      f'the worst has norm {worst:.6g}: they are normalised, but are they '
-                      'rotations?')
+        While there are any, no cause of an error can be inferred.
+        """
+        texts = [*self._others]
+        if self.rejected > _LOST * self.samples:
+            texts.append(f'{self.rejected} of {self.samples} samples are rejected: expected '
+                         'finite values, of a possible size')
+        repeated = f'{self.replaced} of {self.samples} samples have the same stamp as a later ' \
+                   f'one, which replaces them; the first is sample {self._first_repeated}'
+        if self.steps:  # until the stamps have caught up, samples of two times are mixed
+            number, size_ns = self.steps[0]
+            more = f', and {len(self.steps) - 1} more times' if len(self.steps) > 1 else ''
+            lost, text = self._not_later, (
+                f'the stamps go back by {size_ns * 1e-9:.6g} s at sample {number}{more}: was the '
+                f'clock set, or do two publishers use the topic?{self.advice}'
+                + f' {repeated}' * bool(self.replaced))
+        else:
+            lost, text = self.replaced, f'{repeated}: are the stamps rounded, or do two ' \
+                f'publishers use the topic?{self.advice}'
+        return [*texts, text] if lost > _LOST * self.samples else texts
+
+    @property
+    def counted(self) -> str:
+        """Return the numbers as text, or '' if all samples are used as they were recorded."""
+        late = 0 if self.steps else self._not_later - self.replaced
+        counts = [f'{count} {what}' for count, what in (
+            (self.rejected, 'rejected'), (self.replaced, 'replaced by a later one of that stamp'),
+            (late, 'late and sorted'), (len(self.steps), 'at which the clock goes back')) if count]
+        used = self.samples - self.rejected - self.replaced
+        return f'{used} of {self.samples} samples are used: {", ".join(counts)}' if counts else ''
 
 
 def merged(accounts: Mapping[str, Account]) -> Account:
@@ -166,14 +155,20 @@ def merged(accounts: Mapping[str, Account]) -> Account:
         return next(iter(accounts.values()))
     total = Account()
     for topic, account in accounts.items():
-        for name in ('samples', 'rejected', 'replaced', 'steps_back'):
+        for name in ('samples', 'rejected', 'replaced'):
             setattr(total, name, getattr(total, name) + getattr(account, name))
-        total.faults += [f'{topic}: {text}' for text in account.faults]
+        total._others += [f'{topic}: {text}' for text in account.faults]
         total.notes += [f'{topic}: {text}' for text in account.notes]
     return total
 
 
-def _steps_back(stamps_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
+def _repeated(stamps_ns: _Stamps) -> NDArray[np.intp]:
+    """Return the indices of the stamps that a later stamp repeats."""
+    order = np.argsort(stamps_ns, kind='stable')
+    return order[:-1][np.diff(stamps_ns[order]) == 0]
+
+
+def _steps_back(stamps_ns: _Stamps) -> list[tuple[int, int]]:
     """Return the index and the size, ns, of each step back of the clock of the stamps."""
     steps = np.diff(stamps_ns)
     back = np.flatnonzero(steps < 0) + 1

@@ -23,11 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording.account import Account
 
 #: Minimum number of samples needed for a comparison with a motion.
 FEWEST = 4
+#: A quantity that stays the same to the last bit is not measured if the other quantity of the same
+#: messages turns the body by more than this angle, rad.
+_TURNS = 0.1
 #: Largest accepted deviation of the norm of a quaternion from 1.
 _UNIT = 1e-6
 
@@ -146,3 +150,38 @@ class Measured:
                        angular_velocity=of(self.angular_velocity),
                        attitude_covariance=of(self.attitude_covariance),
                        rate_covariance=of(self.rate_covariance))
+
+
+def not_measured(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats) -> tuple[str, str]:
+    """
+    Tell which quantity of the same messages is not measured, because it never changes.
+
+    An Imu message whose publisher does not know the orientation often contains the identity.
+
+    Parameters
+    ----------
+    stamps_ns : array of int64, shape (n,)
+        Ascending stamps.
+    attitude : array, shape (n, 4)
+        Quaternions.
+    rates : array, shape (n, 3), rad/s
+        Angular velocities.
+
+    Returns
+    -------
+    name, note : str
+        'attitude', 'rates' or '', and why.
+
+    """
+    if not len(stamps_ns):
+        return '', ''
+    steps = 1e-9 * np.diff(stamps_ns, append=stamps_ns[-1])[:, None]
+    turned = float(np.linalg.norm(np.cumsum(rates * steps, axis=0), axis=1).max())
+    if turned > _TURNS and (attitude == attitude[0]).all():
+        return 'attitude', f'the attitude is not used: it is {attitude[0].tolist()} in all ' \
+            f'messages, although their angular velocity turns the body by {turned:.3g} rad'
+    turned = float(so3.angle_between(*map(so3.normalize, (attitude[:1], attitude))).max())
+    if turned > _TURNS and not rates.any():
+        return 'rates', 'the angular velocity is not used: it is zero in all messages, although ' \
+            f'their attitude turns by {turned:.3g} rad'
+    return '', ''

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
-from rigid_body_ros.mechanics.frames import Frames, NO_FRAMES, TurningFrame
+from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, TurningFrame
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import Messages, Source
 from rigid_body_ros.recording.chains import chained, STATIC
@@ -40,7 +40,7 @@ _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 #: Message types whose frame_id names the axes of a sensor.
 _OF_SENSOR = (messages.IMU, messages.VECTOR3)
 #: What of a topic is read, after a colon, as in /imu:rates.
-_QUANTITIES = ('attitude', 'rates')
+QUANTITIES = ('attitude', 'rates')
 
 
 class Options(NamedTuple):
@@ -77,6 +77,30 @@ class Options(NamedTuple):
     time_source: str = 'header'
     columns: Mapping[str, str] | None = None
     track: Track = no_progress
+
+    def link(self, frame_id: str) -> Frame | None:
+        """Return the frame of a link that is fixed to the body; None if there is no such link."""
+        frame = self.links.get(frame_id.removeprefix('/'))
+        return None if isinstance(frame, TurningFrame) else frame
+
+    def other_frames(self, kind: MessageType, frame_id: str, child_frame_id: str) -> str:
+        """
+        Describe the frames of a message if `in_body_axes` cannot convert it.
+
+        Return an empty string if the frames are those of the scene or can be converted.
+        """
+        space, body = ['', self.space_frame], ['', self.body_frame]
+        if kind in (messages.IMU, messages.ODOMETRY):
+            body.append(self.space_frame)
+        names = [frame_id] if kind in _OF_SENSOR else [frame_id, child_frame_id]
+        expected = [body] if kind in _OF_SENSOR else [space, body]
+        if all(name.removeprefix('/') in known or (known is body and self.link(name))
+               for name, known in zip(names, expected)):
+            return ''
+        if kind.has_child_frame:
+            return f'expected frames {quoted(space[1])} to {quoted(body[1])}, found ' \
+                   f'{quoted(frame_id)} to {quoted(child_frame_id)}'
+        return f'expected frame_id {quoted(expected[0][1])}, found {quoted(frame_id)}'
 
 
 def read_measured(path: str | Path, topic: str | None = None, **options: Any) -> Measured:
@@ -159,7 +183,7 @@ def parts_of(path: str | Path, name: str) -> tuple[str | Path, str, str]:
     quantity is 'attitude', 'rates', or '' for both. The default file is `path`.
     """
     head, _, quantity = name.rpartition(':')
-    name, quantity = (head, quantity) if quantity in _QUANTITIES and head else (name, '')
+    name, quantity = (head, quantity) if quantity in QUANTITIES and head else (name, '')
     if is_text_file(name):
         return name, '', quantity
     file, _, topic = name.rpartition(':')
@@ -180,10 +204,8 @@ def _read(path: str | Path, name: str | None, options: Options) -> list[Measured
         found = in_body_axes(where, found, recorded, kind, options)
     else:
         found = of_table(file, options.columns)
-    if quantity == 'attitude':
-        found = replace(found, rates=None)
-    elif quantity:
-        found = replace(found, attitude=None)
+    if quantity:
+        found = found.without({*QUANTITIES} - {quantity})
     label = f'{label}:{quantity}'.rstrip(':')
     has_log_times = bool(topic) and options.time_source == 'header'
     return [replace(sensor, frames=frames) for sensor
@@ -262,32 +284,20 @@ def in_body_axes(where: str, found: Samples, recorded: Messages, kind: MessageTy
                                  f'velocity in body axes, found {shortened(quoted(name))} (space '
                                  'axes)')
             found = found.rates_from_space(rows, quoted(name))
-        elif frame in options.links and not options.links[frame].is_aligned \
-                and not isinstance(options.links[frame], TurningFrame):
-            found = found.from_link(rows, options.links[frame].rotation, quoted(name))
+        elif (link := options.link(name)) and not link.is_aligned:
+            found = found.from_link(rows, link.rotation, quoted(name))
     return found
 
 
 def _other_frames(where: str, recorded: Messages, kind: MessageType, options: Options) -> str:
     """
-    Describe the frames of messages that differ from those of the scene and cannot be converted.
+    Describe the frames of messages that are not those of the scene and cannot be converted.
 
     Return an empty string if there are no such frames.
     """
-    expected = options.space_frame, options.body_frame
-    known = '', expected[1], expected[0], *options.links
-    if kind.has_child_frame:
-        pairs = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
-        if len(pairs) > 1:
-            raise InputError(f'{where}: expected one pair of frames, found {listed(pairs)}; '
-                             'choose one with --frames')
-        same = all(parent.removeprefix('/') in ('', expected[0]) and child.removeprefix('/') in
-                   (known if kind is messages.ODOMETRY else ('', expected[1], *options.links))
-                   for parent, child in recorded.pairs)
-        return '' if same else f'expected frames {quoted(expected[0])} to ' \
-                               f'{quoted(expected[1])}, found {pairs[0]}'
-    is_of_body = kind in _OF_SENSOR
-    others = [quoted(name) for name in recorded.names
-              if name.removeprefix('/') not in (known if is_of_body else ('', expected[0]))]
-    return f'expected frame_id {quoted(expected[is_of_body])}, found {listed(others)}' \
-        if others else ''
+    if len(recorded.pairs) > 1:
+        texts = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
+        raise InputError(f'{where}: expected one pair of frames, found {listed(texts)}; choose '
+                         'one with --frames')
+    pairs = [*recorded.pairs] if kind.has_child_frame else [(name, '') for name in recorded.names]
+    return '; '.join(filter(None, (options.other_frames(kind, *pair) for pair in pairs)))

@@ -35,6 +35,7 @@ from rigid_body_ros.recording import source
 from rigid_body_ros.recording.account import Account, merged
 from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import Messages
+from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.recording.torques import check_stamped, epochs, torque_log
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import load, Scene
@@ -200,7 +201,8 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
     """
     body, measured = [*parts], None
     every = [*parts, *([] if momentum is None else [momentum])]
-    accounts = {one.topic: Account() for one in every}
+    advice = '' if is_text_file(str(path)) else Account.advice
+    accounts = {one.topic: Account(advice) for one in every}
     efforts = _efforts(path, body.pop()) if topics.wheel_command else None
     changes = _changes(path, body.pop(), scene) if topics.inertia else None
     wheels = _wheel_log(path, body.pop(), scene, interpolation, accounts) \
@@ -231,7 +233,6 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
     for one in every:
         if accounts[one.topic].samples < len(one):  # not a torque
             accounts[one.topic].add(one.stamps_ns)
-            accounts[one.topic].finish(len(np.unique(one.stamps_ns)), '')
     return Logged(problem, measured is not None, merged(accounts), begin is not None, damage,
                   tuple(accounts))
 

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -31,19 +31,15 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.headings import ATTITUDE, RATES
-from rigid_body_ros.recording.measured import FEWEST, Measured
+from rigid_body_ros.recording.measured import FEWEST, Measured, not_measured
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.recording.text_files import is_sample, Table
 
 #: A value whose variance is at least this large, rad^2 or rad^2/s^2, counts as not measured.
 _MEANINGLESS = 1e3
-#: A quantity that stays the same to the last bit is not measured if the other quantity of the same
-#: messages says that the body turns by more than this angle, rad.
-_TURNS = 0.1
 #: Attitudes and angular velocities are one sensor if at least this fraction of the messages that
 #: contain one of them contains both.
 _TOGETHER = 0.9
-_FINITE = f'a finite attitude, and a finite angular velocity up to {FASTEST:g} rad/s'
 _Mask = NDArray[np.bool_]
 
 
@@ -155,21 +151,27 @@ class Samples:
             return self
         both = np.flatnonzero(self.attitude.is_usable & self.rates.is_usable)
         both = both[np.argsort(self.stamps_ns[both], kind='stable')]
-        attitude, rates = self.attitude.values[both], self.rates.values[both]
-        if not len(both):
-            return self
-        steps = 1e-9 * np.diff(self.stamps_ns[both], append=self.stamps_ns[both[-1]])
-        turned = np.linalg.norm(np.cumsum(rates * steps[:, None], axis=0), axis=1).max()
-        if turned > _TURNS and (attitude == attitude[0]).all():
-            return replace(self, attitude=None, notes=(
-                *self.notes, f'the attitude is not used: it is {attitude[0].tolist()} in all '
-                f'messages, although their angular velocity turns the body by {turned:.3g} rad'))
-        turned = so3.angle_between(so3.normalize(attitude[:1]), so3.normalize(attitude)).max()
-        if turned > _TURNS and not rates.any():
-            return replace(self, rates=None, notes=(
-                *self.notes, 'the angular velocity is not used: it is zero in all messages, '
-                f'although their attitude turns by {turned:.3g} rad'))
-        return self
+        name, note = not_measured(self.stamps_ns[both], self.attitude.values[both],
+                                  self.rates.values[both])
+        return replace(self.without([name]), notes=(*self.notes, note)) if name else self
+
+    def without(self, names: Collection[str]) -> Samples:
+        """Drop quantities: 'attitude', 'rates'."""
+        return replace(self, attitude=None if 'attitude' in names else self.attitude,
+                       rates=None if 'rates' in names else self.rates)
+
+    @property
+    def usable(self) -> tuple[Floats, Floats]:
+        """
+        Return unit quaternions, shape (n, 4), and angular velocities, rad/s, shape (n, 3).
+
+        Values that are not measured or not usable are NaN.
+        """
+        attitude, rates = (np.full((len(self.stamps_ns), size), np.nan) for size in (4, 3))
+        for values, quantity in ((attitude, self.attitude), (rates, self.rates)):
+            if quantity:
+                values[quantity.is_usable] = quantity.values[quantity.is_usable]
+        return so3.normalize(attitude), rates
 
     def sensors(self, where: str, topic: str, has_log_times: bool) -> Iterator[Measured]:
         """
@@ -184,7 +186,7 @@ class Samples:
         topic : str
             The name of the sensor.
         has_log_times : bool
-            See `Account.finish`.
+            Whether the recording has other stamps, which the option --time-source selects.
 
         Raises
         ------
@@ -216,10 +218,9 @@ class Samples:
             raise InputError(f'{where}: expected at least {FEWEST} messages with a finite '
                              f'attitude or angular velocity, found {count} among '
                              f'{len(given)}{lost}')
-        account = Account(rejected=int(given.sum()) - count, notes=[*self.notes])
-        account.add(self.stamps_ns[given])
+        account = Account(Account.advice if has_log_times else '', notes=[*self.notes])
+        account.add(self.stamps_ns[usable], int(given.sum()) - count)
         rows = _ordered(where, self.stamps_ns, np.flatnonzero(usable), has_log_times)
-        account.finish(len(rows), _FINITE, has_log_times)
         attitude, rates = (quantities.get(name) for name in ('attitude', 'rates'))
         if attitude:
             account.check_norms(attitude.values[usable])
@@ -259,35 +260,6 @@ def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Samp
         return Quantity(found, given, given & is_possible(found))
     return Samples(stamps_ns, quantity(ATTITUDE, _is_rotation), quantity(RATES, _is_slow),
                    notes=tuple(table.notes))
-
-
-def samples(kind: MessageType, values: Floats) -> tuple[Floats, Floats]:
-    """
-    Extract attitudes and angular velocities from messages, with NaN for unmeasured values.
-
-    Parameters
-    ----------
-    kind : MessageType
-        One of `KINDS`.
-    values : array, shape (n, doubles)
-        The doubles of the messages.
-
-    Returns
-    -------
-    attitude : array, shape (n, 4)
-        Unit quaternions x, y, z, w.
-    angular_velocity : array, shape (n, 3), rad/s
-
-    """
-    layout, found = _LAYOUTS[kind], (np.full((len(values), 4), np.nan),
-                                     np.full((len(values), 3), np.nan))
-    attitude = _quantity(values, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
-    rates = _quantity(values, layout.rates, layout.rate_covariance, kind, _is_slow)
-    if attitude:
-        found[0][attitude.is_usable] = so3.normalize(attitude.values[attitude.is_usable])
-    if rates:
-        found[1][rates.is_usable] = rates.values[rates.is_usable]
-    return found
 
 
 def _is_rotation(attitude: Floats) -> _Mask:

@@ -27,6 +27,7 @@ from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.problem import check_axes, Logged
 from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import Messages, Source, TORQUES
+from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.recording.torques import first_epoch, NotInOrderError, Piece, torque_pieces
 from rigid_body_ros.runtime.terminal import Track
 from rigid_body_ros.scene import Scene
@@ -157,7 +158,7 @@ class Streams:
     def _begun(self, source: Source) -> tuple[State | None, Stream]:
         scene, on_rotors = self._scene, source.topic == self._wheel_torque
         start, blocks = first_epoch(self._path, iter(self._track(source, source.count)))
-        account = Account()
+        account = Account('' if is_text_file(str(self._path)) else Account.advice)
 
         def checked() -> Iterator[Messages]:
             for block in blocks:

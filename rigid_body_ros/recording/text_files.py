@@ -218,8 +218,7 @@ class Table:
         if first * 10 ** 9 > messages.LAST_NS:
             for unit_ns in (10 ** 6, 10 ** 3, 1):
                 if _RECENT_NS <= first * unit_ns <= messages.LAST_NS:
-                    return self._noted(unit_ns, f'because the first, {first}, is then a time since '
-                                       '1970')
+                    return self._noted(unit_ns, f'because {first} is then a time since 1970')
         if len(stamps) < _FEWEST or any(stamp != stamp.to_integral_value() for stamp in stamps):
             return Decimal(10 ** 9)
         return self._plausible_unit(np.array([*map(float, stamps)]), lines)
@@ -307,7 +306,7 @@ def _number(text: str, factor: Decimal | float | None) -> float:
 def _finite(text: str) -> Decimal:
     """Return a time. A double could not resolve nanoseconds in a time since 1970."""
     time = Decimal(text)
-    if not time.is_finite() or time and time.adjusted() > _MOST_DIGITS:
+    if not time.is_finite() or (time and time.adjusted() > _MOST_DIGITS):
         raise ValueError
     return time or Decimal(0)  # without an exponent that `int` would expand
 

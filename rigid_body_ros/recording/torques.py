@@ -37,8 +37,6 @@ from rigid_body_ros.recording.source import Messages
 #: Ten years, ns. A stamp below this limit is simulated time. Wall-clock time counts from 1970 and
 #: is always above it.
 _SIMULATED_NS = 315_576_000 * 10 ** 9
-#: What a rejected message lacks.
-FINITE = 'a finite torque'
 #: Approximate number of samples in a piece.
 _SAMPLES = 2 ** 13
 #: Consecutive pieces overlap, because cubic interpolation needs neighbouring samples. The next
@@ -167,15 +165,14 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     account.notes += recorded.notes
     piece = _torques(where, recorded, (body_frame, space_frame, links), account)
     if len(recorded) and not len(piece.times_ns):
-        raise InputError(f'{where}: expected {FINITE}, found none among {len(recorded)} messages')
+        raise InputError(f'{where}: expected a finite torque, found none among {len(recorded)} '
+                         'messages')
     if not recorded.start:  # a node never accepts a torque without a stamp
         check_stamped(where, recorded.stamps_ns)
     try:
-        log = piece.log(interpolation)
+        return piece.log(interpolation)
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
-    account.finish(len(log.times_ns), FINITE, Path(path).suffix.lower() != '.csv')
-    return log
 
 
 def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
@@ -200,13 +197,11 @@ def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
             moved[code] = frame
     torques = _moved(where, recorded, moved) if moved else recorded.values[:, 3:]
     in_space = np.array([name == 'space' for name in axes], np.bool_)[recorded.frames]
-    account.add(recorded.stamps_ns)
-    finite = np.asarray(np.isfinite(torques).all(axis=1))
-    piece = Piece(recorded.stamps_ns, torques, in_space)
-    if finite.all():
-        return piece
-    account.rejected += int(np.sum(~finite))
-    return piece.rows(finite)
+    piece, finite = Piece(recorded.stamps_ns, torques, in_space), np.isfinite(torques).all(axis=1)
+    if not np.all(finite):
+        piece = piece.rows(np.flatnonzero(finite))
+    account.add(piece.times_ns, len(recorded) - len(piece.times_ns))
+    return piece
 
 
 def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Floats:
@@ -260,7 +255,7 @@ class Piece(NamedTuple):
     in_space: NDArray[np.bool_]
     stop: int | None = None
 
-    def rows(self, chosen: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Piece:
+    def rows(self, chosen: slice | NDArray[np.intp]) -> Piece:
         """Return a piece that contains only the chosen samples."""
         return Piece(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen])
 
@@ -284,8 +279,7 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space
 
     The samples are sorted by stamp, within each block and across two neighbouring blocks.
     If several samples have the same stamp, only the one that was recorded last is kept. Torques
-    that are not finite are left out. `account` counts the messages, until the last piece is
-    generated.
+    that are not finite are left out. `account` counts the messages as they are read.
 
     Raises
     ------
@@ -297,15 +291,14 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space
         last stamp in earlier pieces.
 
     """
-    piece, account, count = _EMPTY, account or Account(), 0
-    for samples in _ascending(where, blocks, (body_frame, space_frame, links), account):
-        count += len(samples.times_ns)
+    piece = _EMPTY
+    for samples in _ascending(where, blocks, (body_frame, space_frame, links),
+                              account or Account()):
         piece = _concatenated(piece, samples)
         stop = len(piece.times_ns) - 1 - _NEIGHBOURS
         if stop >= _SAMPLES:
             yield piece._replace(stop=stop)
             piece = piece.rows(slice(stop - _NEIGHBOURS, None))
-    account.finish(count, FINITE)
     yield piece
 
 

@@ -64,6 +64,8 @@ _UNIT = 1e-2
 _FAST = 10.0
 #: Matches the topic names that ROS accepts.
 _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
+#: Matches a topic of which one quantity may be chosen.
+_MEASURED = re.compile(_TOPIC.pattern + '(:attitude|:rates)?')
 
 
 @dataclass(frozen=True)
@@ -356,7 +358,8 @@ def _check_text(name: str, text: str) -> None:
 
 def _check_topics(key: str, names: Sequence[Any]) -> None:
     for number, name in enumerate(names):
-        if not isinstance(name, str) or not _TOPIC.fullmatch(name):
+        pattern = _MEASURED if key == 'monitor.measured' else _TOPIC
+        if not isinstance(name, str) or not pattern.fullmatch(name):
             raise InputError(f'{key}: expected names of topics (letters, digits, _ and /), '
                              f'found {quoted(name)}')
         if name in names[:number]:

@@ -30,7 +30,8 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.segment import WHEELS
-from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.account import Account
+from rigid_body_ros.recording.measured import Measured, not_measured
 from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel, noises_of
 from rigid_body_ros.sensing.windows import window_error
 
@@ -112,6 +113,8 @@ class Monitor:
     awaited : set of int
         Sources whose torque is unknown until their first message arrives. The torque of any other
         source is zero until its first message arrives.
+    notes : dict of str to str
+        For topics of which a quantity was not used in the last window: why.
 
     """
 
@@ -136,6 +139,7 @@ class Monitor:
         self.newest_ns, self.skipped, self.last_skipped = 0, Counter[str](), ''
         self.last: Judgement | None = None
         self.awaited: set[int] = set()
+        self.notes: dict[str, str] = {}
 
     def apply(self, times_ns: ArrayLike, torques: Floats, in_space: ArrayLike = False,
               source: int = 0) -> NDArray[np.bool_]:
@@ -190,6 +194,8 @@ class Monitor:
             sensors = [measured for topic, rows in sorted(self._sensors.items())
                        if (measured := _measured(topic, rows, begin_ns, end_ns))]
             levels = [self._noise(sensor.topic) for sensor in sensors]
+            self.notes = {sensor.topic: note for sensor in sensors for note
+                          in sensor.account.notes}
             error = None
             if not (reason := self._unknown(begin_ns, end_ns)):
                 try:
@@ -371,5 +377,9 @@ def _measured(topic: str, rows: _Rows, begin_ns: int, end_ns: int) -> Measured |
     if not len(stamps_ns):
         return None
     attitude, rates = values[:, :4], values[:, 4:]
-    return Measured(topic, stamps_ns, None if np.isnan(attitude).any() else attitude,
-                    None if np.isnan(rates).any() else rates)
+    constant, note = ('', '') if np.isnan(values).any() else \
+        not_measured(stamps_ns, attitude, rates)
+    return Measured(topic, stamps_ns,
+                    None if np.isnan(attitude).any() or constant == 'attitude' else attitude,
+                    None if np.isnan(rates).any() or constant == 'rates' else rates,
+                    account=Account(notes=[note] if note else []))
