@@ -152,7 +152,7 @@ def test_a_second_topic_has_to_be_told_from_the_first(tmp_path, form):
     path = FORMS[form](tmp_path, sorted(both, key=lambda one: one.stamp_ns))
     assert read_whole(path, topic='/left').rows() == ALONE.rows()
     assert read_whole(path, topic='/right').rows() == MIXED.rows()
-    with pytest.raises(InputError, match='found /left, /right; choose one with --topic'):
+    with pytest.raises(InputError, match='found /left .*, /right .*; choose one with --topic'):
         recording.read(path)
 
 
@@ -174,7 +174,7 @@ def test_a_wrench_without_a_header_has_the_time_of_its_publisher_where_wanted(tm
 @pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-zstd-unindexed', 'bare-sqlite3'])
 def test_other_topics_alone_are_no_torques(tmp_path, form):
     path = FORMS[form](tmp_path, [one for one in SENT['others'] if one.topic != '/torque'])
-    with pytest.raises(InputError, match='found none'):
+    with pytest.raises(InputError, match='found /chatter .std_msgs/msg/String., /imu '):
         recording.read(path)
 
 

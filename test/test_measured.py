@@ -460,7 +460,8 @@ def bad_recordings(measured):
     yield nan, 'found 0 among 100', ()
     yield late, '/pose: expected measurements during the motion', ()
     yield unstamped, 'use --time-source log', ()
-    yield measured, 'expected a topic /mocap, found /torque, /pose', ('--measured', '/mocap')
+    yield measured, 'expected a topic /mocap, found /torque (geometry_msgs/msg/', (
+        '--measured', '/mocap')
     yield measured, '/torque: expected geometry_msgs/msg/QuaternionStamped or', (
         '--measured', '/torque')
     yield measured, '--measured: expected each topic once', (

@@ -214,7 +214,9 @@ def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
         for topic in ('/left', '/right'):
             writer.add_topic(topic, messages.WRENCH)
             writer.write(topic, 1, messages.wrench(1, '', [1.0, 0.0, 0.0]))
-    with pytest.raises(InputError, match='expected one topic of .*; choose one with --topic'):
+    with pytest.raises(InputError, match=re.escape(
+            'found /left (geometry_msgs/msg/WrenchStamped), /right '
+            '(geometry_msgs/msg/WrenchStamped); choose one with --topic')):
         recording.read(path)
     assert recording.read(path, '/right').topic == '/right'
 
@@ -243,13 +245,29 @@ def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, messa
 
 
 @pytest.mark.parametrize(('topic', 'message'), [
-    ('/none', 'expected a topic /none, found /torque, /truth/attitude, '
-              '/truth/angular_velocity'),
+    ('/none', 'expected a topic /none, found /torque (geometry_msgs/msg/WrenchStamped), '
+              '/truth/attitude (geometry_msgs/msg/QuaternionStamped), '
+              '/truth/angular_velocity (geometry_msgs/msg/Vector3Stamped)'),
     ('/truth/attitude', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or '
                         'geometry_msgs/msg/Wrench, found geometry_msgs/msg/QuaternionStamped')])
 def test_a_topic_that_does_not_fit_is_named(topic, message):
-    with pytest.raises(InputError, match=f'iss.mcap: {message}'):
+    with pytest.raises(InputError, match=f'iss.mcap: {re.escape(message)}'):
         recording.read(RECORDINGS / 'iss.mcap', topic)
+
+
+def test_if_no_topic_fits_all_topics_are_listed_with_their_types(tmp_path):
+    path = tmp_path / 'other.mcap'
+    with open(path, 'wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2')
+        writer.register_channel('/imu', 'cdr', writer.register_schema(
+            'sensor_msgs/msg/Imu', 'ros2msg', b''))
+        writer.register_channel('/raw', 'cdr', 0)
+        writer.finish()
+    with pytest.raises(InputError, match=re.escape('WrenchStamped or geometry_msgs/msg/Wrench, '
+                                                   'found /imu (sensor_msgs/msg/Imu), '
+                                                   '/raw (no type)')):
+        recording.read(path)
 
 
 def test_a_message_that_is_not_what_its_schema_says_is_named(tmp_path):

@@ -264,7 +264,7 @@ def bad_input(name, tmp_path):
 @pytest.mark.parametrize(('name', 'message'), [
     ('missing', 'missing.mcap: cannot read the recording: No such file or directory'),
     ('not mcap', 'not.mcap: expected an MCAP file'),
-    ('topic', 'good.mcap: expected a topic /wrench, found /torque'),
+    ('topic', 'good.mcap: expected a topic /wrench, found /torque (geometry_msgs/msg/'),
     ('type', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or geometry_msgs/msg/'),
     ('empty', 'empty.mcap: /torque: expected torques, found no message'),
     ('nan', 'nan.mcap: /torque: expected a finite torque, found none among 1 messages'),

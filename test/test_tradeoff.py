@@ -540,6 +540,7 @@ def test_of_several_topics_one_is_named(tmp_path, capsys):
                 writer.write(topic, stamp_ns, messages.wrench(stamp_ns, '', (0.01, 0.0, 0.0)))
     arguments = [*TUMBLER, '--recording', str(path), '--json', str(figures)]
     assert main.attitude_tradeoff(arguments) == 2
-    assert 'found /one, /other; choose one with --topic' in capsys.readouterr().err
+    assert ('found /one (geometry_msgs/msg/WrenchStamped), /other (geometry_msgs/msg/'
+            'WrenchStamped); choose one with --topic') in capsys.readouterr().err
     assert main.attitude_tradeoff([*arguments, '--topic', '/other']) == 0
     assert json.loads(figures.read_text())['whole_s'] == 5.0

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -354,12 +354,16 @@ def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
         if len(fitting) != 1:
             advice = '; choose one with --topic' if fitting else ''
             raise InputError(f'{path}: expected one topic of type {expected}, '
-                             f'found {listed(fitting)}{advice}')
+                             f'found {_listed(types, fitting or types)}{advice}')
         topic = fitting[0]
     if topic not in types:
         raise InputError(f'{path}: expected a topic {shortened(topic, 100)}, '
-                         f'found {listed(types)}')
+                         f'found {_listed(types, types)}')
     if topic not in fitting:
         raise InputError(f'{path}: {shortened(topic, 100)}: expected {expected}, '
                          f'found {shortened(types[topic], 100) or "no type"}')
     return topic, by_name[types[topic]]
+
+
+def _listed(types: dict[str, str], topics: Iterable[str]) -> str:
+    return listed([f'{topic} ({types[topic] or "no type"})' for topic in topics])
