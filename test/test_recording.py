@@ -389,14 +389,15 @@ def test_a_double_survives_the_file_to_the_last_bit(tmp_path):
     assert struct.pack('<3d', *torque_log(path).torques[0]) == struct.pack('<3d', *torque)
 
 
-def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, message=None):
-    """Write a torque whose schema has the given definition."""
+def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, message=None,
+               name=None, message_encoding='cdr'):
+    """Write a torque whose schema has the given definition and, if it is not None, name."""
     message = message or messages.wrench(EPOCH_NS, '', [1.0, 2.0, 3.0])
     with open(path, 'wb') as stream:
         writer = McapWriter(stream)
         writer.start('ros2')
-        schema = writer.register_schema(kind.name, encoding, definition.encode())
-        channel = writer.register_channel('/torque', 'cdr', schema)
+        schema = writer.register_schema(name or kind.name, encoding, definition.encode())
+        channel = writer.register_channel('/torque', message_encoding, schema)
         writer.add_message(channel, EPOCH_NS, message, EPOCH_NS)
         writer.finish()
     return path
@@ -441,6 +442,28 @@ def test_another_definition_in_idl_is_refused(tmp_path, standard, other, expecte
     with pytest.raises(InputError, match=re.escape(f'expected {expected} in')) as error:
         recording.read(path)
     assert f', found {found}' in str(error.value)
+
+
+@pytest.mark.parametrize(('kind', 'name'), [(kind, kind.name.replace('/msg/', '/')) for kind in (
+    messages.WRENCH, messages.QUATERNION, messages.TRANSFORM)])
+def test_the_name_of_a_type_may_lack_msg(tmp_path, kind, name):
+    message = kind.encode(EPOCH_NS, '', np.arange(float(kind.doubles)))
+    path = registered(tmp_path / 'ros1.mcap', kind.definition, kind=kind, message=message,
+                      name=name)
+    assert recording.topics(path, [kind]) == ['/torque']
+    assert recording.read(path, kind=kind).values.tolist() == [[*range(kind.doubles)]]
+    registered(path, kind.definition.replace('float64 z', 'float32 z'), kind=kind,
+               message=message, name=name)
+    with pytest.raises(InputError, match=f'in the definition of {name}, found .float32'):
+        recording.read(path, kind=kind)
+
+
+def test_messages_in_the_encoding_of_ros_1_are_refused(tmp_path):
+    path = registered(tmp_path / 'ros1.mcap', 'geometry_msgs/Wrench wrench', 'ros1msg',
+                      name='geometry_msgs/WrenchStamped', message_encoding='ros1')
+    with pytest.raises(InputError, match="ros1.mcap: /torque: expected message encoding cdr, "
+                                         "found 'ros1'$"):
+        recording.read(path)
 
 
 def test_a_definition_in_an_unknown_language_is_refused(tmp_path):

@@ -49,6 +49,11 @@ _IDL_PRIMITIVES = {
 LONGEST, _MOST = 2 ** 16, 1000
 
 
+def full_name(name: str) -> str:
+    """Return the ROS 2 name of a type, such as std_msgs/msg/Header for std_msgs/Header."""
+    return name.replace('/', '/msg/') if name.count('/') == 1 else name
+
+
 @lru_cache
 def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -> str:
     """
@@ -64,13 +69,13 @@ def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -
     kind : MessageType
         The message type that the caller expects.
     name, encoding : str
-        The name that the recording gives the type, and the encoding of its definition: 'ros2msg'
-        or 'ros2idl'.
+        The name that the recording gives the type, with or without msg, and the encoding of its
+        definition: 'ros2msg' or 'ros2idl'.
     definition : bytes
         The definition in the recording; empty if there is none.
 
     """
-    if name != kind.name:
+    if full_name(name) != kind.name:
         return f'expected the type {kind.name}, found {quoted(name)}'
     text = definition.decode(errors='replace').replace('\r', '')
     if not text.strip():

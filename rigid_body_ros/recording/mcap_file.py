@@ -38,6 +38,7 @@ from rigid_body_ros.engine import kernels
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
+from rigid_body_ros.recording.definitions import full_name
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import LARGEST, unpack
 from rigid_body_ros.runtime.limits import open_file
@@ -86,7 +87,7 @@ class McapFile(File):
             self._schemas, self._channels = summary.schemas, summary.channels
             self._counts = dict(summary.statistics.channel_message_counts) \
                 if summary.statistics else {}
-        self.types = {channel.topic: self._schemas[channel.schema_id].name
+        self.types = {channel.topic: full_name(self._schemas[channel.schema_id].name)
                       if channel.schema_id in self._schemas else ''
                       for channel in self._channels.values()}
 
