@@ -32,6 +32,7 @@ from rigid_body_ros import messages, recording, State
 from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 import yaml
+import zstandard
 
 TORQUES = np.random.default_rng(3).normal(size=(50, 3))
 STAMPS = EPOCH_NS + np.arange(50) * SECOND // 100
@@ -463,6 +464,17 @@ def test_messages_in_the_encoding_of_ros_1_are_refused(tmp_path):
                       name='geometry_msgs/WrenchStamped', message_encoding='ros1')
     with pytest.raises(InputError, match="ros1.mcap: /torque: expected message encoding cdr, "
                                          "found 'ros1'$"):
+        recording.read(path)
+
+
+@pytest.mark.parametrize('name', ['log.bag', 'log', 'log.mcap', 'log.db3', 'log.csv', 'log.ulg',
+                                  'log.bag.zst'])
+def test_a_bag_of_ros_1_is_refused_with_advice(tmp_path, name):
+    path, data = tmp_path / name, b'#ROSBAG V2.0\n' + bytes(100)
+    path.write_bytes(zstandard.compress(data) if name.endswith('zst') else data)
+    with pytest.raises(InputError, match=re.escape(
+            f'{name}: expected MCAP or rosbag2, found a ROS 1 bag; convert it with '
+            'rosbags-convert --src IN.bag --dst OUT')):
         recording.read(path)
 
 

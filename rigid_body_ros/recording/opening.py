@@ -29,9 +29,13 @@ from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.recording.text_files import CsvFile
 from rigid_body_ros.recording.ulog_file import is_ulog, UlogFile
 from rigid_body_ros.recording.unpack import temporary, unpack_file
-from rigid_body_ros.runtime.limits import read_yaml
+from rigid_body_ros.runtime.files import reported
+from rigid_body_ros.runtime.limits import open_file, read_yaml
 import yaml
 from yaml.constructor import BaseConstructor
+
+#: The first bytes of a ROS 1 bag.
+_ROS1 = b'#ROSBAG V2.0'
 
 
 def open_files(name: str | Path, stack: ExitStack, columns: Mapping[str, str] | None = None
@@ -99,11 +103,15 @@ def _metadata(path: Path) -> dict[str, Any]:
 
 
 def _open_file(path: Path, stack: ExitStack) -> File:
+    is_compressed = path.suffix in ('.zstd', '.zst')
+    unpacked = unpack_file(path, temporary(stack)) if is_compressed else path
+    with reported(path, 'read the recording'), open_file(unpacked, 'recording') as stream:
+        if stream.read(len(_ROS1)) == _ROS1:
+            raise InputError(f'{path}: expected MCAP or rosbag2, found a ROS 1 bag; convert it '
+                             'with rosbags-convert --src IN.bag --dst OUT')
     if path.suffix.lower() == '.csv':
         return CsvFile(path)
     if is_ulog(path):
         return UlogFile(path)
-    is_compressed = path.suffix in ('.zstd', '.zst')
-    unpacked = unpack_file(path, temporary(stack)) if is_compressed else path
     return SqliteFile(path, unpacked, stack) if unpacked.suffix == '.db3' else \
         McapFile(path, unpacked)
