@@ -102,7 +102,8 @@ def _add_arguments(parser: Parser) -> None:
         'with one of these types, not counting Vector3Stamped)')
     parser.add_argument('--motion', metavar='FILE',
                         help='compare the measurements with this recorded motion, such as the '
-                        'output of attitude_replay, instead of computing the motion')
+                        'output of attitude_replay (MCAP, rosbag2 or CSV), instead of computing '
+                        'the motion')
     parser.add_argument('--align', type=_names, default=(), metavar='NAMES',
                         help='what to fit, separated by commas (default: nothing). start fits the '
                         'initial attitude and angular velocity. clock fits a constant clock '

@@ -34,6 +34,7 @@ from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
+from rigid_body_ros.recording.text_files import is_text_file, read_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.monitor import is_checked, monitored, settings_of
@@ -53,8 +54,8 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     reading : Reading, optional
         Which topics to read from the recording, and how.
     motion : str or Path, optional
-        A recording of the motion to compare with, such as the output of a replay. By default, the
-        motion is computed from the torques.
+        A recording or CSV file of the motion to compare with, such as the output of a replay. By
+        default, the motion is computed from the torques.
     align, horizons
         What to fit, and which horizons to use, as for `compare`. If `horizons` is None, the
         default horizons are used.
@@ -107,17 +108,18 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
 
 def read_motion(path: str | Path, scene: Scene) -> Recorded:
     """
-    Read a motion, with attitudes and angular velocities, from a recording.
+    Read a motion, with attitudes and angular velocities, from a recording or a CSV file.
 
     Raises
     ------
     InputError
-        The recording contains neither the two topics of a replay, /attitude and /angular_velocity,
-        nor a single topic with both attitudes and angular velocities; or the two topics of a
-        replay have different stamps.
+        The file cannot be read; it contains neither the two topics of a replay, /attitude and
+        /angular_velocity, nor a single topic or the columns with both attitudes and angular
+        velocities; or the two topics of a replay have different stamps.
 
     """
-    found = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
+    is_text = is_text_file(str(path))
+    found = [] if is_text else recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
 
     def measured(topic: str | None = None) -> Measured:
         return read_measured(path, topic, body_frame=scene.body_frame,
@@ -129,7 +131,7 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
             raise InputError(f'{path}: expected the same stamps on {ATTITUDE} and '
                              f'{ANGULAR_VELOCITY}, found others')
         return Recorded(replace(attitude, angular_velocity=rates.angular_velocity))
-    motion = measured()
+    motion = read_text_file(str(path)) if is_text else measured()
     if motion.attitude is None or motion.angular_velocity is None:
         raise InputError(f'{path}: {motion.topic}: expected a motion with attitude and angular '
                          'velocity, found one of them')
