@@ -109,6 +109,9 @@ def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch
         if keep:
             np.testing.assert_array_equal(found.trajectory.attitude, motion.attitude)
     assert (first.account.samples, result.account.samples) == (40, 30)
+    replay(two, run, tmp_path / 'out.csv', keep=keep)
+    table = np.loadtxt(tmp_path / 'out.csv', delimiter=',', skiprows=1, usecols=range(1, 5))
+    np.testing.assert_array_equal(table, written.values)
 
 
 def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):

@@ -14,6 +14,7 @@
 
 """attitude_replay: the numbers of the library, a summary, a picture, and one-line errors."""
 
+import json
 import os
 import signal
 import subprocess
@@ -27,7 +28,9 @@ import numpy as np
 import pytest
 from rigid_body_ros import messages, propagate, recording, scene
 from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.recording.text_files import read_text_file
 from rigid_body_ros.replay import gaps, replay
 from rigid_body_ros.replay.check import energy_balance
 from rigid_body_ros.scene import InputError
@@ -75,6 +78,104 @@ def test_output_times(output, options, seconds):
     assert main.attitude_replay([*ISS, '-o', str(output), *options]) == 0
     stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
     np.testing.assert_array_equal(stamps - EPOCH_NS, np.round(np.array(seconds) * 1e9))
+
+
+#: The columns of every motion, and the scenes with further columns.
+PLAIN = ('time_ns,qx,qy,qz,qw,phi (rad),theta (rad),psi (rad),'
+         'wx (rad/s),wy (rad/s),wz (rad/s)')
+WHEELS = {'wheel_names': ['rw_x', 't'], 'rw_x.axis.x': 1.0, 'rw_x.inertia': 1e-4,
+          'rw_x.initial_speed': 30.0, 't.axis.y': 1.0, 't.inertia': 2e-4}
+
+
+def table(path):
+    """Return the headings, times and other values of a CSV file, read with Python alone."""
+    heading, *lines = path.read_text().splitlines()
+    rows = [line.split(',') for line in lines]
+    return heading, [int(row[0]) for row in rows], np.array([[*map(float, row[1:])]
+                                                             for row in rows])
+
+
+@pytest.mark.parametrize(('values', 'heading'), [
+    ({}, PLAIN), ({'euler_sequence': 'zyx'}, PLAIN.replace('phi', 'z1').replace('theta', 'y2')
+                  .replace('psi', 'x3')),
+    ({'initial_rotor_momentum.z': 0.3, 'wheels': True},
+     f'{PLAIN},hx (Nms),hy (Nms),hz (Nms)'),
+    (WHEELS, f'{PLAIN},hx (Nms),hy (Nms),hz (Nms),speed_rw_x (rad/s),effort_rw_x (Nm),'
+             'speed_t (rad/s),effort_t (Nm)')])
+def test_a_motion_in_csv_has_all_bits(tmp_path, monkeypatch, values, heading):
+    monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', 4)
+    tumbler = scene.Scene.from_values({**scene.load(CONFIG / 'tumbler.yaml').values, **values})
+    log = write_torques(tmp_path / 'log.mcap', [
+        (EPOCH_NS + k * 7_000_001, '', (0.1 * k, 0.0, -0.2)) for k in range(10)])
+    path = tmp_path / 'motion.CSV'
+    motion = replay(log, tumbler, path, keep=True).trajectory
+    expected = [motion.attitude, motion.euler_angles(tumbler.euler_sequence),
+                motion.angular_velocity]
+    if tumbler.has_rotors:
+        expected.append(motion.rotor_momentum)
+    for wheel in range(len(tumbler.named_wheels)):
+        expected += [motion.wheel_speeds[:, [wheel]], motion.wheel_efforts[:, [wheel]]]
+    headings, times_ns, found = table(path)
+    assert headings == heading
+    assert times_ns == motion.times_ns.tolist()
+    np.testing.assert_array_equal(found, np.hstack(expected))
+    by_numpy = np.genfromtxt(path, delimiter=',', names=True, dtype=None)
+    assert by_numpy['time_ns'].tolist() == times_ns
+    np.testing.assert_array_equal(by_numpy['qw'], motion.attitude[:, 3])
+    measured = read_text_file(str(path))
+    np.testing.assert_array_equal(measured.stamps_ns, motion.times_ns)
+    np.testing.assert_array_equal(measured.attitude, so3.normalize(motion.attitude))
+    np.testing.assert_array_equal(measured.angular_velocity, motion.angular_velocity)
+
+
+@pytest.mark.slow
+def test_a_motion_in_csv_is_compared_like_one_in_mcap(tmp_path):
+    flight = (str(RECORDINGS / 'flight.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
+    errors = []
+    for name in ('motion.mcap', 'motion.csv'):
+        path, figures = str(tmp_path / name), tmp_path / f'{name}.json'
+        assert main.attitude_replay([*flight, '--rate', '50', '-o', path]) == 0
+        assert main.attitude_compare([*flight, '--measured', '/mocap', '--motion', path,
+                                      '--json', str(figures)]) == 0
+        errors.append(figures.read_text())
+    assert errors[0] == errors[1]
+    assert main.attitude_compare([*flight, '--measured', path, '--json', str(figures),
+                                  '--overwrite']) == 0
+    same = json.loads(figures.read_text())
+    assert same['rate_error_rad_s']['max'] == 0.0
+    assert same['attitude_error_rad']['max'] < 1e-15
+
+
+def test_a_csv_file_is_replaced_only_as_a_whole_and_on_request(tmp_path, capsys):
+    output = tmp_path / 'motion.csv'
+    output.write_text('before')
+    arguments = [*ISS, '-o', str(output)]
+    assert main.attitude_replay(arguments) == 2
+    assert 'motion.csv: output exists; choose another name, or add --overwrite' in \
+        capsys.readouterr().err
+    with files_up_to(10_000):
+        assert main.attitude_replay([*arguments, '--overwrite']) == 2
+    assert capsys.readouterr().err.endswith('motion.csv: cannot write: File too large\n')
+    assert output.read_text() == 'before'
+    assert [*tmp_path.iterdir()] == [output]
+    assert main.attitude_replay([*arguments, '--overwrite']) == 0
+    assert len(table(output)[1]) == 1441
+
+
+def test_an_error_within_the_motion_leaves_no_csv_file(tmp_path, capsys):
+    log = write_torques(tmp_path / 'log.mcap', [(EPOCH_NS + k, '', (0.0, 0.0, np.nan * (k > 9)))
+                                                for k in range(11)])
+    assert main.attitude_replay([log, *ISS[1:], '-o', str(tmp_path / 'motion.csv')]) == 2
+    assert 'expected a finite torque' in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == [tmp_path / 'log.mcap']
+
+
+def test_a_csv_file_of_torques_is_not_replaced_by_its_motion(tmp_path, capsys):
+    log = tmp_path / 'log.csv'
+    log.write_text('1,0,0,0\n2,0.1,0,0\n')
+    assert main.attitude_replay([str(log), *ISS[1:], '-o', str(log), '--overwrite']) == 2
+    assert 'log.csv: would overwrite the input' in capsys.readouterr().err
+    assert log.read_text() == '1,0,0,0\n2,0.1,0,0\n'
 
 
 def test_the_start_time_of_the_scene_counts(tmp_path, output):
@@ -289,7 +390,11 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
     (('-o', 'none/motion.mcap'), 'none/motion.mcap: cannot write: No such file or directory'),
     (('-o', '.'), '.: output exists; choose a new folder, or a name ending in .mcap'),
     (('-o', 'pipe'), 'pipe: output exists; choose a new folder, or a name ending in .mcap'),
-    (('-o', 'motion.csv'), 'motion.csv: expected a name ending in .mcap, or a folder name'),
+    (('-o', 'motion.json'), 'motion.json: expected a name ending in .mcap, or a folder name'),
+    (('-o', 'none/motion.csv'), 'none/motion.csv: cannot write: No such file or directory'),
+    (('-o', 'pipe.csv'), 'pipe.csv: expected a regular file, found a device, pipe or socket'),
+    (('-o', 'motion.csv', '--also', 'tf'), '--also: expected an MCAP file or a rosbag2 folder as '
+     'output, because a CSV file has no topics, found motion.csv'),
     (('-o', 'pipe.mcap'), 'pipe.mcap: expected a regular file, found a device, pipe or socket'),
     (('-o', 'motion.mcap', '--plot', 'pipe'), 'pipe: expected a regular file, found a device'),
     (('-o', 'motion.mcap', '--plot', '.'), '.: expected a regular file, found a folder'),
@@ -303,7 +408,7 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
 def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # Not a device: as root, broken code would replace it for the whole machine.
-    pipes = {tmp_path / name for name in ('pipe', 'pipe.mcap')}
+    pipes = {tmp_path / name for name in ('pipe', 'pipe.mcap', 'pipe.csv')}
     for pipe in pipes:
         os.mkfifo(pipe)
     assert main.attitude_replay([*ISS, *arguments]) == 2

@@ -334,6 +334,10 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     np.testing.assert_array_equal(written.values[:, 5:], motion.wheel_efforts)
     attitude = recording.read(out, '/attitude', messages.QUATERNION)
     np.testing.assert_array_equal(attitude.values, motion.attitude)
+    replay(path, run, out.with_suffix('.csv'))
+    wheels = np.loadtxt(out.with_suffix('.csv'), delimiter=',', skiprows=1)[:, 14:]
+    np.testing.assert_array_equal(wheels[:, ::2], motion.wheel_speeds)
+    np.testing.assert_array_equal(wheels[:, 1::2], motion.wheel_efforts)
     drift = float(result.check.finding.rpartition(' ')[2])
     assert drift < 1e-14
 

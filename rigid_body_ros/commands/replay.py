@@ -51,8 +51,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _replay_one(options: argparse.Namespace) -> int:
     from rigid_body_ros import replay
-    from rigid_body_ros.recording import suffix_of
     from rigid_body_ros.replay import plot
+    from rigid_body_ros.replay.outputs import suffix_of
     path, = options.input
     name = Path(path).name
     if options.also and not options.output:
@@ -141,15 +141,16 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_torques()
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='write the motion to this MCAP file or, if the name does not end in '
-                        '.mcap, to a new rosbag2 folder; for several recordings, write a folder '
-                        'of MCAP files. The topics are attitude, euler_angles and '
-                        'angular_velocity, plus rotor_momentum if there are rotors, and '
-                        'wheel_states if there are named wheels')
+                        help='write the motion to this MCAP file, to this CSV file (.csv) or, if '
+                        'the name has neither suffix, to a new rosbag2 folder; for several '
+                        'recordings, write a folder of MCAP files. The topics are attitude, '
+                        'euler_angles and angular_velocity, plus rotor_momentum if there are '
+                        'rotors, and wheel_states if there are named wheels. A CSV file has one '
+                        'line for each stamp, with the same values')
     target.add_argument('--verify', metavar='MOTION',
                         help='compare the computed motion bit for bit with a recorded one: either '
                         'the committed states of all epochs of a node, or the attitudes that a '
-                        'replay wrote; if any bit differs, the exit status is 1')
+                        'replay wrote, but not as CSV; if any bit differs, the exit status is 1')
     parser.add_interpolation()
     parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')

@@ -34,7 +34,6 @@ from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
-from rigid_body_ros.recording.text_files import is_text_file, read_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.monitor import is_checked, monitored, settings_of
@@ -118,8 +117,7 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
         velocities; or the two topics of a replay have different stamps.
 
     """
-    is_text = is_text_file(str(path))
-    found = [] if is_text else recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
+    found = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
 
     def measured(topic: str | None = None) -> Measured:
         return read_measured(path, topic, body_frame=scene.body_frame,
@@ -131,7 +129,7 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
             raise InputError(f'{path}: expected the same stamps on {ATTITUDE} and '
                              f'{ANGULAR_VELOCITY}, found others')
         return Recorded(replace(attitude, angular_velocity=rates.angular_velocity))
-    motion = read_text_file(str(path)) if is_text else measured()
+    motion = measured()
     if motion.attitude is None or motion.angular_velocity is None:
         raise InputError(f'{path}: {motion.topic}: expected a motion with attitude and angular '
                          'velocity, found one of them')

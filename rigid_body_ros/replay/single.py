@@ -40,7 +40,6 @@ from rigid_body_ros.recording import (
     NotInOrderError,
     Source,
     Streams,
-    suffix_of,
     Topics,
     whole,
 )
@@ -84,10 +83,10 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         the earliest stamp on any topic. In a node's log, the start state of each epoch is used
         in place of the scene's initial state.
     output : str or Path, optional
-        Where to write the motion. If the name ends in .mcap, the output is an MCAP file, which
-        replaces an existing file; otherwise the output is a new rosbag2 folder. The output
-        contains the attitude, the Euler angles, the angular velocity, the rotor momentum if there
-        are rotors, and the speeds and efforts of named wheels. The output must not be the
+        Where to write the motion. If the name ends in .mcap or .csv, the output is an MCAP or CSV
+        file, which replaces an existing file; otherwise the output is a new rosbag2 folder. The
+        output contains the attitude, the Euler angles, the angular velocity, the rotor momentum if
+        there are rotors, and the speeds and efforts of named wheels. The output must not be the
         recording or the scene file, under any name, and must not be in the folder of a bag that is
         read.
     topic : str or sequence of str, optional
@@ -109,7 +108,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         it was published ('publish').
     also : collection of str
         Additional topics to write: 'imu' (/imu/data), 'tf' (/tf), 'markers' (/marker/...), and
-        'input' (all messages of the recording, byte for byte).
+        'input' (all messages of the recording, byte for byte). A CSV file cannot contain them.
     keep : bool, optional
         Whether to keep the problem and the trajectory in the result, which takes up memory. By
         default, they are kept only if there is no output.
@@ -148,7 +147,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         `start` or `until` is negative or longer than 1e9 s.
 
     """
-    outputs.check_names(also)
+    outputs.check_also(also, output)
     given = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command, columns)
     given.check(scene)
     keep = output is None if keep is None else keep
@@ -156,7 +155,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
                       collect)
     with protection.reading(path, scene=scene.path), ExitStack() as stack:
         if output is not None:
-            files.check((output, suffix_of(output)))
+            files.check((output, outputs.suffix_of(output)))
         topics = given.found_in(path, scene)
         others = topics.wheel_momentum or topics.wheel_command or topics.inertia
         if start and (len(topics.wrenches) > 1 or topics.wheel_torque or others):
@@ -206,17 +205,13 @@ def _replayed(request: Request, begin: Callable[[], Sequence[Epoch]], copied: So
     *earlier, result = [found for found, _ in epochs]
     result.collected = request.collect() if request.collect else None
     with ExitStack() as stack:
-        writer = stack.enter_context(recording.writer_of(output)) if output is not None else None
-        if writer:
-            outputs.add_topics(writer, request)
+        write = None if output is None else \
+            stack.enter_context(outputs.writing(output, request, copied))
         logged_ns = epochs[0][1].start.time_ns
         for found, batches in epochs:
             delay_ns = max(logged_ns - batches.start.time_ns, 0)
-            _compute(request, found, batches, writer, keep, delay_ns)
+            _compute(request, found, batches, write, keep, delay_ns)
             logged_ns = found.last.time_ns + delay_ns
-        if writer and copied:
-            copied.copy_to(writer)
-        interrupts.check()  # last chance before the output gets its final name
     result.earlier = tuple(earlier)
     result.seconds['read'] = time.perf_counter() - began - sum(
         found.seconds['propagate'] + found.seconds['write'] for found, _ in epochs)
@@ -224,7 +219,7 @@ def _replayed(request: Request, begin: Callable[[], Sequence[Epoch]], copied: So
 
 
 def _compute(request: Request, result: Replay, batches: Batches,
-             writer: recording.Writer | None, keep: bool, delay_ns: int) -> None:
+             write: Callable[[Batch, int], None] | None, keep: bool, delay_ns: int) -> None:
     """Compute and write the motion of an epoch; the log times are `delay_ns` after the stamps."""
     kept: list[Batch] = []
     result.start = result.last = batches.start
@@ -234,9 +229,9 @@ def _compute(request: Request, result: Replay, batches: Batches,
         interrupts.check()
         _update(result, batch)
         interrupts.check()
-        if writer:
+        if write:
             writing = time.perf_counter()
-            outputs.write(writer, request, batch, delay_ns)
+            write(batch, delay_ns)
             result.seconds['write'] += time.perf_counter() - writing
         if result.collected:
             result.collected.add(batch)
