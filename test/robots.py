@@ -30,12 +30,18 @@ JOINTS = (THRUSTER, ('fixed', 'base_link', 'mast', '0 0 0.5', '0 0 0'),
           ('continuous', 'mast', 'propeller', '0 0.2 0.1', '0.4 -0.1 0.3', '1 2 2'))
 
 
-def robot(*joints, body='base_link', origin=SHIFT, loose=()):
-    """Return a URDF with joints, given as type, parent, child, xyz, rpy and optionally axis."""
+def robot(*joints, body='base_link', origin=SHIFT, loose=(), inertials=None):
+    """
+    Return a URDF with joints, given as type, parent, child, xyz, rpy and optionally axis.
+
+    `inertials` contains the text of an <inertial> for each link that has one; by default, the body
+    has one with this origin.
+    """
     names = dict.fromkeys([body, *(name for joint in joints for name in joint[1:3]), *loose])
-    inertial = (f'<inertial><origin{origin}/><mass value="2"/><inertia ixx="0.05" iyy="0.12" '
-                'izz="0.14" ixy="0.002" ixz="0" iyz="0"/></inertial>')
-    links = [f'<link name="{name}">{inertial if name == body else ""}</link>' for name in names]
+    inertials = inertials or {body: (
+        f'<inertial><origin{origin}/><mass value="2"/><inertia ixx="0.05" iyy="0.12" '
+        'izz="0.14" ixy="0.002" ixz="0" iyz="0"/></inertial>')}
+    links = [f'<link name="{name}">{inertials.get(name, "")}</link>' for name in names]
     parts = [f'<joint name="to_{child}" type="{kind}"><parent link="{parent}"/>'
              f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/>'
              + ''.join(f'<axis xyz="{xyz}"/>' for xyz in axis) + '</joint>'

@@ -115,7 +115,7 @@ def changed(old, new):
 
 @pytest.mark.parametrize(('robot', 'frame', 'reason'), [
     *((changed('revolute', kind), name,
-       f"joint 'to_arm' ({kind}) moves it relative to 'base_link'")
+       f"joint 'to_arm' ({kind}) moves it relative to the body")
       for kind in ('revolute', 'continuous', 'prismatic', 'floating', 'planar')
       for name in ('arm', 'hand') if (kind, name) != ('continuous', 'arm')),
     (ROBOT, 'label', "no joints connect it to 'base_link'"),
@@ -153,7 +153,7 @@ def test_a_frame_that_is_not_fixed_is_rejected_with_the_reason(robot, frame, rea
 
 
 @pytest.mark.parametrize(('robot', 'link', 'message'), [
-    (ROBOT, 'mast', "URDF link 'mast': expected an <inertial>, found none; links with <inertial>: "
+    (ROBOT, 'hand', "URDF link 'hand': expected an <inertial>, found none; links with <inertial>: "
                     "'base_link'"),
     (ROBOT, 'map', "URDF: expected one link 'map', found 'base_link', 'thruster', 'mast', 'lamp', "
                    "'footprint', 'arm' and 3 more"),
@@ -324,7 +324,7 @@ def test_a_csv_file_has_torques_about_the_centre_of_mass(tmp_path, scene_file):
 
 @pytest.mark.parametrize(('frame_id', 'wrench', 'message'), [
     ('arm', [0, 0, 0, 0, 0, 1],
-     "message 2: frame 'arm': joint 'to_arm' (revolute) moves it relative to 'base_link'"),
+     "message 2: frame 'arm': joint 'to_arm' (revolute) moves it relative to the body"),
     ('label', [0, 0, 0, 0, 0, 1], "message 2: frame 'label': no joints connect it to 'base_link'"),
     ('map', [0, 0, 0, 0, 0, 1],
      "message 2: frame_id: expected 'base_link' or '' (body axes) or 'world' (space axes), found "

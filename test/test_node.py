@@ -257,8 +257,8 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
                                       'rejected: not finite')] == [300, 4, 1]
     in_space = np.array(sent.frame_ids) == 'world'
     assert counts['force ignored'] == np.count_nonzero(sent.values[in_space, 0])
-    assert "frame 'arm': joint 'to_arm' (revolute) moves it relative to 'base_link'" in words \
-        or "frame 'hand': joint 'to_arm' (revolute) moves it relative to 'base_link'" in words
+    assert "frame 'arm': joint 'to_arm' (revolute) moves it relative to the body" in words \
+        or "frame 'hand': joint 'to_arm' (revolute) moves it relative to the body" in words
     np.testing.assert_array_equal(run.committed, run.replay)
     order = np.argsort(run.accepted.stamps_ns)
     assert run.accepted.values[order].tobytes() == converted(sent).values.tobytes()

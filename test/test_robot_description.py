@@ -30,7 +30,7 @@ from rigid_body_ros import messages, scene
 from rigid_body_ros.live.events import FRAME, NOT_FINITE, RejectedError
 from rigid_body_ros.live.inputs import Inputs
 from rigid_body_ros.mechanics import urdf
-from robots import ROBOT
+from robots import JOINTS, ROBOT, robot
 from std_msgs.msg import String
 from test_node import run_node
 import yaml
@@ -39,6 +39,10 @@ pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 WAITS = 'waiting for a URDF on /robot_description'
 PATIENCE = 300
+SOLID = '<inertial><mass value="0.5"/><inertia ixx="0.05" iyy="0.12" izz="0.14" ixy="0" ixz="0" ' \
+        'iyz="0"/></inertial>'
+#: Two links that fixed joints connect have a mass.
+WELDED = robot(*JOINTS, inertials=dict.fromkeys(('base_link', 'lamp'), SOLID))
 
 
 @pytest.fixture
@@ -59,14 +63,16 @@ class DescribedSession(LiveSession):
             if ('attitude_node', '/') in self.node.get_node_names_and_namespaces() else ()),
             'the subscription')
         self.description = self.node.create_publisher(String, 'robot_description', LATCHED)
-        self.description.publish(String(data=ROBOT))
+        self.description.publish(String(data=WELDED))
         super()._connect()
 
 
 def test_a_node_without_an_inertia_takes_that_of_the_topic(tmp_path, domain, parameters):
     with DescribedSession(parameters, domain, *RELIABLE, '-p', 'history:=60.0') as live:
         value, = get_parameters(live, 'robot_description')
-        assert value.string_value == ROBOT
+        assert value.string_value == WELDED
+        assert "robot_description: welded to 'base_link' by fixed joints: lamp (total mass 1 kg)" \
+            in live.words()
         live.description.publish(String(data='<robot/>'))  # too late: the motion has begun
         start_ns = live.now_ns()
         for number, frame_id in enumerate(('', 'thruster', 'lamp', 'world')):
@@ -79,9 +85,9 @@ def test_a_node_without_an_inertia_takes_that_of_the_topic(tmp_path, domain, par
     np.testing.assert_array_equal(run.committed, run.replay)
     assert len(run.stamps_ns) == 5
     np.testing.assert_array_equal(scene.load(tmp_path / 'live.yaml').body.inertia,
-                                  scene.Scene.from_values({'robot_description': ROBOT})
+                                  scene.Scene.from_values({'robot_description': WELDED})
                                   .body.inertia)
-    assert {*scene.load(tmp_path / 'live.yaml').links} == {*urdf.fixed_frames(ROBOT)}
+    assert {*scene.load(tmp_path / 'live.yaml').links} == {*urdf.fixed_frames(WELDED)}
 
 
 def test_the_parameters_come_first(domain):

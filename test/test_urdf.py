@@ -20,6 +20,8 @@ import numpy as np
 import pytest
 from rigid_body_ros import RigidBody
 from rigid_body_ros.mechanics import urdf
+import robots
+from scipy.spatial.transform import Rotation
 
 RANDOM = np.random.default_rng(31)
 MASSES, POSITIONS = RANDOM.uniform(0.5, 2.0, 6), RANDOM.normal(size=(6, 3))
@@ -152,9 +154,11 @@ XACRO = FULL.replace('<joint', '<xacro:include filename="arm.xacro"/><joint')
     (robot(base_link=''), 'base_link',
      "URDF link 'base_link': expected an <inertial>, found none; links with <inertial>: none"),
     (robot(base_link=''), '',
-     'URDF: expected the name of a link, or a single link with <inertial>, found none'),
+     'URDF: expected the name of a link, or a single body with <inertial>, found none'),
     (robot(base_link='', a=inertial(), b=inertial()), '',
-     "URDF: expected the name of a link, or a single link with <inertial>, found 'a', 'b'")])
+     "URDF: expected the name of a link, or a single body with <inertial>, found 'a', 'b'"),
+    (robot(body=inertial()).replace('</robot>', f'<link name="body">{inertial()}</link></robot>'),
+     '', "URDF: expected one link 'body', found 'body', 'body'")])
 def test_what_is_no_link_with_an_inertia_is_refused(text, link, message):
     with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
         RigidBody.from_urdf(text, link)
@@ -200,3 +204,184 @@ def test_a_body_written_as_urdf_has_the_same_numbers(scale):
     text = urdf.robot(tensor, 'a"<&b', ['1 ---> 2', 'torque --gain'])
     np.testing.assert_array_equal(RigidBody.from_urdf(text).inertia, tensor)
     np.testing.assert_array_equal(RigidBody.from_urdf(text, 'a"<&b').inertia, tensor)
+
+
+# Several links that fixed joints weld together
+
+def text(numbers):
+    return ' '.join(map(repr, np.asarray(numbers, float).tolist()))
+
+
+def part(mass=1.0, tensor=0.0, xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
+    """Return an <inertial>; by default, that of a point mass of 1 kg."""
+    (ixx, ixy, ixz), (_, iyy, iyz), (*_, izz) = (tensor * np.eye(3)
+                                                 if np.isscalar(tensor) else tensor).tolist()
+    return inertial(f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/>', ixx=ixx, ixy=ixy, ixz=ixz,
+                    iyy=iyy, iyz=iyz, izz=izz).replace('value="2"', f'value="{mass}"')
+
+
+def fixed(parent, child, xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0), kind='fixed'):
+    return kind, parent, child, text(xyz), text(rpy)
+
+
+def of_point_masses(random):
+    """Return an <inertial> of eight point masses, and the masses and positions in link axes."""
+    masses, positions = random.uniform(0.5, 2.0, 8), random.normal(size=(8, 3))
+    rpy = random.uniform(-7.0, 7.0, 3)
+    axes = Rotation.from_euler('xyz', rpy)
+    tensor = RigidBody.from_point_masses(masses, axes.inv().apply(positions)).inertia
+    centre = masses @ positions / masses.sum()
+    return part(masses.sum(), tensor, centre, rpy), masses, positions
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_fixed_links_have_the_inertia_of_all_their_point_masses(seed):
+    random, count = np.random.default_rng(seed), 6
+    parents = [0, *(int(random.integers(child)) for child in range(1, count))]
+    kinds = ['fixed', *('revolute' if random.random() < 0.2 else 'fixed' for _ in parents[1:])]
+    shifts, angles = random.normal(size=(count, 3)), random.uniform(-7.0, 7.0, (count, 3))
+    parts = {k: of_point_masses(random) for k in range(count) if k == 0 or random.random() < 0.7}
+    url = robots.robot(
+        *(fixed(f'l{parents[k]}', f'l{k}', shifts[k], angles[k], kinds[k])
+          for k in random.permutation(range(1, count))),
+        body='l0', inertials={f'l{k}': inertial for k, (inertial, _, _) in parts.items()})
+    turns, places, welded = [Rotation.identity()], [np.zeros(3)], [0]
+    for k in range(1, count):
+        places.append(places[parents[k]] + turns[parents[k]].apply(shifts[k]))
+        turns.append(turns[parents[k]] * Rotation.from_euler('xyz', angles[k]))
+        if kinds[k] == 'fixed' and parents[k] in welded:
+            welded.append(k)
+    masses = np.concatenate([parts[k][1] for k in welded if k in parts])
+    positions = np.concatenate([places[k] + turns[k].apply(parts[k][2])
+                                for k in welded if k in parts])
+    expected = RigidBody.from_point_masses(masses, positions)
+    for k in welded:  # moving the root changes only the axes
+        found, axes = RigidBody.from_urdf(url, f'l{k}'), turns[k].as_matrix()
+        np.testing.assert_allclose(axes @ found.inertia @ axes.T, expected.inertia, rtol=0,
+                                   atol=8e-15 * expected.principal_moments[2])
+        frame = urdf.fixed_frames(url, f'l{k}')['l0']
+        np.testing.assert_allclose(axes @ frame.position, -masses @ positions / masses.sum(),
+                                   rtol=0, atol=2e-14)
+
+
+def test_a_battery_has_the_lever_arm_of_its_joint():
+    url = robots.robot(fixed('base', 'battery', (0.0, 0.5, 0.0)), body='base',
+                       inertials={'base': part(1.0, 0.25), 'battery': part(1.0, 0.25)})
+    assert np.diag(RigidBody.from_urdf(url).inertia).tolist() == [0.625, 0.5, 0.625]
+    frames = urdf.fixed_frames(url)
+    assert frames['base'].position.tolist() == [0.0, -0.25, 0.0]
+    assert frames['battery'].torque([0.0, 0.0, 2.0], [0.0, 0.0, 0.0]).tolist() == [0.5, 0.0, 0.0]
+
+
+def test_a_dummy_inertia_on_the_root_hardly_matters():
+    url = robots.robot(fixed('root', 'hull', (0.0, 0.0, 0.5)), body='root', inertials={
+        'root': part(1e-9, 1e-9), 'hull': part(2.0, np.diag([0.05, 0.12, 0.14]))})
+    np.testing.assert_allclose(RigidBody.from_urdf(url).inertia, np.diag([0.05, 0.12, 0.14]),
+                               rtol=0, atol=2e-9)
+
+
+def test_a_far_origin_costs_no_digits():
+    far = (1e9, -1e9, 1e9)
+    url = robots.robot(fixed('map', 'a', far), fixed('a', 'b', (0.5, 0.0, 0.0)), body='map',
+                       inertials={'a': part(1.0, 0.25), 'b': part(3.0, 0.25, (0.0, 0.1, 0.0))})
+    np.testing.assert_array_equal(urdf.inertia(url, 'map'), urdf.inertia(url, 'a'))
+    np.testing.assert_array_equal(urdf.fixed_frames(url, 'map')['b'].position,
+                                  urdf.fixed_frames(url, 'a')['b'].position)
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_welded_masses_on_a_line_are_no_body(seed):
+    random = np.random.default_rng(seed)
+    line, angles = random.normal(size=3), random.uniform(-7.0, 7.0, 3)
+    url = robots.robot(fixed('a', 'b', line, angles),
+                       fixed('a', 'c', -2.5 * line), body='a',
+                       inertials=dict.fromkeys('abc', part(0.7, rpy=(0.1, 0.2, 0.3))))
+    with pytest.raises(ValueError, match="^URDF link 'a': inertia: expected a positive definite"):
+        RigidBody.from_urdf(url)
+
+
+SOLID = part(2.0, 0.25)
+
+
+@pytest.mark.parametrize(('joints', 'solid', 'root'), [
+    ([fixed('footprint', 'base'), fixed('base', 'imu')], ['base', 'imu'], 'base'),
+    ([fixed('footprint', 'base'), fixed('base', 'imu')], ['imu', 'footprint'], 'footprint'),
+    ([fixed('base', 'hull'), fixed('hull', 'rod'), fixed('base', 'top')], ['rod', 'top'], 'base'),
+    ([fixed('base', 'hull'), fixed('base', 'top')], ['top'], 'top'),
+    ([fixed('arm', 'base', kind='revolute'), fixed('base', 'imu')], ['imu', 'base'], 'base')])
+def test_without_a_name_the_root_of_the_masses_gives_the_axes(joints, solid, root):
+    assert urdf.fixed_frames(robots.robot(
+        *joints, inertials=dict.fromkeys(solid, SOLID))).link == root
+
+
+QUADROTOR = [fixed('base', 'battery', (0.0, 0.0, -0.1)), fixed('battery', 'imu', (0.1, 0.0, 0.0)),
+             fixed('base', 'prop_1', (0.2, 0.0, 0.1), kind='continuous'),
+             fixed('base', 'prop_2', (-0.2, 0.0, 0.1), kind='continuous'),
+             fixed('prop_2', 'cap', (0.0, 0.0, 0.1))]
+LINKS = ['base', 'battery', 'imu', 'prop_1', 'prop_2', 'cap']
+
+
+def quadrotor(joints=QUADROTOR, **changes):
+    """Return a URDF in which each link weighs 0.5 kg; changes are texts of an <inertial>."""
+    return robots.robot(*joints, body='base', loose=['label'], inertials={
+        **dict.fromkeys(LINKS, part(0.5, 0.01)), **changes})
+
+
+def test_several_bodies_are_named_by_their_roots():
+    with pytest.raises(ValueError, match=" with <inertial>, found 'base', 'prop_1', 'prop_2'$"):
+        RigidBody.from_urdf(quadrotor())
+
+
+@pytest.mark.parametrize(('url', 'link', 'notes'), [
+    (quadrotor(), 'base', ["welded to 'base' by fixed joints: battery, imu (total mass 1.5 kg)",
+                           'left out, because joints move them: prop_1, prop_2, cap']),
+    (quadrotor(), 'imu', ["welded to 'imu' by fixed joints: base, battery (total mass 1.5 kg)",
+                          'left out, because joints move them: prop_1, prop_2, cap']),
+    (quadrotor(), 'cap', ["welded to 'cap' by fixed joints: prop_2 (total mass 1 kg)",
+                          'left out, because joints move them: base, battery, imu, prop_1']),
+    (quadrotor(label=SOLID), 'base',
+     ["welded to 'base' by fixed joints: battery, imu (total mass 1.5 kg)", 'left out, because '
+      "fixed joints do not connect them to 'base': prop_1, prop_2, cap, label"]),
+    (robots.ROBOT, '', []), (robots.ROBOT, 'mast', [])])
+def test_notes_name_the_links_that_belong_to_the_body_and_those_that_do_not(url, link, notes):
+    assert urdf.fixed_frames(url, link).notes == notes
+
+
+def test_a_single_mass_is_not_read_and_turns_with_the_link():
+    url = robots.robot(fixed('base', 'hull', (1.0, 2.0, 3.0), (0.0, 0.0, np.pi / 2)),
+                       inertials={'hull': inertial().replace('value="2"', 'value="-1"')})
+    np.testing.assert_array_equal(RigidBody.from_urdf(url).inertia,
+                                  RigidBody.from_urdf(robot(hull=inertial())).inertia)
+    np.testing.assert_allclose(
+        RigidBody.from_urdf(url, 'base').inertia,
+        [[0.2, 0.001, -0.007], [0.001, 0.1, 0.003], [-0.007, 0.003, 0.3]], rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize(('url', 'message'), [
+    (quadrotor(imu='<inertial/>'), "'imu': mass: value: expected a finite number, found nothing"),
+    (quadrotor(imu=part('1 kg')), "'imu': mass: value: expected a finite number, found '1 kg'"),
+    (quadrotor(imu=part(0)), "'imu': mass: expected a number greater than 0 (kg), found 0.0"),
+    (quadrotor(base=part(-1)), "'base': mass: expected a number greater than 0 (kg), found -1.0"),
+    (quadrotor(imu=part().replace('<inertia ', '<inertia_ ')),
+     "'imu': ixx: expected a finite number, found nothing"),
+    (quadrotor(imu=part(xyz=(1e301, 0, 0))), "'imu': expected a position of at most 1e+300 m"),
+    (quadrotor(imu=part(xyz=(1e299, 0, 0))),
+     "'base': inertia: expected moments that fit a double, found larger ones"),
+    (quadrotor().replace('xyz="0.0 0.0 -0.1"', 'xyz="0.0 -0.1"'),
+     "'battery': URDF joint 'to_battery': xyz: expected 3 finite numbers, found '0.0 -0.1'"),
+    (quadrotor([('weld', *QUADROTOR[0][1:]), *QUADROTOR[1:]]),
+     "'battery': URDF joint 'to_battery': type: expected one of fixed, revolute, continuous, "
+     "prismatic, floating, planar, found 'weld'"),
+    (quadrotor([*QUADROTOR, fixed('imu', 'label'), fixed('base', 'label')]),
+     "'battery': the joints between it and 'base' form a closed loop")])
+def test_a_mass_that_cannot_be_welded_is_rejected_in_one_line_with_its_link(url, message):
+    for function in (RigidBody.from_urdf, urdf.inertia):
+        with pytest.raises(ValueError, match=f'^{re.escape(f"URDF link {message}")}$'):
+            function(url, 'base')
+
+
+@pytest.mark.parametrize('old', ['xyz="0.2 0.0 0.1"', 'type="continuous"'])
+def test_an_invalid_joint_of_a_link_that_moves_does_not_matter(old):
+    new = {'type="continuous"': 'type="revolute"'}.get(old, 'xyz="0.2"')
+    np.testing.assert_array_equal(urdf.inertia(quadrotor().replace(old, new), 'base'),
+                                  urdf.inertia(quadrotor(), 'base'))

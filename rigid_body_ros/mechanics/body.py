@@ -179,11 +179,11 @@ class RigidBody:
     @classmethod
     def from_urdf(cls, text: str, link: str = '') -> RigidBody:
         """
-        Build a body from the <inertial> of a URDF link.
+        Build a body from a URDF link and all links that fixed joints connect to it.
 
-        The body axes are the axes of the link. The tensor is rotated by the rpy of <origin>. The
-        xyz of <origin> has no effect, because the tensor is about the centre of mass. Other links
-        do not contribute to the inertia, even if they are fixed to this link.
+        The tensor is that of all these links, about their common centre of mass (see
+        `urdf.inertia`). The body axes are the axes of the named link. Links that other joints
+        move, such as propellers, do not contribute.
 
         Parameters
         ----------
@@ -191,7 +191,7 @@ class RigidBody:
             The contents of a URDF file, such as ROS's robot_description, after processing by
             xacro.
         link : str
-            Name of the link. It may be empty if only one link has an <inertial>.
+            Name of the link. It may be empty if all links with <inertial> belong to one body.
 
         Returns
         -------

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -205,13 +205,16 @@ class Frames(dict[str, Frame]):
         Name of the link that represents the body, or '' if there are no frames.
     others : mapping
         For each other link of the URDF, the reason why forces in its frame are not accepted.
+    notes : sequence of str
+        Lines about the links whose masses belong to the body, and those whose masses do not. There
+        are none if only one link has a mass.
 
     """
 
     def __init__(self, link: str = '', frames: Mapping[str, Frame] | None = None,
-                 others: Mapping[str, str] | None = None) -> None:
+                 others: Mapping[str, str] | None = None, notes: Sequence[str] = ()) -> None:
         super().__init__(frames or {})
-        self.link, self.others = link, others or {}
+        self.link, self.others, self.notes = link, others or {}, notes
 
     def __missing__(self, name: str) -> Frame:
         reason = self.others.get(name, 'expected a link of the URDF whose forces are accepted: '
@@ -223,7 +226,7 @@ class Frames(dict[str, Frame]):
         if not prefix:
             return self
         return Frames(prefix + self.link, {prefix + name: self[name] for name in self},
-                      {prefix + name: why for name, why in self.others.items()})
+                      {prefix + name: why for name, why in self.others.items()}, self.notes)
 
     def of_body(self, body_frame: str) -> Frame | None:
         """

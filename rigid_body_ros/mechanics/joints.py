@@ -22,11 +22,13 @@ choice, this module follows urdfdom, ROS's parser (`parseJoint` in urdf_parser/s
 from __future__ import annotations
 
 from collections import defaultdict
+from fractions import Fraction
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.elements import child_of, numbers_of, origin_of
@@ -37,9 +39,11 @@ _FIXED, _CONTINUOUS = 'fixed', 'continuous'
 _MOVING = ('revolute', _CONTINUOUS, 'prismatic', 'floating', 'planar')
 #: Largest absolute value of a coordinate, m. Sums of larger coordinates could overflow.
 _FARTHEST = 1e300
+#: Converts finite numbers to an array of Fractions, whose sums and products are exact.
+fractions = np.vectorize(Fraction, [object])
 
 
-class _Joint(NamedTuple):
+class Joint(NamedTuple):
     """
     A joint between two links.
 
@@ -55,6 +59,8 @@ class _Joint(NamedTuple):
     axis : list of 3 floats
         For a continuous joint, the unit vector along the joint axis, in the axes of the child.
         Empty for any other joint.
+    moves : bool
+        Whether the type of the joint allows motion between parent and child.
 
     """
 
@@ -65,70 +71,69 @@ class _Joint(NamedTuple):
     turn: list[list[float]]
     barrier: str
     axis: list[float]
+    moves: bool
 
 
 class Path(NamedTuple):
     """
-    A chain of joints from the body to a link.
+    A chain of joints from the body to a link, or to a point of that link.
 
     Attributes
     ----------
     rotation : list of 3 rows of 3 floats
         Rotation matrix from the axes of the link to those of the body.
-    position, rest : list of 3 floats, m, body axes
-        `position` is the position of the link relative to the centre of mass, computed as a sum
-        over the joints. `rest` is the rounding error of this sum.
+    position : array of Fractions, shape (3,), m, body axes
+        The position of the link relative to the origin of the body axes. The sum over the joints
+        is exact.
     barrier : str
         Why forces at the link are not accepted, or '' if they are.
-    turning : _Joint, optional
-        The continuous joint whose child is this link. None if the link is fixed to the body.
+    mover : Joint, optional
+        The first joint that moves the link relative to the body. None if fixed joints connect the
+        two. If there is no barrier, it is a continuous joint whose child is this link.
 
     """
 
     rotation: list[list[float]]
-    position: list[float]
-    rest: list[float]
+    position: NDArray[Any]
     barrier: str = ''
-    turning: _Joint | None = None
+    mover: Joint | None = None
 
-    @property
-    def frame(self) -> Frame:
-        """Return the frame of the link."""
-        rotation, position = np.array(self.rotation), np.add(self.position, self.rest)
-        if self.turning:
-            return TurningFrame(rotation, position, self.turning.name, np.array(self.turning.axis))
+    def frame(self, centre: NDArray[Any]) -> Frame:
+        """Return the frame of the link; the centre of mass is at `centre`, in Fractions, m."""
+        rotation, position = np.array(self.rotation), (self.position - centre).astype(float)
+        if self.mover:
+            return TurningFrame(rotation, position, self.mover.name, np.array(self.mover.axis))
         return Frame(rotation, position)
 
-    def across(self, joint: _Joint, to_child: bool) -> Path:
+    def across(self, joint: Joint, to_child: bool) -> Path:
         """Return this path, extended across a joint to the link on the joint's other side."""
-        turning = joint if joint.axis and to_child and not self.turning else None
-        barrier = self.barrier or ('' if turning else (self.turning or joint).barrier)
+        mover = self.mover or (joint if joint.moves else None)
+        is_turning = mover is joint and joint.axis and to_child
+        barrier = self.barrier or ('' if is_turning else (mover or joint).barrier)
         if barrier:
-            return self._replace(barrier=barrier)
-        back = [list(row) for row in zip(*joint.turn)]
-        rotation = _product(self.rotation, joint.turn if to_child else back)
-        to_parent = self.rotation if to_child else rotation
-        column = _product(to_parent, [[x if to_child else -x] for x in joint.shift])
-        sums = [total + x for total, (x,) in zip(self.position, column)]
-        rest = [rest + _rounding(total, x)
-                for rest, total, (x,) in zip(self.rest, self.position, column)]
-        if not all(abs(x) <= _FARTHEST for x in sums):
-            barrier = f'expected a position of at most {_FARTHEST:g} m'
-        return Path(rotation, sums, rest, barrier, turning)
+            return self._replace(barrier=barrier, mover=mover)
+        if to_child:
+            rotation = _product(self.rotation, joint.turn)
+            return self.to_point(joint.shift)._replace(rotation=rotation, mover=mover)
+        rotation = _product(self.rotation, [list(row) for row in zip(*joint.turn)])
+        return self._replace(rotation=rotation).to_point([-x for x in joint.shift])
+
+    def to_point(self, shift: list[float]) -> Path:
+        """Return this path, extended by a `shift`, m, in the axes of the link."""
+        steps = [x for x, in _product(self.rotation, [[x] for x in shift])]
+        if not all(abs(x) <= _FARTHEST for x in steps):
+            text = f'expected a position of at most {_FARTHEST:g} m'
+            return self._replace(barrier=self.barrier or text)
+        return self._replace(position=self.position + fractions(steps))
 
 
-def paths_from(body: str, start: list[float], robot: Element, links: set[str]) -> dict[str, Path]:
-    """
-    Return the path to each of the links that joints of the robot connect to the body.
-
-    The body is at `start`, m. A joint is ignored unless both its parent and its child are among
-    the links.
-    """
-    joints, joints_of = _joints(robot, links, body), defaultdict(list)
+def paths_from(body: str, joints: list[Joint]) -> dict[str, Path]:
+    """Return the path to each link that joints connect to the body, including the body."""
+    joints_of = defaultdict(list)
     for joint in joints:
         joints_of[joint.parent].append((joint, joint.child))
         joints_of[joint.child].append((joint, joint.parent))
-    paths, reached = {body: Path(np.eye(3).tolist(), start, [0.0] * 3)}, [body]
+    paths, reached = {body: Path(np.eye(3).tolist(), fractions([0.0] * 3))}, [body]
     for name in reached:  # the loop extends this list
         for joint, other in joints_of[name]:
             if other not in paths:
@@ -141,26 +146,25 @@ def paths_from(body: str, start: list[float], robot: Element, links: set[str]) -
     return paths
 
 
-def _joints(robot: Element, links: set[str], body: str) -> list[_Joint]:
+def joints_between(links: set[str], robot: Element) -> list[Joint]:
     """Return the joints whose parent and child are both among the links."""
     joints, angles = [], []
     for element in robot.findall('{*}joint'):
         parent, child = (child_of(element, end).get('link', '') for end in ('parent', 'child'))
         if {parent, child} <= links:
-            shift, turn, barrier, axis = _attachment(element, body)
+            shift, turn, barrier, axis = _attachment(element)
             angles.append(turn)
-            name = element.get('name', '')
-            joints.append(_Joint(name, parent, child, shift, [], barrier, axis))
+            name, moves = element.get('name', ''), element.get('type') in _MOVING
+            joints.append(Joint(name, parent, child, shift, [], barrier, axis, moves))
     turns = so3.matrix(euler.to_quaternion(np.reshape(angles, (-1, 3)), 'xyz'))  # all at once
     return [joint._replace(turn=turn) for joint, turn in zip(joints, turns.tolist())]
 
 
-def _attachment(joint: Element,
-                body: str) -> tuple[list[float], list[float], str, list[float]]:
-    """Return the `shift`, rpy angles, `barrier` and `axis` of a joint; see `_Joint`."""
+def _attachment(joint: Element) -> tuple[list[float], list[float], str, list[float]]:
+    """Return the `shift`, rpy angles, `barrier` and `axis` of a joint; see `Joint`."""
     name, kind = quoted(joint.get('name', '')), joint.get('type', '')
     zero, types, where = [0.0] * 3, (_FIXED, *_MOVING), f'URDF joint {name}'
-    moves = f'joint {name} ({kind}) moves it relative to {quoted(body)}'
+    moves = f'joint {name} ({kind}) moves it relative to the body'
     try:
         if kind not in types:
             raise ValueError(f'{where}: type: expected one of {", ".join(types)}, '
@@ -189,10 +193,3 @@ def _axis(joint: Element, where: str) -> list[float]:
 def _product(one: list[list[float]], other: list[list[float]]) -> list[list[float]]:
     """Return the product of a 3 by 3 matrix and a 3 by n matrix."""
     return [[a * x + b * y + c * z for x, y, z in zip(*other)] for a, b, c in one]
-
-
-def _rounding(one: float, other: float) -> float:
-    """Return the rounding error of a sum (Knuth, TAOCP 2, 4.2.2, theorem B)."""
-    total = one + other
-    part = total - one
-    return (one - (total - part)) + (other - part)

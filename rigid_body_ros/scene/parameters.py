@@ -44,8 +44,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
       for name in ('ixy', 'ixz', 'iyz')),
     Parameter('robot_description', '', '', 'URDF text, which gives the frames in which the node '
               'accepts forces and, in place of inertia.*, the inertia'),
-    Parameter('link', '', '', 'link of robot_description whose inertia is used; if empty, the '
-              'only link that has an inertia'),
+    Parameter('link', '', '', 'link of robot_description that gives the body axes; fixed joints '
+              'weld links to it; if empty, the root of the only body that has an inertia'),
     *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, BIG))
       for name in ('dxx', 'dyy', 'dzz')),
     *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-BIG, BIG))

@@ -205,9 +205,15 @@ class Scene:
 
     @property
     def notes(self) -> list[str]:
-        """Return lines of text, for the log, about given parameters that have no effect."""
-        return [f'parameters that are not those of a scene are ignored: {listed(self.ignored)}'] \
-            if self.ignored else []
+        """
+        Return lines of text for the log.
+
+        They name given parameters that have no effect, and the links of `robot_description` whose
+        masses belong to the body or do not.
+        """
+        ignored = f'parameters that are not those of a scene are ignored: {listed(self.ignored)}'
+        return [*([ignored] if self.ignored else []),
+                *(f'robot_description: {note}' for note in self.links.notes)]
 
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
