@@ -43,6 +43,7 @@ class Truth:
     torques: np.ndarray
     inertia: np.ndarray = field(default_factory=INERTIA.copy)
     rates_at_start: np.ndarray = field(default_factory=RATES.copy)
+    turn: Rotation = TURN
 
     @property
     def body(self):
@@ -50,7 +51,7 @@ class Truth:
 
     @property
     def start(self):
-        return State(int(self.torque_times[0]), TURN, self.rates_at_start)
+        return State(int(self.torque_times[0]), self.turn, self.rates_at_start)
 
     @property
     def log(self):

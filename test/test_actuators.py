@@ -183,6 +183,20 @@ def test_a_replay_without_memory_of_the_motion_writes_the_same(recorded, tmp_pat
     np.testing.assert_array_equal(written.values, kept.trajectory.attitude)
 
 
+def test_a_start_between_two_commands_does_not_change_the_lag(recorded):
+    path, scene, _ = recorded
+    run = load(scene)
+    topics = recording.Topics().found_in(path, run)
+    (whole,), (later,) = (recording.read_epochs(path, run, topics, skip=skip)
+                          for skip in (0.0, 0.512))
+    times_ns = later.problem.start.time_ns + np.arange(50) * 10_000_000
+    attitude = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
+    torques = whole.problem.torque(times_ns, attitude)
+    assert np.abs(torques - sum(log.at(times_ns)[0] for log in whole.problem.acting_logs)
+                  ).max() > 1e-3
+    np.testing.assert_array_equal(later.problem.torque(times_ns, attitude), torques)
+
+
 def test_the_topics_of_an_actuator_may_be_named_in_any_order(recorded):
     path, scene, _ = recorded
     one = read(path, scene, topic=['/drag', '/thrust'])

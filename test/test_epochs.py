@@ -196,10 +196,10 @@ def test_a_torque_of_a_later_epoch_is_named_by_its_number(run, tmp_path):
 
 def test_the_log_of_a_node_is_not_skipped(two, tmp_path, capsys):
     output = str(tmp_path / 'out.mcap')
-    assert main.attitude_replay([two, '--scene', str(CONFIG / 'tumbler.yaml'), '--start', '1',
+    assert main.attitude_replay([two, '--scene', str(CONFIG / 'tumbler.yaml'), '--from', '1',
                                 '-o', output]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert f'two.mcap: {ACCEPTED}: --start: expected no time to skip, because the log' in line
+    assert 'two.mcap: --from: expected no time to skip, because the log of a node' in line
 
 
 @pytest.mark.parametrize('options', [{}, {'interpolation': 'cubic'}, {'until': 2.5}], ids=str)
@@ -481,6 +481,16 @@ def test_measurements_of_other_epochs_are_left_out(two, tmp_path, start, count):
     sensor, = read_experiment(two, scene.load(tmp_path / 'scene.yaml'),
                               Reading((COMMITTED,))).measured
     assert np.sum(sensor.stamps_ns >= start.time_ns) == count
+
+
+def test_the_part_of_an_epoch_ends_after_its_start_and_begins_with_it(two, tmp_path):
+    assert called(tmp_path, 'compare', two, f'start_time: {SECOND_START.time_ns}') == 0
+    run = scene.load(tmp_path / 'scene.yaml')
+    sensor, = read_experiment(two, run, Reading((COMMITTED,), until=0.5)).measured
+    assert sensor.stamps_ns[-1] == SECOND_START.time_ns + SECOND // 2
+    with pytest.raises(InputError, match='two.mcap: --from: expected no time to skip, because '
+                                         'the log of a node begins at its start state'):
+        read_experiment(two, run, Reading((COMMITTED,), start=0.5))
 
 
 @pytest.mark.slow

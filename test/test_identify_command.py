@@ -212,6 +212,18 @@ def test_two_recordings(tumble):
 
 
 @pytest.mark.slow
+def test_a_part_gives_the_state_at_its_beginning(tumble):
+    assert identify(tumble, '--from', '5.03', '--until', '15', '-o', tumble / 'fitted.yaml',
+                    '--json', tumble / 'out.json') == 0
+    data = json.loads((tumble / 'out.json').read_text())
+    assert data['training']['samples'] == 2 * 998
+    truth, fitted = measurements.truth(), scene.load(tumble / 'fitted.yaml')
+    assert so3.angle_between(fitted.start.attitude, truth.attitude[503].as_quat()) < 1e-3
+    np.testing.assert_allclose(fitted.start.angular_velocity, truth.rates[503], atol=3e-3)
+    np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=5e-4)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize('copied', [shutil.copy, os.link, os.symlink, record])
 def test_the_same_measurements_twice_are_not_independent(tumble, capsys, copied):
     one, two = tumble / 'in.mcap', tumble / 'copy.mcap'

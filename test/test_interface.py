@@ -63,7 +63,8 @@ SIGNATURES = [
               f'actuator=None, {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
-           "wheel_command=None, inertia=None, interpolation=None, time_source='header', columns=None"),
+           "wheel_command=None, inertia=None, interpolation=None, time_source='header', "
+           'columns=None'),
     (propagate, 'body, start, log=None, *, at, wheels=None, efforts=None, fields=(), '
                 f'changes=None, actuator=None, {OPTIONS}'),
     (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, fields=(), torque_gains=None, '

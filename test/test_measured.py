@@ -41,6 +41,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import read_measured
 from rigid_body_ros.comparison.recorded import compare_recording
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.scene import load
 from scipy.spatial.transform import Rotation
 
@@ -411,9 +412,63 @@ def test_a_clock_that_is_off_moves_the_end_of_an_epoch(tmp_path, clock):
 
 @pytest.mark.slow
 def test_measurements_of_later_epochs_only_are_rejected(tmp_path):
-    with pytest.raises(InputError, match='two.mcap: /odom: expected measurements before the next '
-                                         'epoch, which begins at .* ns on their clock, found'):
+    with pytest.raises(InputError, match='two.mcap: /odom: expected measurements before the end '
+                                         r'of the motion \(--until or the next epoch\), which is '
+                                         'at .* ns on their clock, found them from'):
         aligned_in_first_epoch(tmp_path, -15.0)
+
+
+def at_row(row):
+    """Return the true motion with the state at a measured stamp as its initial state."""
+    motion = truth()
+    return replace(motion, rates_at_start=motion.rates[row], turn=motion.attitude[row])
+
+
+@pytest.mark.slow
+def test_only_a_part_is_compared_and_the_torque_before_it_still_acts(run, tmp_path):
+    path = write(tmp_path / 'flight.mcap', torque=torque_messages(truth()),
+                 imu=messages_of('Imu', truth().measured()))
+    part = write_scene(tmp_path / 'part.yaml', at_row(503))  # 20 ms before the next torque
+    status, _, _ = run('--from', '5.03', '--until', '12', '--json', tmp_path / 'it.json',
+                       '--horizon', 1, path=path, scene=part)
+    assert status == 0
+    found = json.loads((tmp_path / 'it.json').read_text())
+    assert (found['samples'], found['left_out']) == (698, 2000 - 698)
+    assert found['span_s'] == pytest.approx(6.97)
+    assert found['attitude_error_rad']['max'] < 1e-9
+
+
+@pytest.mark.slow
+def test_a_part_without_torques_begins_and_ends_at_its_times(run, tmp_path, measured):
+    path = write(tmp_path / 'free.mcap', imu=messages_of('Imu', measured))
+    status, _, _ = run('--from', '2', '--until', '3', '--json', tmp_path / 'it.json', path=path)
+    assert status == 0
+    assert json.loads((tmp_path / 'it.json').read_text())['samples'] == 101
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('clock', [0.5, -0.5])
+def test_the_end_of_a_part_is_on_the_clock_of_the_torques(tmp_path, clock):
+    path = write(tmp_path / 'late.mcap', torque=torque_messages(truth()),
+                 imu=messages_of('Imu', truth().measured(clock=clock)))
+    scene = load(write_scene(tmp_path / 'scene.yaml', truth()))
+    found = compare_recording(path, scene, Reading(until=10.0), align=['clock'], horizons=[])
+    assert (found.samples, found.left_out) == (1001, 999)
+    assert found.as_dict()['attitude_error_rad']['max'] < 1e-5
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (('--from', '3', '--until', '2.5'), '--until: expected more than --from, 3 s, found 2.5 s'),
+    (('--from', '21'), 'flight.mcap: /imu: expected measurements during the motion, from '
+     f'{EPOCH_NS + 21 * SECOND} ns to the last torque or the end at '),
+    (('--from', '1', '--motion', 'motion.mcap'), '--from: expected a motion that is computed, '
+     'found --motion'),
+    (('--until', '1', '--motion', 'motion.mcap'), '--until: expected a motion that is computed')])
+def test_a_part_without_a_motion_is_one_line(run, arguments, message):
+    status, shown, error = run('--measured', '/imu', *arguments)
+    assert (status, shown) == (2, '')
+    assert message in error
+    assert error.count('\n') == 1
 
 
 def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene):

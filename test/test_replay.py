@@ -14,6 +14,7 @@
 
 """attitude_replay: the numbers of the library, a summary, a picture, and one-line errors."""
 
+from dataclasses import replace
 import json
 import os
 import signal
@@ -593,17 +594,61 @@ def test_what_cannot_be_written_besides_is_refused(output):
                also=('imu', 'x'))
 
 
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 @pytest.mark.parametrize('keep', [False, True])
-def test_torques_before_the_start_asked_for_are_left_out(tmp_path, output, keep):
+def test_a_motion_from_a_time_on_is_under_the_torque_of_this_time(output, keep, interpolation):
     source = recording.read(RECORDINGS / 'tumbler.mcap')
     result = replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
-                    start=1.25, until=2.0, keep=keep)
-    rows = source.stamps_ns >= source.stamps_ns[0] + 1_250_000_000
-    assert result.start.time_ns == source.stamps_ns[rows][0]
+                    start=1.2512, until=2.0, keep=keep, interpolation=interpolation)
+    assert result.start.time_ns == source.stamps_ns[0] + 1_251_200_000
+    assert result.start.time_ns not in source.stamps_ns
     assert result.last.time_ns == result.start.time_ns + 2 * SECOND
     motion = propagate(result.scene.body, result.start, recording.torque_log(
-        '', source.rows(rows), 'base_link', 'world'), at=[result.last.time_ns])
+        '', source, 'base_link', 'world', interpolation), at=[result.last.time_ns])
     np.testing.assert_array_equal(motion.attitude[0], result.last.attitude)
+
+
+@pytest.mark.slow
+def test_a_motion_may_start_after_many_pieces_of_the_torque_and_after_the_start_time(tmp_path,
+                                                                                     output):
+    late = tmp_path / 'late.yaml'
+    late.write_text((CONFIG / 'tumbler.yaml').read_text() + f'    start_time: {EPOCH_NS}\n')
+    rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3 * (k % 7), 0.0, 0.0])
+            for k in range(30_000)]
+    arguments = [write_torques(tmp_path / 'long.mcap', rows), '-o', str(output), '--rate', '100']
+    motions = []
+    for path in (CONFIG / 'tumbler.yaml', late):
+        assert main.attitude_replay([*arguments, '--scene', str(path), '--from', '25.0005',
+                                    '--until', '26', '--overwrite']) == 0
+        motions.append(recording.read(output, '/attitude', messages.QUATERNION))
+    times_ns = EPOCH_NS + 25_000_500_000 + 10_000_000 * np.arange(100)
+    np.testing.assert_array_equal(motions[0].stamps_ns[:100], times_ns)
+    run = scene.load(CONFIG / 'tumbler.yaml')
+    motion = propagate(run.body, replace(run.start, time_ns=int(times_ns[0])), TorqueLog(
+        [row[0] for row in rows], [row[2] for row in rows]), at=times_ns)
+    for found in motions:
+        np.testing.assert_array_equal(found.values[:100], motion.attitude)
+
+
+@pytest.mark.parametrize(('options', 'seconds'), [
+    (('--from', '40'), [*range(40, 28801, 20)]),
+    (('--start', '35', '--until', '85'), [40, 60, 80, 85]),
+    (('--from', '35', '--duration', '85'), [40, 60, 80, 100, 120])])
+def test_from_and_until_count_from_the_first_sample(output, options, seconds):
+    assert main.attitude_replay([*ISS, '-o', str(output), *options]) == 0
+    stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
+    np.testing.assert_array_equal(stamps - EPOCH_NS, SECOND * np.array(seconds))
+
+
+@pytest.mark.parametrize(('options', 'message'), [
+    (('--from', '5', '--until', '5'), '--until: expected more than --from, 5 s, found 5 s'),
+    (('--from', '28801'), 'iss.mcap: expected the last torque at or after the start of the motion '
+     '(--from or start_time), ')])
+def test_a_span_without_a_motion_is_one_line(output, capsys, options, message):
+    assert main.attitude_replay([*ISS, '-o', str(output), *options]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert not output.exists()
 
 
 @pytest.mark.slow
@@ -687,7 +732,7 @@ def test_a_torque_over_a_long_gap_is_warned_of(tmp_path, capsys):
     (0.9, (0.1, 0.0, 0.0), [], '0.91 s between torques, from 0.49 s'),
     (20.0, (0.0, 0.0, 0.0), [], '20.01 s'),
     (20.0, (0.1, 0.0, 0.0), ['--until', '0.9'], '0.41 s'),
-    (20.0, (0.1, 0.0, 0.0), ['--start', '0.6'], '0.01 s')])
+    (20.0, (0.1, 0.0, 0.0), ['--from', '20.6'], '0.01 s')])
 def test_a_gap_without_consequence_is_only_named(tmp_path, capsys, gap, torque, options, longest):
     assert main.attitude_replay([*stopped_clock(tmp_path / 'gap.csv', gap, torque), *options]) == 0
     shown = capsys.readouterr().out

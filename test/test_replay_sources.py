@@ -383,7 +383,6 @@ def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, written):
      'initial_rotor_momentum: expected [0.0'),
     ([TWO, WHEELS, 'torque_timeout: 0.09'], ['--wheel-momentum', '/wheel_momentum'],
      'expected samples at most torque_timeout (0.09 s) apart, found a gap of 0.1 s'),
-    ([TWO, WHEELS], ['--start', '1'], '--start: expected one topic, of torques'),
     ([TWO, 'solver: exact'], [], 'handles torque-free motion only'),
     ([WHEELS, 'solver: exact'], ['--topic', '/control'], "solver 'exact' handles neither rotors"),
     (['damping: {dxx: 1.0, dxy: 2.0}'], [], 'expected a tensor without negative eigenvalues')])

@@ -531,6 +531,19 @@ def test_a_motion_that_ends_before_it_starts_is_rejected(log, end_ns, message):
         measure(Problem(RigidBody.from_moments(1.0, 2.0, 2.5), start, log), end_ns=end_ns)
 
 
+@pytest.mark.slow
+def test_only_a_part_of_a_recording_is_measured(tmp_path):
+    figures = tmp_path / 'figures.json'
+    assert main.attitude_tradeoff([*TUMBLER, *TORQUES, '--from', '1.5', '--until', '4', '--json',
+                                  str(figures)]) == 0
+    assert json.loads(figures.read_text())['whole_s'] == 2.5
+
+
+def test_a_part_needs_a_recording(capsys):
+    assert main.attitude_tradeoff([*TUMBLER, '--from', '1']) == 2
+    assert '--from: expected a --recording, found none' in capsys.readouterr().err
+
+
 def test_of_several_topics_one_is_named(tmp_path, capsys):
     path, figures = tmp_path / 'two.mcap', tmp_path / 'figures.json'
     with recording.Writer(path) as writer:

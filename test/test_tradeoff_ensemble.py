@@ -147,9 +147,10 @@ def test_a_setting_that_is_not_faster_saves_nothing():
     (['--ensemble', 'missing'], 'missing/summary.json: cannot read the summary of the ensemble'),
     (['--ensemble', 'free', *TORQUES], 'free: expected an ensemble under the torques of '),
     (['--ensemble', 'torques'], 'torques: expected an ensemble without torques, found another'),
+    (['--ensemble', 'free', '--until', '2'], '--until: expected the end of the runs of '),
     (['--ensemble', 'free', '--json', 'free/summary.json', '--overwrite'],
      'free/summary.json: would be written into the folder of the ensemble '),
-], ids=['missing', 'free', 'torques', 'overwrite'])
+], ids=['missing', 'free', 'torques', 'until', 'overwrite'])
 def test_another_ensemble_is_one_line(spread, capsys, monkeypatch, more, message):
     monkeypatch.chdir(spread)
     before = (spread / 'free' / 'summary.json').read_bytes()

@@ -20,6 +20,7 @@ import argparse
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import progress, report
 
@@ -68,6 +69,20 @@ def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
                'inertia is known')
 
 
+def length_of(options: argparse.Namespace) -> float | None:
+    """
+    Return the length of the motion, s, or None if --until is not given.
+
+    Raise InputError if the motion would end before it starts.
+    """
+    if options.until is None:
+        return None
+    if options.until <= options.start:
+        raise InputError(f'--until: expected more than --from, {options.start:.9g} s, found '
+                         f'{options.until:.9g} s')
+    return float(options.until - options.start)
+
+
 def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics named in the options."""
     from rigid_body_ros import recording
@@ -76,13 +91,18 @@ def topics_of(options: argparse.Namespace) -> Topics:
                                   options.wheel_command, options.columns)
 
 
-def read_torques(options: argparse.Namespace, scene: Scene, may_command: bool = False) -> Logged:
-    """Combine the recording and the scene into a problem; see `recording.chosen`."""
+def read_torques(options: argparse.Namespace, scene: Scene, skip: float = 0.0) -> Logged:
+    """
+    Combine the recording and the scene into a problem; see `recording.chosen`.
+
+    If `skip` is positive, the motion starts `skip` seconds after the first sample.
+    """
     from rigid_body_ros import recording
     warn_of_units(options, [options.recording])
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
-    epochs = recording.read_epochs(path, scene, topics, track=progress('reading', size=len))
-    return recording.chosen(path, scene, epochs, may_command=may_command)
+    epochs = recording.read_epochs(path, scene, topics, track=progress('reading', size=len),
+                                   skip=skip)
+    return recording.chosen(path, scene, epochs, may_command=True)
 
 
 def reading_of(options: argparse.Namespace) -> Reading:
@@ -90,4 +110,4 @@ def reading_of(options: argparse.Namespace) -> Reading:
     from rigid_body_ros.recording.observed import Reading
     return Reading(tuple(options.measured or ()), topics_of(options), options.interpolation,
                    options.time_source, options.frames and tuple(options.frames),
-                   progress('reading', size=len))
+                   options.start, length_of(options), progress('reading', size=len))

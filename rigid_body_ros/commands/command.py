@@ -135,6 +135,22 @@ class Parser(argparse.ArgumentParser):
                           help='how to interpolate the torques between samples (default: the '
                           'interpolation of the scene)')
 
+    def add_span(self, *aliases: str) -> argparse._ActionsContainer:
+        """
+        Add the options for the start and the end of the motion.
+
+        `aliases` are other names of --from. Return a group for other options that set the end.
+        """
+        self.add_argument('--from', *aliases, dest='start', type=positive, default=0.0,
+                          metavar='SECONDS', help='start the motion SECONDS after the first '
+                          'sample, in the initial state of the scene. A torque that is held at '
+                          'this time acts from the start. Not for the log of a node')
+        ends = self.add_mutually_exclusive_group()
+        ends.add_argument('--until', type=positive, metavar='SECONDS',
+                          help='end the motion SECONDS after the first sample or, if the scene '
+                          'sets start_time or a node recorded the log, after the start')
+        return ends
+
     def add_time_source(self, times: str) -> None:
         """Add the option that selects where times come from; its help text begins with `times`."""
         self.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
@@ -147,6 +163,7 @@ class Parser(argparse.ArgumentParser):
                           help='parent frame and child frame of measured transforms or odometry '
                           '(default: the frames of the scene)')
         self.add_torques()
+        self.add_span()
         self.add_interpolation()
         self.add_time_source('time of a torque or measurement: the stamp in its header, or when '
                              'its message')

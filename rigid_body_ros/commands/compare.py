@@ -51,8 +51,10 @@ def _run(options: argparse.Namespace) -> int:
     name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
         scene = load_scene(options)
-        if options.check and options.motion:
-            raise InputError('--check: expected a motion that is computed, found --motion')
+        unused = [name for name in ('check', 'start', 'until') if getattr(options, name)]
+        if unused and options.motion:
+            name = unused[0].replace('start', 'from')
+            raise InputError(f'--{name}: expected a motion that is computed, found --motion')
         warn_of_units(options, [options.recording])
         comparison = _compared(options, scene)
         warn_of_samples(options, options.recording, comparison.torques, comparison.measured)

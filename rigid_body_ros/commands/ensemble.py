@@ -151,7 +151,7 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
     """Return the problem for the nominal motion, and the time at which that motion ends, ns."""
     problem, end_ns = scene.problem(), None
     if options.recording is not None:
-        found = read_torques(options, scene, may_command=True)
+        found = read_torques(options, scene)
         problem, end_ns = found.problem, int(found.times_ns[-1])
     start_ns = problem.start.time_ns
     if options.until:

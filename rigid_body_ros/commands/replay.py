@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import load_scene, note, topics_of, warn_of_units
+from rigid_body_ros.commands.arguments import length_of, load_scene, note, topics_of, warn_of_units
 from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
@@ -83,8 +83,12 @@ def _page(result: Replay, name: str, line: str) -> Page:
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
     names = ('topic', 'wheel_torque', 'wheel_momentum', 'wheel_command', 'inertia',
-             'interpolation', 'rate', 'until', 'start', 'time_source', 'also', 'columns')
-    return {name: getattr(options, name) for name in names}
+             'interpolation', 'rate', 'start', 'time_source', 'also', 'columns')
+    return {**{name: getattr(options, name) for name in names}, 'until': _length(options)}
+
+
+def _length(options: argparse.Namespace) -> float | None:
+    return length_of(options) if options.duration is None else float(options.duration)
 
 
 def _replay_many(options: argparse.Namespace) -> int:
@@ -125,9 +129,11 @@ def _verify(options: argparse.Namespace) -> int:
     unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'scheduler')
               if getattr(options, name)]
     if unused:
-        raise InputError(f'--verify: cannot be combined with --{unused[0]}')
+        name = unused[0].replace('start', 'from')
+        raise InputError(f'--verify: cannot be combined with --{name}')
     result = verify(options.input[0], load_scene(options), options.verify,
-                    topics_of(options), interpolation=options.interpolation, until=options.until)
+                    topics_of(options), interpolation=options.interpolation,
+                    until=_length(options))
     show(result.text())
     return OK if result.same.all() else DIFFERENT
 
@@ -154,16 +160,14 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_interpolation()
     parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')
-    parser.add_argument('--start', type=positive, default=0.0, metavar='SECONDS',
-                        help='skip the first SECONDS of the recording')
     parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
                         help='with -o, also write /imu/data (imu), /tf (tf), markers for rviz and '
                         'Foxglove on /marker/... (markers), or a copy of the input messages '
                         '(input)')
-    parser.add_argument('--until', '--duration', type=positive, metavar='SECONDS',
-                        help='end the motion SECONDS after its start; if a node recorded the log, '
-                        'end each epoch SECONDS after its start (default: at the last torque '
-                        'stamp)')
+    parser.add_span('--start').add_argument(
+        '--duration', type=positive, metavar='SECONDS',
+        help='end the motion SECONDS after its start; if a node recorded the log, end each epoch '
+        'SECONDS after its start (default: at the last torque stamp)')
     parser.add_time_source('when a torque takes effect: at the stamp in its header, or when its '
                            'message')
     add_scheduler(parser)

@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import load_scene, read_torques, topics_of
+from rigid_body_ros.commands.arguments import length_of, load_scene, read_torques, topics_of
 from rigid_body_ros.commands.command import Command, Parser, within
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
@@ -60,13 +60,19 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
         # The problem that is measured has rotors in place of the named wheels, and its body does
         # not include the axial inertia of the wheels.
         result = measure(problem.carried(), targets=targets, track=progress('measuring', ' runs'),
-                         end_ns=spread.end_ns if spread else None)
+                         end_ns=spread.end_ns if spread else _end_ns(options, problem))
     except ValueError as error:
         where = f'{source}: {name}' if options.recording else source
         raise InputError(f'{where}: {error}') from error
     if spread:
         result = ensemble.advise(result, spread)
     return result, f'{Path(source).name}: {name}'
+
+
+def _end_ns(options: argparse.Namespace, problem: Problem) -> int | None:
+    """Return the end of the motion, ns, or None if --until is not given."""
+    length = length_of(options)
+    return None if length is None else problem.start.time_ns + round(1e9 * length)
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
@@ -76,8 +82,10 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
     scene = replace(scene, values={**scene.values, 'solver': 'auto'})
     topics_of(options).check(scene)
     if options.recording is None:
+        if options.start:
+            raise InputError('--from: expected a --recording, found none')
         return scene.problem(), 'fields, no logged torque' if scene.fields else 'no torque'
-    logged = read_torques(options, scene, may_command=True)
+    logged = read_torques(options, scene, options.start)
     return logged.problem, listed(logged.topics)
 
 
@@ -89,6 +97,8 @@ def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
     """
     if not options.ensemble:
         return None
+    if options.until:
+        raise InputError('--until: expected the end of the runs of --ensemble, found both')
     from rigid_body_ros.ensemble.identity import recording_hash
     from rigid_body_ros.tradeoff import ensemble
     spread, start_ns = ensemble.read(options.ensemble), problem.start.time_ns
@@ -108,6 +118,7 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument('--recording', metavar='IN', help='torque recording, as for '
                         'attitude_replay (default: 50 turns without torque)')
     parser.add_torques()
+    parser.add_span()
     parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
                         help='largest attitude error that the solver may have at any time during '
                         'the motion; the command reports the interpolation error between torque '

@@ -87,8 +87,8 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
     try:
         sensors = during.until_end()
-        # A clock offset can move the last samples into the next epoch.
-        if moves_clocks and during.is_followed:
+        # A clock offset can move the last samples beyond the end.
+        if moves_clocks and during.has_end:
             sensors = during.until_end([one.clock_offset_s for one
                                         in aligned_by(moved, sensors, align)])
         found = compare_motion(moved, sensors, align, horizons, causes=not during.faults,

@@ -34,6 +34,7 @@ from rigid_body_ros.recording.problem import (
     chosen,
     Logged,
     read_epochs,
+    started,
 )
 from rigid_body_ros.recording.problem import (
     read as read_problem,
@@ -63,5 +64,5 @@ from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, 
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter',
            'Logged', 'Messages', 'NotInOrderError', 'Piece', 'Source', 'Stream', 'Streams',
            'Topics', 'Writer', 'chosen', 'epochs', 'first_epoch', 'is_ulog', 'joined', 'read',
-           'read_epochs', 'read_problem', 'suffix_of', 'topics',
-           'torque_log', 'torque_pieces', 'whole', 'writer_of']
+           'read_epochs', 'read_problem', 'started', 'suffix_of', 'topics', 'torque_log',
+           'torque_pieces', 'whole', 'writer_of']

@@ -17,12 +17,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Topics
 from rigid_body_ros.recording.account import Account
@@ -50,6 +50,10 @@ class Reading:
         How to interpolate the torques between samples. By default, the scene decides.
     time_source : str
         Where the stamps of torques and measurements come from, as for `recording.read`.
+    start : float, s
+        If positive, the motion starts this long after the first sample, as for `read_observed`.
+    until : float, optional, s
+        The length of the motion. By default, the motion ends at the last sample.
     frames : tuple of str, optional
         The parent frame and the child frame to read, as for `read_measured`.
     track : callable
@@ -62,6 +66,8 @@ class Reading:
     interpolation: str | None = None
     time_source: str = 'header'
     frames: tuple[str, str] | None = None
+    start: float = 0.0
+    until: float | None = None
     track: Track = no_progress
 
     def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
@@ -81,7 +87,8 @@ class Measurements:
     sensors : list of Measured
         The measurements, including all samples of the recording.
     end_ns : int
-        The time at which the motion ends because the node begins another epoch.
+        The time at which the motion ends, because the node begins another epoch or because only a
+        part of the recording is read.
     torques : Account, optional
         What became of the torques.
 
@@ -99,8 +106,8 @@ class Measurements:
         return [fault for account in accounts for fault in account.faults]
 
     @property
-    def is_followed(self) -> bool:
-        """Return whether another epoch of the node follows this motion."""
+    def has_end(self) -> bool:
+        """Return whether the motion may end before the last sample."""
         return self.end_ns < Measurements.end_ns
 
     def until_end(self, offsets: Sequence[float] = ()) -> list[Measured]:
@@ -121,9 +128,9 @@ class Measurements:
                 for one in offsets or [0.0] * len(self.sensors)]
         for sensor, end_ns in zip(self.sensors, ends):
             if sensor.stamps_ns[0] >= end_ns:
-                raise InputError(f'{sensor.topic}: expected measurements before the next epoch, '
-                                 f'which begins at {end_ns} ns on their clock, found them from '
-                                 f'{sensor.stamps_ns[0]} ns on')
+                raise InputError(f'{sensor.topic}: expected measurements before the end of the '
+                                 f'motion (--until or the next epoch), which is at {end_ns} ns on '
+                                 f'their clock, found them from {sensor.stamps_ns[0]} ns on')
         return [sensor.rows(sensor.stamps_ns < end_ns)
                 for sensor, end_ns in zip(self.sensors, ends)]
 
@@ -141,10 +148,12 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
     path : str or Path
         The recording.
     scene : Scene
-        The scene. If the start_time of the scene is 0, the motion starts at the earliest torque
-        stamp or, if there are no torques, at the earliest stamp of the measurements.
+        The scene. If the start_time of the scene is 0, the motion starts at the first sample: the
+        earliest torque stamp or, if there are no torques, the earliest stamp of the measurements.
     reading : Reading
-        What to read, and how.
+        What to read, and how. If `reading.start` is positive, the motion starts that long after
+        the first sample, whatever the start_time, and earlier torques are kept, because a torque
+        that is held at the start acts.
     largest_offset : float, s
         Largest possible offset between the torque clock and the measurement clock.
     may_command : bool
@@ -153,39 +162,43 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
     Raises
     ------
     InputError
-        The recording cannot be read or does not fit the scene, or torques and measurements do not
-        overlap in time.
+        The recording cannot be read or does not fit the scene, torques and measurements do not
+        overlap in time, or `reading.start` is positive for the log of a node.
 
     """
-    sensors = reading.sensors(path, scene)
-    measurements = Measurements(sensors)
-    if reading.topics == _TOPICS_OF_SCENE and not (
+    sensors, later_ns, account = reading.sensors(path, scene), list[int](), None
+    if replace(reading.topics, columns=None) == _TOPICS_OF_SCENE and not (
             recording.topics(path, recording.TORQUES) or reading.topics.command_in(path, scene)):
         first_ns = min(int(sensor.stamps_ns[0]) for sensor in sensors)
-        problem = scene.problem(start=scene.starting_at(first_ns))
+        problem = scene.problem(scene.starting_at(first_ns, reading.start))
     else:
         epochs = recording.read_epochs(path, scene, reading.topics.found_in(path, scene),
-                                       reading.interpolation, reading.track, reading.time_source)
+                                       reading.interpolation, reading.track, reading.time_source,
+                                       reading.start)
         logged = recording.chosen(path, scene, epochs, may_command=may_command)
-        problem = logged.problem
+        problem, account = logged.problem, logged.account
         begins_ns = [epoch.problem.start.time_ns for epoch in epochs]
         later_ns = [time_ns for time_ns in begins_ns if time_ns > problem.start.time_ns]
-        measurements = Measurements(sensors, min(later_ns, default=Measurements.end_ns),
-                                    logged.account)
-    _check_overlap(path, problem, measurements, round(1e9 * largest_offset))
+    if reading.until is not None:  # the sample at the end is part of the motion
+        later_ns.append(problem.start.time_ns + duration_ns(reading.until, 'until') + 1)
+    measurements = Measurements(sensors, min(later_ns, default=Measurements.end_ns), account)
+    _check_overlap(path, problem, measurements, round(1e9 * largest_offset), reading)
     return problem, measurements
 
 
 def _check_overlap(path: str | Path, problem: Problem, measurements: Measurements,
-                   margin_ns: int) -> None:
+                   margin_ns: int, reading: Reading) -> None:
     """Raise InputError if torques and measurements do not overlap in time."""
     first = problem.start.time_ns
     torque = max((int(log.times_ns[-1]) for log in problem.logs), default=NEVER_NS)
     last = min(torque, measurements.end_ns - 1)
+    is_part = reading.start or reading.until
+    advice = 'check --from and --until' if is_part else \
+        'are the clocks the same (--time-source log)?'
     for sensor in measurements.sensors:
         begin, end = int(sensor.stamps_ns[0]), int(sensor.stamps_ns[-1])
         if end + margin_ns < first or begin - margin_ns > last:
             raise InputError(
                 f'{path}: {sensor.topic}: expected measurements during the motion, from {first} '
-                f'ns to the last torque at {last} ns, found them from {begin} ns to {end} ns; '
-                'are the clocks the same (--time-source log)?')
+                f'ns to the last torque or the end at {last} ns, found them from {begin} ns to '
+                f'{end} ns; {advice}')

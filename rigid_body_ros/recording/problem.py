@@ -123,8 +123,10 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         How to interpolate between samples; by default, as the scene specifies.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
-    time_source, skip
-        See `recording.read`; use `skip` only with a single topic.
+    time_source
+        See `recording.read`.
+    skip : float, s
+        See `started`.
 
     Returns
     -------
@@ -138,7 +140,7 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         epochs.
 
     """
-    torques = [source.read(path, name, None, track, time_source, skip, topics.preferred,
+    torques = [source.read(path, name, None, track, time_source, topics.preferred,
                            topics.columns)
                for name in topics.wrenches]
     momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, track, time_source) \
@@ -151,7 +153,8 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
     found = aligned(path, [epochs(path, one) for one in torques], time_source == 'header')
     if momentum is not None and len(found) > 1:
         raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(found)}')
-    return [_logged(path, scene, topics, parts, momentum, interpolation or scene.interpolation)
+    return [_logged(path, scene, topics, parts, momentum, interpolation or scene.interpolation,
+                    skip)
             for parts in found]
 
 
@@ -192,7 +195,7 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
 
 
 def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
-            momentum: Messages | None, interpolation: str) -> Logged:
+            momentum: Messages | None, interpolation: str, skip: float) -> Logged:
     """
     Return the problem of one epoch.
 
@@ -222,12 +225,16 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
         lost = f' ({damage})' if damage else ''
         raise InputError(f'{path}: {listed([one.topic for one in every])}: expected torques, '
                          f'found no messages{lost}')
-    start = begin or scene.starting_at(int(stamps_ns[0]))
+    first_ns = int(stamps_ns[0]) if stamps_ns.size else 0
+    start = started(path, scene, begin, first_ns, skip)
     if measured is not None:
         start = _started(start, measured)
     try:
         problem = scene.problem(start).replaced(
             log=logs, wheels=wheels, changes=changes, efforts=efforts, actuator=actuators)
+        if skip:  # an actuator lags from its first command, not from the start
+            problem = problem.replaced(start=replace(start, time_ns=first_ns)).replaced(
+                start=start)
     except ValueError as error:
         raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
     for one in every:
@@ -235,6 +242,37 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
             accounts[one.topic].add(one.stamps_ns)
     return Logged(problem, measured is not None, merged(accounts), begin is not None, damage,
                   tuple(accounts))
+
+
+def started(path: str | Path, scene: Scene, begin: State | None, first_ns: int,
+            skip: float) -> State:
+    """
+    Return the state in which a motion starts.
+
+    Parameters
+    ----------
+    path : str or Path
+        Path of the recording, for error messages.
+    scene : Scene
+        The scene.
+    begin : State or None
+        The start state of an epoch; None if a node did not log the torques.
+    first_ns : int
+        The earliest stamp.
+    skip : float, s
+        If positive, the motion starts this long after `first_ns`. Earlier samples are kept, so a
+        torque that is held at the start acts.
+
+    Raises
+    ------
+    InputError
+        `skip` is positive, but the motion is an epoch of a node.
+
+    """
+    if begin and skip:
+        raise InputError(f'{path}: --from: expected no time to skip, because the log of a node '
+                         'begins at its start state')
+    return begin or scene.starting_at(first_ns, skip)
 
 
 def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, shortened
-from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk, transforms
@@ -120,8 +119,6 @@ class Source:
     time_source : str
         Where the stamps come from: 'header', 'log' (time of recording) or 'publish' (time of
         publishing).
-    skip : float, s
-        Skip the messages in the first `skip` seconds of the topic.
     preferred : str
         The topic to read if `topic` is omitted and several topics have a type from `kinds`.
     frames : tuple of str, optional
@@ -148,17 +145,14 @@ class Source:
     InputError
         The recording cannot be read; the topic does not exist, has another type or is ambiguous;
         or, during iteration, a message does not match its type.
-    ValueError
-        `skip` is negative or longer than 1e9 s.
 
     """
 
     def __init__(self, path: str | Path, topic: str | None, kinds: Sequence[MessageType],
-                 time_source: str = 'header', skip: float = 0.0, preferred: str = '',
+                 time_source: str = 'header', preferred: str = '',
                  frames: tuple[str, str] | None = None,
                  columns: Mapping[str, str] | None = None) -> None:
         self._path, self._frames = path, frames
-        self._skip_ns = duration_ns(skip, 'skip')
         self._time_source = time_source
         self._longer = 0
         self._stack = ExitStack()
@@ -226,23 +220,13 @@ class Source:
                 numbers[channel.topic] = number + len(raw.starts)
 
     def __iter__(self) -> Iterator[Messages]:
-        number, first_ns = 0, None
-        self._longer = 0
+        number = self._longer = 0
         for file in self._with_topic:
             for raw in file.read(self.topic, self.kind):
                 block = self._messages(raw, number)
                 number += len(raw.starts)
-                if not len(block):  # the block has no transform between the chosen frames
-                    continue
-                if self._skip_ns and any(map(messages.is_epoch_marker, block.names)):
-                    raise InputError(f'{self._path}: {self.topic}: --start: expected no time to '
-                                     'skip, because the log of a node begins at its start state')
-                first_ns = int(block.stamps_ns.min()) if first_ns is None else first_ns
-                rows = block.stamps_ns >= first_ns + self._skip_ns
-                if not self._skip_ns or rows.all():
+                if len(block):  # a block may have no transform between the chosen frames
                     yield block
-                elif rows.any():
-                    yield block.rows(rows)
             if file.damage:
                 return
 
@@ -281,8 +265,7 @@ class Source:
 
 def read(path: str | Path, topic: str | None = None, kind: MessageType | None = None,
          track: Track = no_progress, time_source: str = 'header',
-         skip: float = 0.0, preferred: str = '',
-         columns: Mapping[str, str] | None = None) -> Messages:
+         preferred: str = '', columns: Mapping[str, str] | None = None) -> Messages:
     """
     Read all messages of a topic.
 
@@ -300,7 +283,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
     time_source : str
         Where the stamps come from: 'header', 'log' (time of recording) or 'publish' (time of
         publishing).
-    skip, preferred, columns
+    preferred, columns
         See `Source`.
 
     Returns
@@ -314,7 +297,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
         or a message does not match its type.
 
     """
-    with Source(path, topic, TORQUES if kind is None else (kind,), time_source, skip,
+    with Source(path, topic, TORQUES if kind is None else (kind,), time_source,
                 preferred, columns=columns) as source:
         blocks = list(track(source, source.count))
         return replace(joined(source.topic, source.kind, blocks, source.damage),

@@ -101,7 +101,7 @@ class Streams:
         momentum topic.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
-    time_source, skip
+    time_source
         See `recording.read`.
 
     Attributes
@@ -113,10 +113,10 @@ class Streams:
     """
 
     def __init__(self, path: str | Path, scene: Scene, topics: Topics, track: Track,
-                 time_source: str = 'header', skip: float = 0.0) -> None:
+                 time_source: str = 'header') -> None:
         self._path, self._scene, self._track = path, scene, track
         with ExitStack() as stack:
-            self._sources = [stack.enter_context(Source(path, name, TORQUES, time_source, skip,
+            self._sources = [stack.enter_context(Source(path, name, TORQUES, time_source,
                                                         topics.preferred,
                                                         columns=topics.columns))
                              for name in topics.wrenches]

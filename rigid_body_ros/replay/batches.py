@@ -385,8 +385,8 @@ def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = 
         raise InputError(f'{where}: expected an end at or before the latest ROS stamp, '
                          f'{messages.LAST_NS} ns, found {end_ns} ns')
     if end_ns < start_ns:
-        raise InputError(f'{path}: expected the last torque at or after the start_time of the '
-                         f'scene, {start_ns} ns, found it at {end_ns} ns')
+        raise InputError(f'{path}: expected the last torque at or after the start of the motion '
+                         f'(--from or start_time), {start_ns} ns, found it at {end_ns} ns')
     return end_ns
 
 

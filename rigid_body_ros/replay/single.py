@@ -31,7 +31,6 @@ import time
 
 import numpy as np
 from rigid_body_ros import recording
-from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import joint_commands, VECTOR3
 from rigid_body_ros.propagation import Trajectory
@@ -101,8 +100,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         The length of the motion or, in a node's log, of each epoch's motion. By default, the
         motion ends at the last stamp.
     start : float, s
-        How much to skip at the beginning of the recording. You cannot skip part of a node's log,
-        or part of a recording from which several topics are read.
+        If positive, the motion starts this long after the earliest stamp, whatever the
+        `start_time`. A torque that is held at the start acts. You cannot skip part of a node's
+        log.
     time_source : str
         When a torque takes effect: at its stamp ('header'), when it was recorded ('log') or when
         it was published ('publish').
@@ -158,9 +158,6 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             files.check((output, outputs.suffix_of(output)))
         topics = given.found_in(path, scene)
         others = topics.wheel_momentum or topics.wheel_command or topics.inertia
-        if start and (len(topics.wrenches) > 1 or topics.wheel_torque or others):
-            raise InputError('--start: expected one topic, of torques, found several; '
-                             'set start_time in the scene instead')
         copied = None
         if INPUT in also:
             copied = stack.enter_context(Source(
@@ -168,10 +165,10 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             copied.check_copied(outputs.topics(request))
         if not (keep or others or scene.actuators or request.sensor_delay_ns):
             with suppress(NotInOrderError), Streams(
-                    path, scene, topics, progress('replaying', size=len), time_source,
-                    start) as streams:
-                result = _replayed(request, partial(_pieces, request, topics, streams), copied,
-                                   output)
+                    path, scene, topics, progress('replaying', size=len),
+                    time_source) as streams:
+                result = _replayed(request, partial(_pieces, request, topics, streams, start),
+                                   copied, output)
                 result.damage = streams.damage
                 return result
         return _replayed(request, lambda: _whole(request, topics, recording.read_epochs(
@@ -179,12 +176,12 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             time_source, start)), copied, output, keep)
 
 
-def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoch]:
+def _pieces(request: Request, topics: Topics, streams: Streams, skip: float) -> Sequence[Epoch]:
     """Return the single epoch of a recording whose torques are read piece by piece."""
     opened, scene = streams.opened(), request.scene
     first_ns = min([int(stream.piece.times_ns[0]) for stream in opened
                     if len(stream.piece.times_ns)], default=0)
-    start = streams.start or scene.starting_at(first_ns)
+    start = recording.started(request.path, scene, streams.start, first_ns, skip)
     result = Replay(scene, request.interpolation, ', '.join(streams.topics), topics.wheel_source)
     return [(result, Batches(request, result.topic, opened, scene.problem(start),
                              streams.start is not None))]

@@ -174,9 +174,16 @@ class Scene:
                        fields=self.fields_from(start.time_ns),
                        actuator=self.actuators, **asdict(self.options))
 
-    def starting_at(self, time_ns: int) -> State:
-        """Return the initial state; its time is `start_time` or, if that is 0, `time_ns`."""
-        return replace(self.start, time_ns=self.start.time_ns or time_ns)
+    def starting_at(self, first_ns: int, skip: float = 0.0) -> State:
+        """
+        Return the initial state for a recording whose first stamp is `first_ns`.
+
+        The time of the state is `start_time` or, if that is 0, `first_ns`. If `skip` is positive,
+        the time is instead `skip` seconds after `first_ns`, whatever the `start_time`.
+        """
+        time_ns = self.start.time_ns or first_ns
+        return replace(self.start,
+                       time_ns=first_ns + duration_ns(skip, 'start') if skip else time_ns)
 
     @property
     def body_frame(self) -> str:
