@@ -25,8 +25,6 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.mechanics.torque import TorqueLog
 
-#: Longest time after its stamp, in seconds, for which a torque can affect the motion.
-MEMORY = 2.0
 #: Lags shorter than this, in seconds, are ignored.
 _SHORTEST = 1e-6
 #: Times after each torque sample at which the torque returned by `lagged` changes. The unit of
@@ -59,14 +57,6 @@ def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> lis
         result.append(lagged(scaled, lag, timeout_ns) if lag > _SHORTEST and len(log)
                       else scaled)
     return result
-
-
-def check_delay(physics: Physics) -> None:
-    """Raise InputError if the torque delay exceeds `MEMORY`."""
-    delay = physics.number('torque_delay')
-    if abs(delay) > MEMORY:
-        raise InputError(f'torque_delay: expected at most {MEMORY:g} s, found {delay:.4g} s; '
-                         'shift the stamps of the torques')
 
 
 def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:

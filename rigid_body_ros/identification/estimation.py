@@ -24,7 +24,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.identification import residuals
-from rigid_body_ros.identification.actuator import applied, check_delay
+from rigid_body_ros.identification.actuator import applied
 from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
     channels_of,
@@ -120,8 +120,7 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     ------
     InputError
         A name is unknown or refers to a field or topic that does not exist; a noise or prior is
-        not positive; a topic has too few finite samples; the fitted torque delay exceeds two
-        seconds; or the recordings have different wheels.
+        not positive; a topic has too few finite samples; or the recordings have different wheels.
 
     """
     names = checked_names(estimate)
@@ -147,7 +146,6 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
                     axial=axial)
     known = checked_priors(priors or {}, setup.parameters, setup.given)
     solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
-    check_delay(solution.physics)
     return _result(examined(solution), every if validate else [], accept,
                    [fault for experiment in experiments for fault in experiment.faults])
 

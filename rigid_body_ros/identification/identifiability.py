@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.names import field_of
+from rigid_body_ros.identification.names import field_of, LONGEST_DELAY
 from rigid_body_ros.scene.fields import MOMENT
 
 #: Derivatives whose relative size is below these limits are rounding errors. `_ZERO` is the limit
@@ -35,6 +35,8 @@ _WIDEST = 0.5
 #: Limits for the components of a `Direction`. A component above `_COUNTS` matters, a component
 #: above `_LISTED` is listed in the result, and a component below `_EXACT` is a rounding error.
 _COUNTS, _LISTED, _EXACT = 0.3, 0.05, 1e-3
+#: A parameter is at its bound if it differs from the bound by less than this fraction.
+_NEAR = 1e-3
 #: Relative changes of the moments of inertia count as equal if they differ by less than this
 #: fraction.
 _SAME = 0.1
@@ -91,10 +93,11 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty
     names : sequence of str, length n
         The names of the parameters.
     values : array, shape (n,)
-        The parameters, divided by their scales.
+        The parameters, divided by their scales. The data does not determine a parameter that is at
+        its bound, and the other parameters are judged as if it were known.
 
     """
-    null, rest = _split(factor)
+    null, rest = _split(np.where(_at_bound(names, values), 0.0, factor))
     _, singular, rows = np.linalg.svd(factor @ rest, full_matrices=False)
     vectors = rest @ rows.T
     covariance = (vectors / singular ** 2) @ vectors.T
@@ -107,6 +110,12 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty
     if any(direction.reason == _RATIOS for direction in directions):
         identifiable &= ~_chosen(names, 'inertia')
     return Certainty(covariance, identifiable, directions)
+
+
+def _at_bound(names: Sequence[str], values: Floats) -> NDArray[np.bool_]:
+    """Return which parameters are at a bound. Only the torque delay has bounds."""
+    return np.array([name == 'torque_delay' for name in names], bool) & (
+        np.abs(values) >= (1.0 - _NEAR) * LONGEST_DELAY)
 
 
 def _split(factor: Floats) -> tuple[Floats, Floats]:
@@ -141,6 +150,9 @@ def _direction(names: Sequence[str], values: Floats, vector: Floats) -> Directio
 def _reason(names: Sequence[str], values: Floats, vector: Floats) -> str:
     inertia = _chosen(names, 'inertia')
     ratios = vector[inertia][:3] / values[inertia][:3]  # relative changes of the moments
+    if vector[_at_bound(names, values)].any():
+        return f'at its bound of {LONGEST_DELAY:g} s: the errors are smallest at or ' \
+               'beyond it; check the stamps of the torques'
     scales_inertia = ratios.size > 0 and np.ptp(ratios) < _SAME * np.abs(ratios).max()
     parts, wider = ({MOMENT if field_of(name[:-2]) else name.split('.')[0]
                      for name, part in zip(names, vector) if abs(part) >= least}

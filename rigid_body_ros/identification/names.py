@@ -61,6 +61,8 @@ KINDS = {
     'damping': Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad'),
     'rotor_momentum': Kind(_axes('initial_rotor_momentum'), 'N m s'),
 }
+#: Largest magnitude of `torque_delay`, s. The fit does not leave these bounds.
+LONGEST_DELAY = 2.0
 #: Name of the parameter for the initial attitude and angular velocity.
 START = 'start'
 #: Names of all parameters, in the order in which a fit lists them.

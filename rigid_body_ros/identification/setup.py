@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.actuator import MEMORY
+from rigid_body_ros.identification.names import LONGEST_DELAY
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.sensors import clocked
 from rigid_body_ros.identification.windows import AxialInertia, Window
@@ -36,7 +36,8 @@ _FIRST = 8.0
 _SHORTEST, _LONGEST = 20, 60_000
 #: Time by which a window begins before the first of its samples, ns, if a parameter shifts stamps.
 _LEAD_NS = 200_000_000
-_MEMORY_NS = round(1e9 * MEMORY)
+#: Time for which torques from before a window are kept, because they may act in it, ns.
+_MEMORY_NS = round(1e9 * LONGEST_DELAY)
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import local_state
+from rigid_body_ros.identification.names import LONGEST_DELAY
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.identification.problem import errors_of, LeastSquares, Weights
 from rigid_body_ros.identification.sensors import corrected
@@ -240,9 +241,12 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
     problem = LeastSquares(setup, windows, states_at(previous, windows), previous.weights)
     physics = previous.physics
     if setup.parameters.size:
+        # The other coordinates need no bounds.
+        bounds = np.array([LONGEST_DELAY if name == 'torque_delay' else np.inf
+                           for name in setup.parameters.names])
         result = least_squares(problem.fun, setup.parameters.coordinates(physics), problem.jac,
-                               x_scale='jac', ftol=tolerance, xtol=1e-12, gtol=1e-14,
-                               max_nfev=most)
+                               (-bounds, bounds), x_scale='jac', ftol=tolerance, xtol=1e-12,
+                               gtol=1e-14, max_nfev=most)
         physics, converged = setup.parameters.physics(result.x), result.status > 0
     else:
         converged = problem.settle(tolerance, most)
