@@ -200,6 +200,33 @@ def test_torque_gain_and_bias_with_a_known_inertia():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(('name', 'axes'), [('torque_gain', ['']), (
+    'torque_gains', [' about x', ' about y', ' about z'])])
+def test_a_logged_torque_that_did_not_act_is_a_reason_against_the_model(name, axes):
+    free = Truth(amplitude=0.0)
+    noise = TorqueLog(free.times, np.random.default_rng(3).normal(scale=0.01, size=(201, 3)))
+    experiment = replace(free.experiment(free.measured(ATTITUDE, RATE)), log=noise)
+    result = identify(RigidBody(INERTIA), experiment, estimate=['start', name])
+    assert all(one.identifiable for one in result.estimates.values())
+    assert (result.verdict.level, result.verdict.is_consistent) == ('approximate', False)
+    texts = [reason.split(': ')[-1] for reason in result.verdict.reasons]
+    assert texts == [f'the logged torque has no visible effect{axis}' for axis in axes]
+
+
+@pytest.mark.slow
+def test_a_gain_of_zero_is_a_reason_for_its_axis_only():
+    truth = Truth(axes=(1.0, 0.0, 1.0))
+    torques = truth.torques + np.outer(
+        np.random.default_rng(4).normal(scale=0.01, size=201), [0.0, 1.0, 0.0])
+    experiment = replace(truth.experiment(truth.measured(ATTITUDE, RATE)),
+                         log=TorqueLog(truth.times, torques))
+    result = identify(RigidBody(INERTIA), experiment, estimate=['start', 'torque_gains'])
+    assert result.verdict.reasons == [
+        'torque_gains.y: the interval contains 0: the logged torque has no visible effect about y']
+    assert result.estimates['torque_gains.x'].value == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
 def test_a_torque_bias_does_not_time_out():
     truth = Truth(seconds=2.0, amplitude=0.0, bias=(0.002, -0.001, 0.003))
     result = identify(RigidBody(INERTIA), Experiment(truth.start, None, [truth.measured()]),

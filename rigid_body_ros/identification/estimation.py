@@ -51,7 +51,7 @@ from rigid_body_ros.identification.parameters import (
     Physics,
     SHORT_LAG,
 )
-from rigid_body_ros.identification.result import Estimate, Identification
+from rigid_body_ros.identification.result import Estimate, Identification, without_effect
 from rigid_body_ros.identification.sensors import topics_of
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import Solution, solve
@@ -263,7 +263,8 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
         setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
         residuals.Misfit.of(fitted, solution.problem.size),
         residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
-        solution.evaluations, solution.converged, verdict,
+        solution.evaluations, solution.converged,
+        verdict.with_reasons(without_effect(estimates.values())),
         any(log.torques.any() for problem in setup.problems for log in problem.logs),
         findings.predictable_s, _first_motion(solution, max(
             int(one.stamps_ns[-1]) for one in aligned)), aligned)

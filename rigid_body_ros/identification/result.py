@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -84,6 +84,14 @@ class Estimate:
         This is the standard deviation of a normal variable that has the same 95 % interval.
         """
         return self.sigma + self.systematic / _NORMAL_95
+
+
+def without_effect(estimates: Iterable[Estimate]) -> list[str]:
+    """Return a reason against the model for each torque gain whose 95 % interval contains 0."""
+    return [f'{one.name}: the interval contains 0: the logged torque has no visible effect'
+            + (f' about {one.name[-1]}' if '.' in one.name else '')
+            for one in estimates if one.name.startswith('torque_gain') and one.interval_95
+            and one.interval_95[0] <= 0.0 <= one.interval_95[1]]
 
 
 @dataclass(frozen=True, eq=False)

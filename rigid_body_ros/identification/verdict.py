@@ -81,6 +81,11 @@ class Verdict:
         """Return whether there is no reason against the model."""
         return self.level == EXPLAINED
 
+    def with_reasons(self, texts: Sequence[str]) -> Verdict:
+        """Return the verdict with more reasons; a model with reasons is at most approximate."""
+        level = APPROXIMATE if texts and self.is_consistent else self.level
+        return replace(self, level=level, reasons=[*self.reasons, *texts])
+
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict under the names used in the JSON file."""
         return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
