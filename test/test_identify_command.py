@@ -212,6 +212,20 @@ def test_two_recordings(tumble):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(('names', 'limit'), [('start', 22.0), ('torque_gain', 10.0)])
+def test_only_a_fitted_speed_is_plausible(tmp_path, names, limit):
+    fast = measurements.truth(seconds=2.0, rates=(2.0, 3.0, 22.0))
+    record(tmp_path / 'in.mcap', fast, fast.measured(2e-3, 5e-3))
+    measurements.write_scene(tmp_path / 'guess.yaml', fast)
+    assert identify(tmp_path, '--estimate', names, '-o', tmp_path / 'fitted.yaml') == 0
+    fitted = scene.load(tmp_path / 'fitted.yaml')
+    assert fitted.values['plausible_speed'] == pytest.approx(limit, rel=0.03)
+    assert bool(fitted.warnings) == (names == 'torque_gain')
+    degrees = {**fitted.values, 'initial_angular_velocity.z': np.degrees(22.0)}
+    assert len(scene.Scene.from_values(degrees).warnings) == 1
+
+
+@pytest.mark.slow
 def test_a_part_gives_the_state_at_its_beginning(tumble):
     assert identify(tumble, '--from', '5.03', '--until', '15', '-o', tumble / 'fitted.yaml',
                     '--json', tumble / 'out.json') == 0

@@ -319,6 +319,7 @@ def test_a_value_that_is_probably_a_mistake_gives_a_warning(given, warning):
 
 @pytest.mark.parametrize('given', [
     {}, {'initial_angular_velocity.z': 9.9},
+    {'initial_angular_velocity.z': 90.0, 'plausible_speed': 90.0},
     {'initial_attitude.x': 0.707, 'initial_attitude.w': 0.707}])  # three digits, as people write
 def test_an_ordinary_scene_gives_no_warning(given):
     assert Scene.from_values({**INERTIA, **given}).warnings == []

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from hashlib import sha256
+import math
 from pathlib import Path
 from typing import Any
 
@@ -101,11 +102,19 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     """
     Return the text of a scene file with the estimates for the first recording.
 
-    Estimates that cannot be stored in a scene are added as comments.
+    Estimates that cannot be stored in a scene are added as comments. If the estimated initial
+    angular speed exceeds the `plausible_speed` of the scene, it becomes the new `plausible_speed`.
     """
     others = [name for name in fit.estimates if _group(name) in NOT_IN_SCENES]
     return '\n'.join([*(f'# {line}' for line in _comments(fit, others)),
-                      text_of(scene, _changed(fit))])
+                      text_of(scene, _changed(fit) | _plausible(scene, fit))])
+
+
+def _plausible(scene: Scene, fit: Identification) -> dict[str, float]:
+    speed = math.hypot(*fit.starts[0].angular_velocity)
+    is_fitted = 'initial_angular_velocity.x' in fit.estimates
+    return {'plausible_speed': speed} if is_fitted and speed > scene.values['plausible_speed'] \
+        else {}
 
 
 def fitted_urdf(scene: Scene, fit: Identification) -> str:

@@ -54,6 +54,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
       for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
     *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
       for name in 'xyz'),
+    Parameter('plausible_speed', 10.0, 'rad/s', 'initial angular speed above which the node and '
+              'the commands warn that the numbers may be degrees per second', (0.0, 1e10)),
     *(Parameter(f'initial_rotor_momentum.{name}', 0.0, 'N m s', _ROTORS, (-BIG, BIG))
       for name in 'xyz'),
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0 means the stamp of the first '

@@ -59,9 +59,6 @@ NODE = 'attitude_node'
 #: Warn if the norm of a quaternion differs from 1 by more than this number. The limit allows for
 #: components that were rounded to three digits.
 _UNIT = 1e-2
-#: Warn about an angular velocity above this limit, rad/s. It may belong to a spinning top or a
-#: flywheel, but it may also have been given in degrees per second by mistake.
-_FAST = 10.0
 #: Matches the topic names that ROS accepts.
 _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 #: Matches a topic of which one quantity may be chosen.
@@ -325,7 +322,7 @@ class Scene:
             yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
                    f'{norm:.3g}; it is normalised; are the numbers angles?')
         rate = math.hypot(*group(self.values, 'initial_angular_velocity').values())
-        if rate > _FAST:
+        if rate > self.values['plausible_speed']:
             yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
                    'turns per second; if the numbers are degrees per second, multiply them by '
                    'pi / 180 = 0.0174533')
