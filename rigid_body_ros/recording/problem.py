@@ -123,10 +123,8 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         How to interpolate between samples; by default, as the scene specifies.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
-    time_source
-        See `recording.read`.
-    skip : float, s
-        See `started`.
+    time_source, skip
+        See `recording.read` and `started`.
 
     Returns
     -------
@@ -247,27 +245,10 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
 def started(path: str | Path, scene: Scene, begin: State | None, first_ns: int,
             skip: float) -> State:
     """
-    Return the state in which a motion starts.
+    Return the state in which a motion starts: `begin` for an epoch of a node, else the scene's.
 
-    Parameters
-    ----------
-    path : str or Path
-        Path of the recording, for error messages.
-    scene : Scene
-        The scene.
-    begin : State or None
-        The start state of an epoch; None if a node did not log the torques.
-    first_ns : int
-        The earliest stamp.
-    skip : float, s
-        If positive, the motion starts this long after `first_ns`. Earlier samples are kept, so a
-        torque that is held at the start acts.
-
-    Raises
-    ------
-    InputError
-        `skip` is positive, but the motion is an epoch of a node.
-
+    If `skip` is positive, the motion starts `skip` seconds after `first_ns`. Earlier samples still
+    act. For an epoch of a node, raise InputError instead.
     """
     if begin and skip:
         raise InputError(f'{path}: --from: expected no time to skip, because the log of a node '
