@@ -12,10 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Logs of PX4, read as recordings."""
+"""Logs of PX4, and recordings of px4_msgs, read as recordings of other types."""
 
+from functools import partial
 import json
 
+import bags
 import numpy as np
 import px4
 import pytest
@@ -23,6 +25,7 @@ from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.recording.measurements import read_measured
+from rigid_body_ros.recording.ulog_file import flight
 from tumbling import INERTIA, Truth
 
 pytest.importorskip('pyulog')
@@ -129,6 +132,153 @@ def test_a_log_without_its_reader_is_one_line(tmp_path, capsys, monkeypatch):
         'run python3 -m pip install pyulog')
 
 
+CONTROLS = [(1000 * k, 990 * k, (0.1 * k, 0.2, -0.3 * k)) for k in range(1, 6)]
+RATES = [(1000 * k, (0.1 * k, 0.2, -0.3 * k)) for k in range(1, 6)]
+
+
+def test_a_log_from_before_the_topics_of_today(tmp_path):
+    path = px4.write(tmp_path / 'log.ulg', {'actuator_controls_0': CONTROLS,
+                                            'sensor_combined': RATES})
+    torques = recording.read(path)
+    assert torques.topic == 'actuator_controls_0'
+    expected = np.array([row[2] for row in CONTROLS], np.float32)
+    np.testing.assert_array_equal(torques.values, np.pad(expected, ((0, 0), (3, 0))))
+    np.testing.assert_array_equal(torques.stamps_ns, 10 ** 6 * np.arange(1, 6))
+    rates = read_measured(path, 'sensor_combined')
+    np.testing.assert_array_equal(rates.angular_velocity, expected)
+    np.testing.assert_array_equal(rates.stamps_ns, 10 ** 6 * np.arange(1, 6))
+
+
+def test_the_topics_of_today_replace_older_ones(tmp_path):
+    path = px4.write(tmp_path / 'log.ulg', {
+        'actuator_controls_0': CONTROLS, 'sensor_combined': RATES,
+        'vehicle_torque_setpoint': CONTROLS, 'vehicle_angular_velocity': CONTROLS})
+    assert recording.read(path).topic == 'vehicle_torque_setpoint'
+    with recording.Source(path, None, recording.TORQUES) as source:
+        assert {*source.types} == {'vehicle_torque_setpoint', 'vehicle_angular_velocity'}
+
+
+def test_an_angular_velocity_of_px4_is_no_torque(tmp_path):
+    path = px4.write(tmp_path / 'log.ulg', {'vehicle_angular_velocity': CONTROLS})
+    with pytest.raises(InputError, match='vehicle_angular_velocity: expected .*WrenchStamped'):
+        recording.read(path, 'vehicle_angular_velocity')
+
+
+@pytest.mark.parametrize(('states', 'expected'), [
+    ('1100110', (30_000, 50_000)),  # from the first message in the air to the next on the ground
+    ('1100', (30_000, 45_000)),  # until the end of the log
+    ('0010001', (40_000, 70_000)),  # the longest
+    ('0000', None), ('1111', None), ('', None)])
+def test_the_longest_flight_in_a_log(tmp_path, states, expected):
+    path = px4.write(tmp_path / 'log.ulg', {
+        'vehicle_land_detected': [(10 * k, int(state), ()) for k, state in enumerate(states, 1)],
+        'vehicle_torque_setpoint': [(45, 45, (0.0, 0.0, 0.0))]})
+    assert flight(path) == expected
+
+
+#: Ways to record px4_msgs: with definitions, without them, and compressed.
+WRITERS = {'mcap': bags.mcap, 'unindexed': partial(bags.mcap, **bags.UNINDEXED),
+           'sqlite': partial(bags.rosbag2, storage='SQLITE3'),
+           'messages': partial(bags.rosbag2, compression='MESSAGE'),
+           'humble': bags.sqlite, 'foxy': partial(bags.sqlite, schema=2)}
+TIMES = [(BOOT + 1000 * k, BOOT + 1000 * k - 300) for k in range(1, 8)]
+SAMPLED = 1000 * np.array(TIMES)[:, 1]
+PUBLISHED = 1000 * np.array(TIMES)[:, 0]
+NUMBERS = np.random.default_rng(3).normal(size=(7, 8)).astype(np.float32)
+ODOMETRY = px4.sent('/fmu/out/vehicle_odometry', 'VehicleOdometry', TIMES, q=NUMBERS[:, :4],
+                    angular_velocity=NUMBERS[:, 4:7])
+MESSAGES = [message for rows in zip(
+    px4.sent('/fmu/out/vehicle_attitude_v1', 'VehicleAttitude', TIMES, q=NUMBERS[:, :4]),
+    px4.sent('/fmu/out/vehicle_angular_velocity', 'VehicleAngularVelocity', TIMES,
+             xyz=NUMBERS[:, 1:4]),
+    px4.sent('/fmu/out/sensor_combined', 'SensorCombined', TIMES, gyro_rad=NUMBERS[:, 2:5]),
+    px4.sent('/fmu/in/vehicle_torque_setpoint', 'VehicleTorqueSetpoint', TIMES,
+             xyz=NUMBERS[:, 3:6])) for message in rows]
+
+
+@pytest.mark.parametrize('form', WRITERS)
+def test_the_numbers_in_a_recording_of_px4_msgs(tmp_path, form):
+    path = WRITERS[form](tmp_path, MESSAGES)
+    torques = recording.read(path)
+    assert torques.topic == '/fmu/in/vehicle_torque_setpoint'
+    np.testing.assert_array_equal(torques.values, np.pad(NUMBERS[:, 3:6], ((0, 0), (3, 0))))
+    np.testing.assert_array_equal(torques.stamps_ns, PUBLISHED)
+    attitude = recording.read(path, '/fmu/out/vehicle_attitude_v1', messages.QUATERNION)
+    np.testing.assert_array_equal(attitude.values, NUMBERS[:, [1, 2, 3, 0]])
+    np.testing.assert_array_equal(attitude.stamps_ns, SAMPLED)
+    assert read_measured(path).topic == attitude.topic
+    for topic, first, stamps in (('vehicle_angular_velocity', 1, SAMPLED),
+                                 ('sensor_combined', 2, PUBLISHED)):
+        rates = read_measured(path, f'/fmu/out/{topic}')
+        np.testing.assert_array_equal(rates.angular_velocity, NUMBERS[:, first:first + 3])
+        np.testing.assert_array_equal(rates.stamps_ns, stamps)
+    logged = recording.read(path, time_source='log')
+    np.testing.assert_array_equal(logged.stamps_ns, PUBLISHED + bags.LOGGED)
+
+
+def test_an_odometry_of_px4_has_attitude_and_rates(tmp_path):
+    path = bags.mcap(tmp_path, ODOMETRY)
+    measured = read_measured(path)
+    expected = NUMBERS[:, [1, 2, 3, 0]].astype(float)
+    np.testing.assert_allclose(
+        measured.attitude, expected / np.linalg.norm(expected, axis=1)[:, None], rtol=1e-15)
+    np.testing.assert_array_equal(measured.angular_velocity, NUMBERS[:, 4:7])
+    np.testing.assert_array_equal(measured.stamps_ns, SAMPLED)
+
+
+def test_a_recording_with_another_version_of_px4_msgs(tmp_path):
+    path = bags.mcap(tmp_path, px4.sent('/torque', 'ActuatorControls', TIMES, control=NUMBERS))
+    np.testing.assert_array_equal(recording.read(path).values[:, 3:], NUMBERS[:, :3])
+
+
+def test_another_version_without_its_definition_is_one_line(tmp_path):
+    path = bags.sqlite(tmp_path, px4.sent('/torque', 'ActuatorControls', TIMES, control=NUMBERS))
+    with pytest.raises(InputError, match='/torque: message 1: expected 52 bytes that begin with '
+                       '00 01, as PX4 v1.14 to v1.17, because the recording does not, defines a '
+                       'px4_msgs/msg/ActuatorControls, found 92 bytes that begin with 00 01'):
+        recording.read(path)
+
+
+@pytest.mark.parametrize(('old', 'new', 'message'), [
+    (b'float32[3] xyz', b'float64[3] xyz', 'expected float32.3. xyz in the definition of px4_msgs/'
+     'msg/VehicleTorqueSetpoint, found none'),
+    (b'float32[3] xyz', b'string xyz_name', 'expected float32.3. xyz in the definition'),
+    (b'float32[3] xyz', b'float32[3] xyz\nstring text', 'expected fields of fixed sizes, found '
+     ".string text'"),
+    (b'float32[3] xyz', b'float32[3] xyz\nuint8 s', 'message 1: expected 33 bytes that begin with '
+     '00 01, as the recording defines a px4_msgs/msg/VehicleTorqueSetpoint, found 32 bytes')])
+def test_a_definition_that_does_not_fit_is_one_line(tmp_path, monkeypatch, old, new, message):
+    monkeypatch.setattr(bags, '_schema', lambda kind, encoding: (
+        'ros2msg', px4.DEFINITIONS[kind.split('/')[-1]].encode().replace(old, new)))
+    path = bags.mcap(tmp_path, px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES,
+                                        xyz=NUMBERS[:, :3]))
+    with pytest.raises(InputError, match=message) as raised:
+        recording.read(path)
+    assert '\n' not in str(raised.value)
+
+
+def test_a_message_in_another_encoding_is_one_line(tmp_path):
+    path = bags.mcap(tmp_path, px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES,
+                                        xyz=NUMBERS[:, :3]), cdr=bags.big_endian)
+    with pytest.raises(InputError, match='/torque: message 1: .* found 32 bytes that begin with '
+                       '00 00'):
+        recording.read(path)
+
+
+def test_a_vector_is_a_torque_only_if_it_is_named(tmp_path):
+    path = tmp_path / 'log.mcap'
+    with recording.Writer(path) as writer:
+        writer.add_topic('/vector', messages.VECTOR3)
+        for k in range(1, 4):
+            writer.write('/vector', k, messages.VECTOR3.encode(k, 'world', [0.1 * k, 0.2, 0.3]))
+    with pytest.raises(InputError, match='expected one topic of type .*Wrench, found none'):
+        recording.read(path)
+    torques = recording.read(path, '/vector')
+    np.testing.assert_array_equal(torques.values, [[0.0, 0.0, 0.0, 0.1 * k, 0.2, 0.3]
+                                                   for k in range(1, 4)])
+    assert torques.frame_ids == ['world'] * 3
+
+
 @pytest.mark.nightly
 def test_the_gains_of_normalized_torques(tmp_path, capsys):
     path = logged(tmp_path / 'log.ulg', Truth(), GAINS)
@@ -142,7 +292,7 @@ def test_the_gains_of_normalized_torques(tmp_path, capsys):
         assert abs(one['value'] - gain) < 4.0 * one['sigma']
     assert 'normalized' not in capsys.readouterr().err
     assert main.attitude_identify([*arguments, str(tmp_path / 'b.json')]) == 4
-    assert f'{path}: the torques of a PX4 log are normalized, not in N m' in \
+    assert f'{path}: the torques of PX4 are normalized, not in N m' in \
         capsys.readouterr().err
 
 

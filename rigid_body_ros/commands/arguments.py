@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.common.errors import InputError
@@ -61,12 +62,23 @@ def warn_of_samples(options: argparse.Namespace, path: str, torques: Account | N
 
 
 def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
-    """Warn about torques that are not in N m."""
-    from rigid_body_ros.recording import is_ulog
-    for path in filter(is_ulog, paths):
-        report(f'{options.command}: warning: {path}: the torques of a PX4 log are normalized, not '
-               'in N m; attitude_identify --estimate start,torque_gains finds their gains if the '
-               'inertia is known')
+    """Warn about torques of PX4, which are not in N m."""
+    for path in paths:
+        if _is_normalized(path, options.topic):
+            report(f'{options.command}: warning: {path}: the torques of PX4 are normalized, not '
+                   'in N m; attitude_identify --estimate start,torque_gains finds their gains if '
+                   'the inertia is known')
+
+
+def _is_normalized(path: str, topics: list[str] | None) -> bool:
+    from rigid_body_ros import messages, recording
+    if recording.is_ulog(path):
+        return True
+    kinds = [kind for kind in messages.PX4_TYPES.values() if kind.like is messages.WRENCH]
+    with suppress(InputError):  # the command reports the error when it reads the torques
+        recorded = recording.topics(path, kinds)
+        return bool({*recorded} & {*(topics or recorded)})
+    return False
 
 
 def length_of(options: argparse.Namespace) -> float | None:

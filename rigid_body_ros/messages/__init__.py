@@ -16,8 +16,8 @@
 Encode and decode ROS messages.
 
 `kinds` defines the message types and their encoding in CDR, `definitions` contains the text of
-their definitions, and `joints` adds a type for named joints. `contents` converts states and
-torques to messages and back.
+their definitions, `joints` adds a type for named joints, and `px4` adds the types of PX4.
+`contents` converts states and torques to messages and back.
 """
 
 from rigid_body_ros.messages.contents import (
@@ -62,18 +62,22 @@ from rigid_body_ros.messages.kinds import (
     POSE_WITH_COVARIANCE,
     QUATERNION,
     Stamped,
+    TORQUE_VECTOR,
     TRANSFORM,
     TRANSFORM_STAMPED,
     TYPES,
     VECTOR3,
     WRENCH,
 )
+from rigid_body_ros.messages.px4 import PX4_TYPES, Px4Type
 
 __all__ = [
     'ANGULAR_VELOCITY', 'BARE_WRENCH', 'BLUE_ARROW', 'BOX', 'IMU', 'INERTIA', 'LAST_NS',
-    'MASS_AND_CENTRE', 'ODOMETRY', 'ORANGE_ARROW', 'ORIENTATION', 'POSE', 'POSE_WITH_COVARIANCE',
-    'QUATERNION', 'TRANSFORM', 'TRANSFORM_STAMPED', 'TYPES', 'VECTOR3', 'WRENCH',
-    'JointCommands', 'JointState', 'MessageType', 'Stamped', 'decoded_joints', 'encoded_joints',
-    'epoch_marker', 'epoch_start', 'imu', 'imu_values', 'inertia', 'inertia_entries',
-    'is_epoch_marker', 'joint_commands', 'joint_states', 'joint_values', 'odometry', 'torque',
-    'torque_frame', 'transform', 'transform_values', 'wrench', 'wrench_frame']
+    'MASS_AND_CENTRE', 'ODOMETRY', 'ORANGE_ARROW', 'ORIENTATION', 'POSE',
+    'POSE_WITH_COVARIANCE', 'PX4_TYPES', 'QUATERNION', 'TORQUE_VECTOR', 'TRANSFORM',
+    'TRANSFORM_STAMPED', 'TYPES', 'VECTOR3', 'WRENCH',
+    'JointCommands', 'JointState', 'MessageType', 'Px4Type', 'Stamped', 'decoded_joints',
+    'encoded_joints', 'epoch_marker', 'epoch_start', 'imu', 'imu_values', 'inertia',
+    'inertia_entries', 'is_epoch_marker', 'joint_commands', 'joint_states', 'joint_values',
+    'odometry', 'torque', 'torque_frame', 'transform', 'transform_values', 'wrench',
+    'wrench_frame']

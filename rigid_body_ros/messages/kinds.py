@@ -71,6 +71,8 @@ class MessageType:
     before_doubles, after_doubles : bytes
         The constant CDR bytes between the names and the doubles, and the constant CDR bytes after
         the doubles.
+    like : MessageType, optional
+        The type to which messages are converted when they are decoded, if that is another type.
 
     """
 
@@ -81,6 +83,7 @@ class MessageType:
     has_header: bool = True
     before_doubles: bytes = b''
     after_doubles: bytes = b''
+    like: MessageType | None = None
 
     @property
     def type_hash(self) -> str:
@@ -184,6 +187,8 @@ BARE_WRENCH = MessageType('geometry_msgs/msg/Wrench', 6, has_header=False)
 QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
 #: geometry_msgs/msg/Vector3Stamped; doubles: x y z.
 VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
+#: A Vector3Stamped that contains a torque.
+TORQUE_VECTOR = MessageType('geometry_msgs/msg/Vector3Stamped', 3, like=WRENCH)
 #: geometry_msgs/msg/InertiaStamped; doubles: mass, centre of mass x y z, ixx ixy ixz iyy iyz izz.
 INERTIA = MessageType('geometry_msgs/msg/InertiaStamped', 10)
 #: sensor_msgs/msg/Imu; 37 doubles: orientation, angular velocity, acceleration, each followed by

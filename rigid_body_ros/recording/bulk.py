@@ -29,13 +29,16 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import Contents, kernels, RawMessages
-from rigid_body_ros.messages import JointCommands, MessageType, Stamped
+from rigid_body_ros.messages import JointCommands, LAST_NS, MessageType, Px4Type, Stamped
+from rigid_body_ros.messages.px4 import layout, PX4_TYPES
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
 #: Middleware may append up to this many bytes of padding to a message.
 _PADDING = 3
+#: The latest time that fits in a ROS stamp, us.
+_LAST_US = LAST_NS // 1000
 
 
 class BadMessageError(ValueError):
@@ -128,8 +131,40 @@ class Decoded(NamedTuple):
     longer: int = 0
 
 
+def converted(kind: Px4Type, raw: Raw) -> Raw:
+    """
+    Convert messages of PX4 to messages of the type `kind.like`.
+
+    Raise BadMessageError at the first invalid message.
+    """
+    body = layout(kind.fields)
+    size = 4 + body.fields['end'][1]  # type: ignore[index]
+    places = raw.starts[:, None] + np.arange(4 + body.itemsize)
+    data = np.take(raw.data, places, mode='clip')  # the last places may be after the message
+    fits = (raw.sizes >= size) & (raw.sizes <= size + _PADDING) & (data[:, :2] == [0, 1]).all(1)
+    if not fits.all():
+        row = int(np.argmin(fits))
+        source = 'PX4 v1.14 to v1.17, because the recording does not,' \
+            if kind in PX4_TYPES.values() else 'the recording'
+        raise BadMessageError(row, f'expected {size} bytes that begin with 00 01, as {source} '
+                              f'defines a {kind.name}, found {raw.sizes[row]} bytes that begin '
+                              f'with {raw.message(row)[:2].hex(" ")}')
+    stamps_us, values = kind.contents(data[:, 4:].copy().view(body)[:, 0])
+    filled = Raw.from_values(kind.like, nanoseconds(stamps_us), values)
+    return filled._replace(log_ns=raw.log_ns, publish_ns=raw.publish_ns)
+
+
+def nanoseconds(times_us: NDArray[np.uint64]) -> Ints:
+    """Convert times; raise BadMessageError at the first that does not fit in a ROS stamp."""
+    late = np.flatnonzero(times_us > _LAST_US)
+    if late.size:
+        raise BadMessageError(int(late[0]), f'expected a time up to {_LAST_US} us, '
+                              f'found {times_us[late[0]]} us')
+    return times_us.astype(np.int64) * 1000
+
+
 def decode(kind: MessageType, raw: Raw) -> Decoded:
-    """Decode messages; raise BadMessageError at the first invalid message."""
+    """Decode messages, as `kind.like` if set; raise BadMessageError at the first invalid one."""
     if isinstance(kind, JointCommands):  # the compiled loop cannot decode joint names
         return _decode_each(kind, raw)
     count = len(raw.starts)
@@ -153,7 +188,10 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
     except ValueError as error:
         raise BadMessageError(row, str(error)) from error
     longer = int(np.sum(after > len(kind.after_doubles) + _PADDING))
-    return Decoded(stamps, codes, [*names], bits.view(np.float64), longer)
+    values = bits.view(np.float64)
+    if kind.like:  # the doubles are the last ones of that type
+        values = np.pad(values, ((0, 0), (kind.like.doubles - kind.doubles, 0)))
+    return Decoded(stamps, codes, [*names], values, longer)
 
 
 def _decode_each(kind: JointCommands, raw: Raw) -> Decoded:

@@ -22,7 +22,7 @@ from itertools import zip_longest
 import re
 
 from rigid_body_ros.common.errors import quoted
-from rigid_body_ros.messages import MessageType
+from rigid_body_ros.messages import MessageType, Px4Type
 
 #: Maps each message type to the types and names of its fields.
 _Fields = dict[str, list[tuple[str, str]]]
@@ -55,11 +55,9 @@ def full_name(name: str) -> str:
 
 
 @lru_cache
-def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -> str:
+def checked(kind: MessageType, name: str, encoding: str, definition: bytes) -> MessageType:
     """
-    Describe the first difference between a recorded definition and the standard definition.
-
-    Return '' if there is no difference.
+    Return a type as a recording defines it, which is the standard type unless PX4 defines it.
 
     Comments, spacing, constants, default values and the order of nested definitions do not
     matter. If the definition of a nested type is missing, the type is assumed to be standard.
@@ -74,24 +72,31 @@ def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -
     definition : bytes
         The definition in the recording; empty if there is none.
 
+    Raises
+    ------
+    ValueError
+        The definition differs from the standard. The error describes the first difference.
+
     """
     if full_name(name) != kind.name:
-        return f'expected the type {kind.name}, found {quoted(name)}'
+        raise ValueError(f'expected the type {kind.name}, found {quoted(name)}')
     text = definition.decode(errors='replace').replace('\r', '')
     if not text.strip():
-        return ''
+        return kind
     if len(definition) > LONGEST:
-        return f'expected a definition of at most {LONGEST} bytes, found more'
+        raise ValueError(f'expected a definition of at most {LONGEST} bytes, found more')
     if encoding not in ('ros2msg', 'ros2idl'):
-        return f'expected a definition in ros2msg or ros2idl, found {quoted(encoding)}'
+        raise ValueError(f'expected a definition in ros2msg or ros2idl, found {quoted(encoding)}')
     root = name.replace('/msg/', '/')
+    recorded = _sections(root, text, is_idl=encoding == 'ros2idl')
+    if isinstance(kind, Px4Type):
+        return kind.defined(tuple(_flat(recorded, root)))
     standard = _sections(root, kind.definition, is_idl=False)
-    fields = {**standard, **_sections(root, text, is_idl=encoding == 'ros2idl')}
-    for expected, found in zip_longest(_flat(standard, root), _flat(fields, root)):
+    for expected, found in zip_longest(_flat(standard, root), _flat(standard | recorded, root)):
         if expected != found:
-            return f'expected {expected or "no more fields"} in the definition of {name}, ' \
-                f'found {quoted(found) if found else "no more fields"}'
-    return ''
+            raise ValueError(f'expected {expected or "no more fields"} in the definition of {name}'
+                             f', found {quoted(found) if found else "no more fields"}')
+    return kind
 
 
 def _sections(root: str, text: str, is_idl: bool) -> _Fields:

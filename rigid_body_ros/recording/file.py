@@ -23,7 +23,7 @@ from pathlib import Path
 from rigid_body_ros.common.errors import InputError, shortened
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
-from rigid_body_ros.recording.definitions import difference
+from rigid_body_ros.recording.definitions import checked
 
 
 class File(ABC):
@@ -47,6 +47,8 @@ class File(ABC):
         have been read.
     notes : list of str
         What was assumed about the messages; not known until the messages have been read.
+    encodings : dict
+        The types of the topics that are being read in CDR, as the file defines them.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class File(ABC):
         self.types: dict[str, str] = {}
         self.damage = ''
         self.notes: list[str] = []
+        self.encodings: dict[str, MessageType] = {}
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the metadata record `name`, or {} if the format has no metadata records."""
@@ -84,6 +87,7 @@ class File(ABC):
 
     def _check_definition(self, topic: str, kind: MessageType, name: str, encoding: str,
                           definition: bytes) -> None:
-        found = difference(kind, name, encoding, definition)
-        if found:
-            raise InputError(f'{self.path}: {shortened(topic, 100)}: {found}')
+        try:
+            self.encodings[topic] = checked(kind, name, encoding, definition)
+        except ValueError as error:
+            raise InputError(f'{self.path}: {shortened(topic, 100)}: {error}') from error

@@ -27,7 +27,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, shortened
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.messages import MessageType
+from rigid_body_ros.messages import MessageType, PX4_TYPES, Px4Type, TORQUE_VECTOR
 from rigid_body_ros.recording import bulk, transforms
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.mcap_file import McapFile
@@ -115,7 +115,8 @@ class Source:
     topic : str, optional
         The topic to read. You may omit it if only one topic has a type from `kinds`.
     kinds : sequence of MessageType
-        The message types to accept.
+        The message types to accept. The types of PX4 that are converted to one of these types are
+        also accepted. If `topic` is given and torques are accepted, so is a Vector3Stamped.
     time_source : str
         Where the stamps come from: 'header', 'log' (time of recording) or 'publish' (time of
         publishing).
@@ -130,7 +131,7 @@ class Source:
     ----------
     topic : str
     kind : MessageType
-        The type of the topic.
+        The type of the topic, or the type to which its messages are converted.
     types : dict
         The type of each topic of the recording.
     count : int
@@ -160,8 +161,9 @@ class Source:
             self._files, self._compressed, self._missing = open_files(path, stack,
                                                                         columns)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
-            self.topic, self.kind = _select_topic(path, self.types, topic, kinds,
-                                                  preferred)
+            self.topic, self._encoding = _select_topic(path, self.types, topic, kinds,
+                                                       preferred)
+            self.kind = self._encoding.like or self._encoding
             self._stack = stack.pop_all()
         self._with_topic = [file for file in self._files if self.topic in file.types]
         self.count = sum(file.count(self.topic) for file in self._with_topic)
@@ -222,24 +224,26 @@ class Source:
     def __iter__(self) -> Iterator[Messages]:
         number = self._longer = 0
         for file in self._with_topic:
-            for raw in file.read(self.topic, self.kind):
-                block = self._messages(raw, number)
+            for raw in file.read(self.topic, self._encoding):
+                block = self._messages(raw, number, file.encodings.get(self.topic))
                 number += len(raw.starts)
                 if len(block):  # a block may have no transform between the chosen frames
                     yield block
             if file.damage:
                 return
 
-    def _messages(self, raw: Raw, number: int) -> Messages:
+    def _messages(self, raw: Raw, number: int, encoding: MessageType | None) -> Messages:
         plain = self._decompressed(raw, self.topic, number)
         if self._time_source != 'header' and self.kind.has_header and not self.kind.is_list:
             plain = plain.without_stamps()
         pairs: list[tuple[str, str]] = []
         try:
+            plain = bulk.converted(encoding, plain) if isinstance(encoding, Px4Type) else plain
             if self._frames and self.kind.has_child_frame:
                 raw, decoded = transforms.decode(self.kind, plain, self._frames)
             else:
-                decoded = bulk.decode(self.kind, plain)
+                kind = TORQUE_VECTOR if encoding is TORQUE_VECTOR else self.kind
+                decoded = bulk.decode(kind, plain)
                 pairs = transforms.pairs(self.kind, plain) if self.kind.has_child_frame else []
         except bulk.BadMessageError as error:
             raise self._error(error, self.topic, number) from error
@@ -306,11 +310,17 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
 
 def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
     """Return the topics whose type is in `kinds`; raise the same errors as `read`."""
-    names = {kind.name for kind in kinds}
+    names = _by_name(kinds)
     with ExitStack() as stack:
         files, _, _ = open_files(path, stack)
         return [*{topic: None for file in files for topic, kind in file.types.items()
                   if kind in names}]
+
+
+def _by_name(kinds: Sequence[MessageType]) -> dict[str, MessageType]:
+    """Return the message types that can be read as one of `kinds`."""
+    return {kind.name: kind for kind in (*kinds, *PX4_TYPES.values())
+            if kind in kinds or kind.like in kinds}
 
 
 def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -> Messages:
@@ -328,8 +338,10 @@ def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -
 
 def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
                   kinds: Sequence[MessageType], preferred: str) -> tuple[str, MessageType]:
-    by_name = {kind.name: kind for kind in kinds}
-    expected = ' or '.join(by_name)
+    by_name = _by_name(kinds)
+    if topic and messages.WRENCH in kinds:  # by default, do not read a vector as a torque
+        by_name = {TORQUE_VECTOR.name: TORQUE_VECTOR} | by_name
+    expected = ' or '.join(kind.name for kind in kinds)
     fitting = [name for name, kind in types.items() if kind in by_name]
     if topic is None:
         if preferred in fitting:

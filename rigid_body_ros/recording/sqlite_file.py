@@ -107,9 +107,10 @@ class SqliteFile(File):
     def _check_definitions(self, database: sqlite3.Connection, topic: str,
                            kind: MessageType) -> None:
         # Early versions of rosbag2 do not store definitions.
-        if database.execute('PRAGMA table_info(message_definitions)').fetchone():
-            for found in database.execute(_DEFINITIONS, (LONGEST + 1, kind.name)):
-                self._check_definition(topic, kind, kind.name, *found)
+        has_table = database.execute('PRAGMA table_info(message_definitions)').fetchone()
+        found = database.execute(_DEFINITIONS, (LONGEST + 1, kind.name)) if has_table else ()
+        for definition in [*found] or [('', b'')]:
+            self._check_definition(topic, kind, kind.name, *definition)
 
     def _apply_log(self, stack: ExitStack) -> str:
         """Apply the write-ahead log, if any, to a copy of the file; return which data was lost."""

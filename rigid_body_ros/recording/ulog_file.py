@@ -27,28 +27,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, reason
-from rigid_body_ros.messages import MessageType
-from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.messages import MessageType, PX4_TYPES, Px4Type
+from rigid_body_ros.recording.bulk import BadMessageError, nanoseconds, Raw
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.runtime.limits import open_file
 
 _SUFFIXES = '.ulg', '.ulog'
-_XYZ = 'xyz[0]', 'xyz[1]', 'xyz[2]'
-#: For each PX4 topic: the type that its messages are converted to, and the ULog fields that
-#: provide the last doubles of each message.
-_QUATERNION = messages.QUATERNION, ('q[1]', 'q[2]', 'q[3]', 'q[0]')
-_RATE, _TORQUE = (messages.VECTOR3, _XYZ), (messages.WRENCH, _XYZ)
-_TOPICS: dict[str, tuple[MessageType, tuple[str, ...]]] = {
-    'vehicle_attitude': _QUATERNION, 'vehicle_attitude_groundtruth': _QUATERNION,
-    'vehicle_angular_velocity': _RATE, 'vehicle_angular_velocity_groundtruth': _RATE,
-    'vehicle_torque_setpoint': _TORQUE}
+#: The type of each topic, as in px4_msgs.
+_TOPICS = {
+    'vehicle_attitude': 'VehicleAttitude', 'vehicle_attitude_groundtruth': 'VehicleAttitude',
+    'vehicle_angular_velocity': 'VehicleAngularVelocity',
+    'vehicle_angular_velocity_groundtruth': 'VehicleAngularVelocity',
+    'sensor_combined': 'SensorCombined', 'vehicle_torque_setpoint': 'VehicleTorqueSetpoint',
+    'actuator_controls_0': 'ActuatorControls'}
+#: Topics that are read only if a log lacks another topic, which older versions of PX4 do not log.
+_REPLACED = {'sensor_combined': 'vehicle_angular_velocity',
+             'actuator_controls_0': 'vehicle_torque_setpoint'}
+_LANDED = 'vehicle_land_detected'
 #: Number of messages in a block.
 _BLOCK = 8192
-#: The latest time that a log may contain, us.
-_LAST_US = messages.LAST_NS // 1000
 #: Errors that pyulog raises for a damaged file.
 _ERRORS = (AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError,
            struct.error)
@@ -62,7 +61,7 @@ def is_ulog(path: str | Path) -> bool:
 class _Topic(NamedTuple):
     """The messages on a topic: their type, stamps, logging times, and doubles, shape (n, d)."""
 
-    kind: MessageType
+    kind: Px4Type
     stamps_ns: NDArray[np.int64]
     logged_ns: NDArray[np.int64]
     values: Floats
@@ -72,11 +71,17 @@ class UlogFile(File):
     """
     A PX4 log, read as messages in the frames that PX4 uses.
 
-    The body axes are front, right, down, and the space axes are north, east, down. An attitude q
-    rotates from body to space axes, as in PX4, but its components are reordered from scalar first
-    to scalar last. Torques are normalized; they are not in N m. Times are counted from the boot
-    of the autopilot. Measurements are stamped with the time at which they were sampled, and
-    torques with the time at which they were published.
+    `messages.Px4Type` describes the frames and units. Times are counted from the boot of the
+    autopilot. Measurements are stamped with the time at which they were sampled, and torques with
+    the time at which they were published.
+
+    Attributes
+    ----------
+    flight_ns : tuple of int, optional
+        The begin and the end of the longest flight, ns, as the land detector reports them. A
+        flight that does not end in the log ends at the last message that is read. None if the log
+        has no reports, or if the vehicle was never or always in the air.
+
     """
 
     def __init__(self, path: Path) -> None:
@@ -84,7 +89,7 @@ class UlogFile(File):
         with open_file(path, 'recording') as stream:
             about = os.fstat(stream.fileno())
         identity = about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns
-        self._topics, self.damage = _parsed(path, identity)
+        self._topics, self.damage, self.flight_ns = _parsed(path, identity)
         self.types = {name: topic.kind.name for name, topic in self._topics.items()}
 
     def count(self, topic: str) -> int:
@@ -96,14 +101,20 @@ class UlogFile(File):
         found = self._topics[topic]
         for first in range(0, len(found.stamps_ns), _BLOCK):
             rows = slice(first, first + _BLOCK)
-            yield Raw.from_values(kind, found.stamps_ns[rows], found.values[rows],
+            yield Raw.from_values(found.kind.like, found.stamps_ns[rows], found.values[rows],
                                   found.logged_ns[rows])
 
 
+def flight(path: str | Path) -> tuple[int, int] | None:
+    """Return `UlogFile.flight_ns` of a PX4 log; raise InputError if the log cannot be read."""
+    return UlogFile(Path(path)).flight_ns
+
+
 @lru_cache(1)  # a command reads several topics, and pyulog reads the whole file each time
-def _parsed(path: Path, identity: tuple[int, ...]) -> tuple[Mapping[str, _Topic], str]:
+def _parsed(path: Path, identity: tuple[int, ...]
+            ) -> tuple[Mapping[str, _Topic], str, tuple[int, int] | None]:
     """
-    Return the topics in a file, and a description of the data that was lost.
+    Return the topics in a file, a description of the data that was lost, and the longest flight.
 
     `identity` is part of the cache key, so that a file is read again if it changes.
     """
@@ -111,35 +122,43 @@ def _parsed(path: Path, identity: tuple[int, ...]) -> tuple[Mapping[str, _Topic]
     from pyulog.exceptions import ULogException
     try:
         with open_file(path, 'recording') as stream, redirect_stdout(StringIO()):
-            log = ULog(stream, [*_TOPICS])
+            log = ULog(stream, [*_TOPICS, _LANDED])
     except (ULogException, *_ERRORS) as error:
         raise InputError(f'{path}: expected a log of PX4 (ULog): {reason(error)}') from error
-    found = {}
+    found, flight_ns = {}, None
+    names = {each.name for each in log.data_list}
     for each in log.data_list:
-        kind, fields = _TOPICS[each.name]
-        if {'timestamp', *fields} <= each.data.keys():
+        if each.name == _LANDED and {'timestamp', 'landed'} <= each.data.keys():
+            flight_ns = _flight(each.data, log.last_timestamp)
+        elif each.name in _TOPICS and _REPLACED.get(each.name) not in names:
+            kind = PX4_TYPES[_TOPICS[each.name]]
             name = f'{each.name}_{each.multi_id}' if each.multi_id else each.name
-            found[name] = _topic(f'{path}: {name}', each.data, kind, fields)
+            last = {f'{vector}[{len(columns) - 1}]' for vector, columns in kind.vectors.items()}
+            if {'timestamp', *last} <= each.data.keys():
+                found[name] = _topic(f'{path}: {name}', each.data, kind)
     lost = [f'{len(log.dropouts)} dropouts of the logger, together '
             f'{sum(each.duration for each in log.dropouts)} ms'] if log.dropouts else []
-    return found, '; '.join(lost + ['damaged: parts cannot be read'] * bool(log.file_corruption))
+    lost += ['damaged: parts cannot be read'] * bool(log.file_corruption)
+    return found, '; '.join(lost), flight_ns
 
 
-def _topic(where: str, data: Mapping[str, NDArray[Any]], kind: MessageType,
-           fields: tuple[str, ...]) -> _Topic:
-    logged_ns = _nanoseconds(where, data['timestamp'])
-    stamps_ns = logged_ns
-    if kind is not messages.WRENCH and 'timestamp_sample' in data:
-        sampled_ns = _nanoseconds(where, data['timestamp_sample'])
-        stamps_ns = np.where(sampled_ns > 0, sampled_ns, logged_ns)
-    values = np.zeros((len(logged_ns), kind.doubles))
-    values[:, -len(fields):] = np.column_stack([data[name] for name in fields])
-    return _Topic(kind, stamps_ns, logged_ns, values)
+def _topic(where: str, data: Mapping[str, NDArray[Any]], kind: Px4Type) -> _Topic:
+    vectors = {name: np.column_stack([data[f'{name}[{k}]'] for k in range(len(columns))])
+               for name, columns in kind.vectors.items()}
+    unknown = {'timestamp_sample': np.zeros_like(data['timestamp'])}  # before v1.11
+    stamps_us, values = kind.contents(unknown | {**data} | vectors)
+    try:
+        return _Topic(kind, nanoseconds(stamps_us), nanoseconds(data['timestamp']), values)
+    except BadMessageError as error:
+        raise InputError(f'{where}: message {error.row + 1}: {error}') from error
 
 
-def _nanoseconds(where: str, times_us: NDArray[np.uint64]) -> NDArray[np.int64]:
-    late = np.flatnonzero(times_us > _LAST_US)
-    if late.size:
-        raise InputError(f'{where}: message {late[0] + 1}: expected a time up to {_LAST_US} us, '
-                         f'found {times_us[late[0]]} us')
-    return times_us.astype(np.int64) * 1000
+def _flight(data: Mapping[str, NDArray[Any]], end_us: int) -> tuple[int, int] | None:
+    """Return the begin and the end of the longest flight, ns; see `UlogFile.flight_ns`."""
+    landed = data['landed'].astype(bool)
+    if landed.all() or not landed.any():
+        return None
+    changes = np.flatnonzero(np.diff(landed, prepend=True, append=True))
+    times_us = np.append(data['timestamp'], end_us).astype(np.int64)[changes].reshape(-1, 2)
+    begin_us, end_us = times_us[np.argmax(times_us[:, 1] - times_us[:, 0])].tolist()
+    return begin_us * 1000, end_us * 1000
