@@ -24,6 +24,8 @@ import pytest
 from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.live.events import RejectedError
+from rigid_body_ros.live.inputs import wrench_of
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.ulog_file import flight
 from tumbling import INERTIA, Truth
@@ -263,6 +265,22 @@ def test_a_message_in_another_encoding_is_one_line(tmp_path):
     with pytest.raises(InputError, match='/torque: message 1: .* found 32 bytes that begin with '
                        '00 00'):
         recording.read(path)
+
+
+def test_a_torque_that_arrives_live_has_its_time_of_publication():
+    message = px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES, xyz=NUMBERS[:, :3])[2]
+    kind = messages.PX4_TYPES['VehicleTorqueSetpoint']
+    torque = messages.WRENCH.decode(wrench_of(kind, message.cdr()))
+    assert (torque.stamp_ns, torque.frame_id) == (PUBLISHED[2], '')
+    np.testing.assert_array_equal(torque.values, [0.0, 0.0, 0.0, *NUMBERS[2, :3]])
+
+
+@pytest.mark.parametrize(('data', 'message'), [
+    (b'\0\1\0\0' + bytes(27), 'expected 32 bytes that begin with 00 01, .* found 31 bytes'),
+    (b'', 'expected 32 bytes'), (b'\0\1\0\0' + b'\xff' * 28, 'expected a time up to')])
+def test_a_malformed_torque_that_arrives_live_is_rejected(data, message):
+    with pytest.raises(RejectedError, match=message):
+        wrench_of(messages.PX4_TYPES['VehicleTorqueSetpoint'], data)
 
 
 def test_a_vector_is_a_torque_only_if_it_is_named(tmp_path):

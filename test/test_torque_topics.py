@@ -19,7 +19,7 @@ import re
 import subprocess
 
 from conftest import at_night, SECOND
-from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import Twist, Vector3Stamped, Wrench, WrenchStamped
 from live import (
     commit,
     decoded,
@@ -367,6 +367,68 @@ def test_one_topic_of_another_name_is_all_that_changes(tmp_path, domain):
     assert '/torque' not in names
     assert len(run.accepted.stamps_ns) == 5
     np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def publisher_of(live, kind):
+    """Return a publisher of another type, which replaces that of WrenchStamped."""
+    live.disconnect()
+    return live.node.create_publisher(kind, 'torque', 1000)
+
+
+def made(kind, stamp_ns, torque):
+    """Return a message with a torque, N m, in body axes."""
+    message = kind()
+    vector = message.vector if kind is Vector3Stamped else message.torque
+    vector.x, vector.y, vector.z = torque
+    if kind is Vector3Stamped:
+        message.header.frame_id = 'base_link'
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND)
+    return message
+
+
+@pytest.mark.parametrize('kind', [Wrench, Vector3Stamped])
+def test_torques_of_another_type_are_accepted_and_replayed(tmp_path, domain, kind):
+    with LiveSession(TUMBLER, domain, *RELIABLE, *PATIENT, '-p', 'stale_after:=0.0') as live:
+        live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
+        live.wait_for_torques(1)
+        publisher = publisher_of(live, kind)
+        live.wait_until(publisher.get_subscription_count, 'the node to subscribe')
+        begin_ns, sent = live.now_ns(), []
+        for number in range(5):
+            sent.append((live.now_ns(), [0.0, 0.001 * number, -0.02]))
+            publisher.publish(made(kind, *sent[-1]))
+            live.spin(0.05)
+        live.wait_for_torques(6)
+        live.node.destroy_publisher(publisher)
+        live.synchronize()
+        live._torque = live.node.create_publisher(WrenchStamped, 'torque', 10)
+        live.wait_until(lambda: live.torque_subscriptions, 'the node to subscribe again')
+        end_ns = live.now_ns()
+        commit(live, 7)
+        live.wait_until(lambda: live.diagnosis('torques')[1:] == (0, 'OK'), 'no warning')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        words = live.end()
+        run = replayed(tmp_path, live)
+    assert f'/torque: the torques are of type geometry_msgs/msg/{kind.__name__}' in words
+    np.testing.assert_array_equal(run.accepted.values[1:-1, 3:], [torque for _, torque in sent])
+    stamps_ns = run.accepted.stamps_ns[1:-1]
+    if kind is Vector3Stamped:
+        np.testing.assert_array_equal(stamps_ns, [stamp_ns for stamp_ns, _ in sent])
+    else:  # a Wrench is stamped as it arrives
+        assert np.all(np.diff([begin_ns, *stamps_ns, end_ns]) > 0)
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+@pytest.mark.parametrize(('kind', 'arguments', 'accepted'), [
+    (Twist, (), 'geometry_msgs/msg/WrenchStamped, geometry_msgs/msg/Wrench, '
+     'geometry_msgs/msg/Vector3Stamped, px4_msgs/msg/VehicleTorqueSetpoint'),
+    (Wrench, LOCKSTEP, 'geometry_msgs/msg/WrenchStamped, geometry_msgs/msg/Vector3Stamped')])
+def test_diagnostics_name_a_type_that_is_not_accepted(domain, kind, arguments, accepted):
+    with LiveSession(TUMBLER, domain, *arguments) as live:
+        publisher = publisher_of(live, kind)
+        expected = f'/torque: expected one of {accepted}, found geometry_msgs/msg/{kind.__name__}'
+        live.wait_until(lambda: expected in live.diagnosis('torques')[2], 'a warning')
+        assert not publisher.get_subscription_count()
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

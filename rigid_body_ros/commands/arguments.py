@@ -63,22 +63,16 @@ def warn_of_samples(options: argparse.Namespace, path: str, torques: Account | N
 
 def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
     """Warn about torques of PX4, which are not in N m."""
-    for path in paths:
-        if _is_normalized(path, options.topic):
-            report(f'{options.command}: warning: {path}: the torques of PX4 are normalized, not '
-                   'in N m; attitude_identify --estimate start,torque_gains finds their gains if '
-                   'the inertia is known')
-
-
-def _is_normalized(path: str, topics: list[str] | None) -> bool:
     from rigid_body_ros import messages, recording
-    if recording.is_ulog(path):
-        return True
     kinds = [kind for kind in messages.PX4_TYPES.values() if kind.like is messages.WRENCH]
-    with suppress(InputError):  # the command reports the error when it reads the torques
-        recorded = recording.topics(path, kinds)
-        return bool({*recorded} & {*(topics or recorded)})
-    return False
+    for path in paths:
+        with suppress(InputError):  # the command reports the error when it reads the torques
+            is_log = recording.is_ulog(path)  # reading it twice would take long
+            topics = [] if is_log else recording.topics(path, kinds)
+            if is_log or {*topics} & {*(options.topic or topics)}:
+                report(f'{options.command}: warning: {path}: the torques of PX4 are normalized, '
+                       'not in N m; attitude_identify --estimate start,torque_gains finds their '
+                       'gains if the inertia is known')
 
 
 def length_of(options: argparse.Namespace) -> float | None:

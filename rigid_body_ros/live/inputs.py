@@ -37,12 +37,14 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
+from rigid_body_ros.recording.bulk import converted, Raw
 from rigid_body_ros.scene import Scene
 
 #: Largest angular acceleration that a torque may cause, rad/s^2. At this acceleration, a body at
 #: rest would reach the angular velocity FASTEST, which is one radian per nanosecond, within one
 #: second.
 _LARGEST_ACCELERATION = 1e9
+_NO_TIMES = np.zeros(1, np.int64)
 
 
 class Torque(NamedTuple):
@@ -181,6 +183,22 @@ class Inputs:
             return State(odometry.stamp_ns, odometry.values[messages.ORIENTATION], rates)
         except ValueError as error:
             raise RejectedError(NOT_FINITE, str(error)) from error
+
+
+def wrench_of(kind: messages.MessageType, data: bytes) -> bytes:
+    """
+    Convert a torque of another type to a WrenchStamped message; both are serialized (CDR).
+
+    The stamp is 0 if the type has none. Raise RejectedError if the message is malformed.
+    """
+    try:
+        if isinstance(kind, messages.Px4Type):
+            return converted(kind, Raw.from_bytes([data], _NO_TIMES, _NO_TIMES)).message(0)
+        message = kind.decode(data)
+        values = np.pad(message.values, (messages.WRENCH.doubles - kind.doubles, 0))
+        return messages.WRENCH.encode(message.stamp_ns, message.frame_id, values)
+    except ValueError as error:
+        raise RejectedError(MALFORMED, str(error)) from error
 
 
 def _source(wrench: messages.Stamped, frame: Frame | None) -> str:

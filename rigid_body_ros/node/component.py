@@ -33,11 +33,12 @@ from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.events import RECEIVED, RejectedError, UNSAVED
-from rigid_body_ros.live.inputs import Inputs, Torque
+from rigid_body_ros.live.inputs import Inputs, Torque, wrench_of
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.messages import BARE_WRENCH, MessageType, PX4_TYPES, TORQUE_VECTOR, WRENCH
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback, subscription
+from rigid_body_ros.node.drain import DrainCallback, published, subscription
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
@@ -50,6 +51,10 @@ from std_srvs.srv import Trigger
 #: QoS, because a lost torque would stop the loop.
 _TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
+#: The types that torques may have. In lockstep, a torque must have the stamp of the state to which
+#: it responds.
+_TORQUES = {LOCKSTEP: (WRENCH, TORQUE_VECTOR),
+            REALTIME: (WRENCH, BARE_WRENCH, TORQUE_VECTOR, PX4_TYPES['VehicleTorqueSetpoint'])}
 #: When a node ends, it may spend at most this many seconds on publishing the pending states.
 _END_TIME = 0.8
 #: How often to check for silent sources, and how often to publish diagnostics, in seconds. The
@@ -137,7 +142,6 @@ class AttitudeComponent:
     def _connect(self) -> None:
         self._mode.activate()
         self._subscribe()
-        self._mode.connect(self._torques, self._start_worker)
         others = check_qos_overrides(self._node, self._listening, self._outputs.publishers)
         if others:
             self._node.get_logger().info(
@@ -211,34 +215,72 @@ class AttitudeComponent:
             self._node.get_logger().warning(warning)
 
     def _subscribe(self) -> None:
-        def torques(source: TorqueTopic) -> DrainCallback:
-            callback = DrainCallback(partial(self._on_torque, source.number),
-                                     partial(self._diagnostics.count_lost, source.number),
-                                     self._start_work, self._scene.mode == REALTIME)
-            callback.subscription = subscription(
-                self._node, source.kind, source.topic, callback,
-                # An inertia is sent only once, so the connection must not lose it.
-                _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode])
-            return callback
         self._states = subscription(
             self._node, Odometry, 'initial_state', self._on_state,
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE))
         check_topics(self._node, self._sources, [self._states.topic_name, *(
             publisher.topic_name for publisher in self._outputs.publishers)])
+        #: The type of the messages of each source and its class, by source number.
+        self._types = {source.number: (source.message, source.kind) for source in self._sources}
+        #: Why messages of a source cannot be received, by source number.
+        self._mismatches: dict[int, list[str]] = {}
         #: The callback of each torque subscription, by source number.
-        self._drains = {source.number: torques(source) for source in self._sources}
-        self._torques = {number: drain.subscription for number, drain in self._drains.items()}
+        self._drains: dict[int, DrainCallback] = {}
+        self._listen()
+
+    def _listen(self) -> None:
+        """Subscribe to the sources that have no subscription."""
+        if len(self._drains) < len(self._sources):
+            self._drains = {source.number: self._drains.get(source.number) or self._drain(source)
+                            for source in self._sources}
+            self._torques = {number: drain.subscription for number, drain in self._drains.items()}
+            self._active.update(self._torques.values())
+            self._mode.connect(self._torques, self._start_worker)
+
+    def _drain(self, source: TorqueTopic) -> DrainCallback:
+        kind, ros_type = self._types[source.number]
+        callback = DrainCallback(partial(self._on_torque, source, kind),
+                                 partial(self._diagnostics.count_lost, source.number),
+                                 self._start_work, self._scene.mode == REALTIME)
+        callback.subscription = subscription(
+            self._node, ros_type, source.topic, callback,
+            # An inertia is sent only once, so the connection must not lose it.
+            _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode])
+        return callback
+
+    def _follow_type(self, source: TorqueTopic) -> list[str]:
+        """
+        Unsubscribe from a topic of torques if its publishers have another type.
+
+        Return the reason if the type cannot be received. `_listen` then subscribes with the new
+        type. It cannot do so in the same callback, because the executor keeps the old subscription
+        until the callback returns, and Fast DDS allows a topic only one type in a process.
+        """
+        topic, number = self._torques[source.number].topic_name, source.number
+        try:
+            found = published(self._node, topic, _TORQUES[self._scene.mode])
+        except InputError as error:
+            return [str(error)]
+        if found and found != self._types[number]:
+            self._types[number] = found
+            del self._torques[number]
+            self._node.destroy_subscription(self._drains.pop(number).subscription)
+            self._node.get_logger().info(f'{topic}: the torques are of type {found[0].name}')
+        return []
 
     @property
     def _listening(self) -> list[Subscription]:
         return [*self._torques.values(), self._states]
 
-    def _on_torque(self, source: int, data: bytes, sender: Sender, _: int) -> None:
-        self._diagnostics.count(RECEIVED, source)
+    def _on_torque(self, source: TorqueTopic, kind: MessageType, data: bytes, sender: Sender,
+                   _: int) -> None:
+        self._diagnostics.count(RECEIVED, source.number)
         try:
-            self._mode.enqueue(data, sender, source)
+            if kind is not source.message:
+                data = wrench_of(kind, data)
+            self._mode.enqueue(data, sender, source.number)
         except RejectedError as rejected:
-            self._diagnostics.reject(rejected, source)
+            self._diagnostics.reject(rejected, source.number)
 
     def _start_work(self) -> None:
         if self._worker.is_canceled():  # otherwise the running timer continues the work
@@ -280,6 +322,8 @@ class AttitudeComponent:
 
         Diagnostics are also published as soon as a source falls silent or sends again.
         """
+        with _one_line_errors():
+            self._listen()
         now_ns = self._mode.now_ns()
         silent = {torque.source: torque for torque in self._mode.run.silent(now_ns)}
         for source in silent.keys() - self._silent:
@@ -291,12 +335,16 @@ class AttitudeComponent:
             self._report_at = max(self._report_at, now - 0.5 * _REPORT_PERIOD) + _REPORT_PERIOD
         if is_due or silent.keys() != self._silent:
             problems = self._mode.problems()
+            for source, mismatch in self._mismatches.items():
+                problems[source].extend(mismatch)
             for source, torque in silent.items():
                 problems[source].append(self._silence(torque, now_ns))
             self._report(self._diagnostics.connection_problems(
                 problems, self._drains, self._listening, self._outputs.publishers,
                 self._mode.several_publishers), now_ns)
         self._silent = {*silent}
+        self._mismatches = {source.number: self._follow_type(source) for source in self._sources
+                            if source.message is WRENCH}
         if is_due and self._checkpoint:
             self._save(self._checkpoint.save)
 

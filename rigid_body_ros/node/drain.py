@@ -16,8 +16,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from copy import copy
+from importlib import import_module
 import inspect
 import time
 from typing import Any
@@ -26,7 +27,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
+from rigid_body_ros.messages import MessageType
 
 try:
     from rclpy.event_handler import SubscriptionEventCallbacks
@@ -49,6 +52,26 @@ def subscription(node: Node, kind: type, topic: str, callback: Callable[..., Non
         kind, topic, callback, copy(qos), raw=True,
         event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+def published(node: Node, topic: str,
+              kinds: Iterable[MessageType]) -> tuple[MessageType, type] | None:
+    """
+    Return the type with which a topic is published, and its class; None if there is no publisher.
+
+    Raise InputError if the type is not one of `kinds`, or if its package is not installed.
+    """
+    names = {info.topic_type for info in node.get_publishers_info_by_topic(topic)}
+    by_name = {kind.name: kind for kind in kinds}
+    if len(names) > 1 or not names <= by_name.keys():
+        raise InputError(f'{topic}: expected one of {listed(by_name)}, found {listed(names)}')
+    for name in names:
+        package, _, last = name.split('/')
+        try:
+            return by_name[name], vars(import_module(f'{package}.msg'))[last]
+        except ModuleNotFoundError as error:
+            raise InputError(f'{topic}: cannot receive {name}: {error}') from error
+    return None
 
 
 class DrainCallback:

@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from importlib import import_module
 import time
 from typing import Any
 
@@ -29,7 +28,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rigid_body_ros import messages
-from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.events import (
     APPLIED,
@@ -48,7 +47,7 @@ from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading, JumpDetector
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback, subscription
+from rigid_body_ros.node.drain import DrainCallback, published, subscription
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
 from rigid_body_ros.recording import Messages
 from rigid_body_ros.recording.account import Account
@@ -203,17 +202,15 @@ class MonitorInputs:
 
     def _found(self, source: TorqueTopic) -> list[str]:
         topic = self._node.resolve_topic_name(source.topic)
-        names = {info.topic_type for info in self._node.get_publishers_info_by_topic(topic)}
-        kinds = {kind.name: kind for kind in KINDS if not kind.is_list}
-        if not names:
+        try:
+            found = published(self._node, topic, [kind for kind in KINDS if not kind.is_list])
+        except InputError as error:
+            return [str(error)]
+        if not found:
             return [f'{topic}: no publisher']
-        if len(names) > 1 or not names <= {*kinds}:
-            return [f'{topic}: expected one of {listed(kinds)}, found {listed(names)}']
-        name = names.pop()
-        package, _, kind = name.split('/')
-        self._subscribe(source, getattr(import_module(f'{package}.msg'), kind),
-                        partial(self._measurement, kind=kinds[name]),
-                        partial(self._measure, kinds[name]))
+        kind, ros_type = found
+        self._subscribe(source, ros_type, partial(self._measurement, kind=kind),
+                        partial(self._measure, kind))
         return []
 
     def _subscribe(self, source: TorqueTopic, kind: type, decode: _Decode, put: _Put) -> None:

@@ -140,7 +140,7 @@ def converted(kind: Px4Type, raw: Raw) -> Raw:
     body = layout(kind.fields)
     size = 4 + body.fields['end'][1]  # type: ignore[index]
     places = raw.starts[:, None] + np.arange(4 + body.itemsize)
-    data = np.take(raw.data, places, mode='clip')  # the last places may be after the message
+    data = np.pad(raw.data, (0, 4 + body.itemsize))[places]  # may extend beyond the message
     fits = (raw.sizes >= size) & (raw.sizes <= size + _PADDING) & (data[:, :2] == [0, 1]).all(1)
     if not fits.all():
         row = int(np.argmin(fits))
