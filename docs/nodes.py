@@ -66,7 +66,8 @@ SUBSCRIBED = [
           'If a force has [no lever arm](conventions.md#force) about the centre of mass, the node '
           'ignores the force; it counts such forces and logs the first. `torque` is the default '
           'of `torque_topics`, and the node reads every topic of `torque_topics` in the same '
-          'way.'),
+          'way. Torques may have [other types]'
+          '(node_behaviour.md#which-types-can-torques-have), too.'),
     Topic('initial_state', ODOMETRY, STATE,
           'A message begins a new epoch: the motion starts again at the stamp of the message, '
           'with the attitude and the angular velocity in the message. The node ignores the '

@@ -267,6 +267,16 @@ def test_a_message_in_another_encoding_is_one_line(tmp_path):
         recording.read(path)
 
 
+@pytest.mark.parametrize(('topic', 'count'), [('/fmu/in/vehicle_torque_setpoint', 1),
+                                              ('/torque', 0)])
+def test_normalized_torques_in_a_recording_are_a_warning(tmp_path, capsys, topic, count):
+    path = bags.mcap(tmp_path, MESSAGES + bags.traffic(bags.torques(8)[6:]))
+    assert main.attitude_replay([str(path), '--scene', str(scene_of(tmp_path / 's.yaml')),
+                                 '--topic', topic]) == 0
+    assert capsys.readouterr().err.count(
+        f'{path}: the torques of PX4 are normalized, not in N m') == count
+
+
 def test_a_torque_that_arrives_live_has_its_time_of_publication():
     message = px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES, xyz=NUMBERS[:, :3])[2]
     kind = messages.PX4_TYPES['VehicleTorqueSetpoint']

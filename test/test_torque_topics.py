@@ -409,7 +409,7 @@ def test_torques_of_another_type_are_accepted_and_replayed(tmp_path, domain, kin
         live.dump_parameters(tmp_path / 'live.yaml')
         words = live.end()
         run = replayed(tmp_path, live)
-    assert f'/torque: the torques are of type geometry_msgs/msg/{kind.__name__}' in words
+    assert f'/torque: torques are geometry_msgs/msg/{kind.__name__}' in words
     np.testing.assert_array_equal(run.accepted.values[1:-1, 3:], [torque for _, torque in sent])
     stamps_ns = run.accepted.stamps_ns[1:-1]
     if kind is Vector3Stamped:

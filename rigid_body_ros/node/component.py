@@ -265,7 +265,9 @@ class AttitudeComponent:
             self._types[number] = found
             del self._torques[number]
             self._node.destroy_subscription(self._drains.pop(number).subscription)
-            self._node.get_logger().info(f'{topic}: the torques are of type {found[0].name}')
+            name = found[0].name
+            note = '; they are normalized, not in N m' if name.startswith('px4_msgs') else ''
+            self._node.get_logger().warning(f'{topic}: torques are {name}{note}')
         return []
 
     @property
