@@ -61,12 +61,12 @@ class Px4Type(MessageType):
 
     def defined(self, fields: Iterable[str]) -> Px4Type:
         """Return the type with fields from a recording; raise ValueError if they do not fit."""
-        found = [*fields]
+        recorded = [*fields]
         for field in self.fields.split(', '):
-            if field.split()[1] in (*_TIMES, *self.vectors) and field not in found:
+            if field.split()[1] in (*_TIMES, *self.vectors) and field not in recorded:
                 raise ValueError(f'expected {field} in the definition of {self.name}, found none')
-        layout(', '.join(found))
-        return replace(self, fields=', '.join(found))
+        layout(', '.join(recorded))  # raises ValueError if the size of a field is not fixed
+        return replace(self, fields=', '.join(recorded))
 
     def contents(self, fields: Any) -> tuple[NDArray[np.uint64], Floats]:
         """
@@ -92,14 +92,14 @@ def layout(fields: str) -> np.dtype[np.void]:
     The message ends where the last field of the dtype, 'end', begins. Raise ValueError if the size
     of a field is not fixed.
     """
-    numbers: list[Any] = []
+    parts: list[Any] = []
     for field in fields.split(', '):
-        found = _FIELD.fullmatch(field)
-        if not found:
+        part = _FIELD.fullmatch(field)
+        if not part:
             raise ValueError(f'expected fields of fixed sizes, found {quoted(field)}')
-        numbers.append((found[3], np.dtype(found[1]).newbyteorder('<'),
-                        (int(found[2]),) if found[2] else ()))
-    return np.dtype([*numbers, ('end', 'u1')], align=True)  # CDR aligns numbers as C does
+        number, length, name = part.groups()
+        parts.append((name, np.dtype(number).newbyteorder('<'), (int(length),) if length else ()))
+    return np.dtype([*parts, ('end', 'u1')], align=True)  # CDR aligns numbers as C does
 
 
 #: The types, by the last part of their names. A SensorCombined message contains the angular

@@ -133,7 +133,7 @@ class Decoded(NamedTuple):
 
 def converted(kind: Px4Type, raw: Raw) -> Raw:
     """
-    Convert messages of PX4 to messages of the type `kind.like`.
+    Convert messages of PX4, in CDR, to messages of the type `kind.like` with an empty frame_id.
 
     Raise BadMessageError at the first invalid message.
     """
@@ -150,8 +150,7 @@ def converted(kind: Px4Type, raw: Raw) -> Raw:
                               f'defines a {kind.name}, found {raw.sizes[row]} bytes that begin '
                               f'with {raw.message(row)[:2].hex(" ")}')
     stamps_us, values = kind.contents(data[:, 4:].copy().view(body)[:, 0])
-    filled = Raw.from_values(kind.like, nanoseconds(stamps_us), values)
-    return filled._replace(log_ns=raw.log_ns, publish_ns=raw.publish_ns)
+    return Raw.from_values(kind.like, nanoseconds(stamps_us), values, raw.log_ns)
 
 
 def nanoseconds(times_us: NDArray[np.uint64]) -> Ints:
