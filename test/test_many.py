@@ -226,9 +226,10 @@ def test_torques_as_text_are_read_to_the_nanosecond_and_the_last_bit(tmp_path):
 @pytest.mark.parametrize(('text', 'message'), [
     ('1,2,3\n', r"line 1: expected time \(s\), tx, ty, tz \(N m\), found '1,2,3'"),
     ('1,0,0,0\n2,0,0,x\n', "line 2: expected .* found '2,0,0,x'"),
-    ('-1,0,0,0\n', 'line 1: expected time'), ('1e30,0,0,0\n', 'line 1: expected time'),
+    ('-1,0,0,0\n', 'line 1: expected a time from 0'),
+    ('1e30,0,0,0\n', 'line 1: expected a time from 0'),
     ('nan,0,0,0\n', 'line 1: expected time'), ('\0', 'expected'),
-    (b'\xff', 'expected CSV in UTF-8')])
+    (b'\xff', 'expected text in UTF-8')])
 def test_a_wrong_line_is_named(tmp_path, text, message):
     path = tmp_path / 'torque.csv'
     path.write_bytes(text if isinstance(text, bytes) else text.encode())

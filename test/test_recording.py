@@ -250,7 +250,8 @@ def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, messa
               '/truth/attitude (geometry_msgs/msg/QuaternionStamped), '
               '/truth/angular_velocity (geometry_msgs/msg/Vector3Stamped)'),
     ('/truth/attitude', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or '
-                        'geometry_msgs/msg/Wrench, found geometry_msgs/msg/QuaternionStamped')])
+                        'geometry_msgs/msg/Wrench or geometry_msgs/msg/Vector3Stamped, found '
+                        'geometry_msgs/msg/QuaternionStamped')])
 def test_a_topic_that_does_not_fit_is_named(topic, message):
     with pytest.raises(InputError, match=f'iss.mcap: {re.escape(message)}'):
         recording.read(RECORDINGS / 'iss.mcap', topic)
@@ -451,7 +452,7 @@ def test_the_name_of_a_type_may_lack_msg(tmp_path, kind, name):
     message = kind.encode(EPOCH_NS, '', np.arange(float(kind.doubles)))
     path = registered(tmp_path / 'ros1.mcap', kind.definition, kind=kind, message=message,
                       name=name)
-    assert recording.topics(path, [kind]) == ['/torque']
+    assert [*recording.topics(path, [kind])] == ['/torque']
     assert recording.read(path, kind=kind).values.tolist() == [[*range(kind.doubles)]]
     registered(path, kind.definition.replace('float64 z', 'float32 z'), kind=kind,
                message=message, name=name)

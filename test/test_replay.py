@@ -31,7 +31,7 @@ from rigid_body_ros import messages, propagate, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.recording.text_files import read_text_file
+from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.replay import gaps, replay
 from rigid_body_ros.replay.check import energy_balance
 from rigid_body_ros.scene import InputError
@@ -123,7 +123,7 @@ def test_a_motion_in_csv_has_all_bits(tmp_path, monkeypatch, values, heading):
     by_numpy = np.genfromtxt(path, delimiter=',', names=True, dtype=None)
     assert by_numpy['time_ns'].tolist() == times_ns
     np.testing.assert_array_equal(by_numpy['qw'], motion.attitude[:, 3])
-    measured = read_text_file(str(path))
+    measured = read_measured(str(path))
     np.testing.assert_array_equal(measured.stamps_ns, motion.times_ns)
     np.testing.assert_array_equal(measured.attitude, so3.normalize(motion.attitude))
     np.testing.assert_array_equal(measured.angular_velocity, motion.angular_velocity)

@@ -85,8 +85,8 @@ def test_a_trajectory(tmp_path):
     ('a.csv', 'time,wx,wx,wy,wz\n', "two columns for wx: 'wx' and 'wx'"),
     ('a.csv', 'time,wx (rpm),wy,wz\n', r"column 'wx \(rpm\)': unknown unit"),
     ('a.csv', 'time,wx,wy,wz\n1,2,3,x', 'line 2: expected numbers in the columns of time, wx'),
-    ('a.csv', 'time,wx,wy,wz\n-1,2,3,4', 'line 2: expected numbers'),
-    ('a.csv', 'time,wx,wy,wz\n1,2,3', 'line 2: expected numbers'),
+    ('a.csv', 'time,wx,wy,wz\n-1,2,3,4', 'line 2: expected a time from 0 to 2147483647 s'),
+    ('a.csv', 'time,wx,wy,wz\n1,2,3', 'line 2: expected 4 columns as in the first line'),
     ('a.csv', 'time,wx,wy,wz\n1,nan,3,4\n', 'expected at least 4 messages with a finite '
      'attitude or angular velocity, found 0 among 1'),
     ('a.csv', 'time,wx,wy,wz\n', 'found 0 among 0'),

@@ -139,9 +139,10 @@ def _given(options: argparse.Namespace, *names: str) -> list[str]:
 
 
 def _measured_files(options: argparse.Namespace) -> list[str]:
-    """Return the arguments of --measured that are text files, not topics."""
-    from rigid_body_ros.recording.text_files import is_text_file
-    return [name for name in _given(options, 'measured') if is_text_file(name)]
+    """Return the files that the arguments of --measured name."""
+    from rigid_body_ros.recording.measurements import parts_of
+    files = (parts_of('', name)[0] for name in _given(options, 'measured'))
+    return [os.fspath(file) for file in files if file]
 
 
 def _command_line(options: argparse.Namespace) -> str:

@@ -51,7 +51,12 @@ from rigid_body_ros.node.drain import DrainCallback, published, subscription
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
 from rigid_body_ros.recording import Messages
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.measurements import in_body_axes, Options, parts_of, QUANTITIES
+from rigid_body_ros.recording.measurements import (
+    in_body_axes,
+    MeasuredOptions,
+    parts_of,
+    QUANTITIES,
+)
 from rigid_body_ros.recording.quantities import KINDS, of_messages
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
@@ -110,7 +115,7 @@ class MonitorInputs:
         #: What is not used of each measured topic, and how its frames are interpreted.
         self._unused = {source.number: {*QUANTITIES} - {quantity} if quantity else ()
                         for source, (*_, quantity) in zip(measured, parts)}
-        self._options = Options(None, scene.body_frame, scene.space_frame, scene.links)
+        self._options = MeasuredOptions(None, scene.body_frame, scene.space_frame, scene.links)
         self.sources = {source.number: source for source in (*torques, *measured)}
         self.diagnostics = Diagnostics(node, [*self.sources.values()])
         self._history_ns = duration_ns(scene.history, 'history')

@@ -66,7 +66,7 @@ _OF_MOTION = ('expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (rad/s
               'units as in "wx (deg/s)" or "time_ms"')
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """Where a table contains a quantity, and the factor of the column's unit."""
 
     position: int
@@ -75,7 +75,7 @@ class Column(NamedTuple):
 
 
 def columns_of(heading: Sequence[str], groups: Sequence[tuple[str, ...]], stem: str = '',
-               chosen: Mapping[str, str] | None = None) -> dict[str, Column]:
+               chosen: Mapping[str, str] | None = None) -> dict[str, TableColumn]:
     """
     Find the columns of the time and of some quantities.
 
@@ -112,8 +112,8 @@ def columns_of(heading: Sequence[str], groups: Sequence[tuple[str, ...]], stem: 
 
 
 def _found(heading: Sequence[str], groups: Sequence[tuple[str, ...]], context: str,
-           chosen: Mapping[str, str] | None) -> dict[str, Column]:
-    columns: dict[str, Column] = {}
+           chosen: Mapping[str, str] | None) -> dict[str, TableColumn]:
+    columns: dict[str, TableColumn] = {}
     accepted = _OF_TORQUE if TORQUE in groups else _OF_MOTION
     for position, text in _chosen(heading, chosen) if chosen else enumerate(heading):
         name, factor = _meaning(text.lstrip('#') if position == 0 else text, groups, context)
@@ -121,7 +121,7 @@ def _found(heading: Sequence[str], groups: Sequence[tuple[str, ...]], context: s
             raise InputError(f'two columns for {name}: {quoted(heading[columns[name].position])} '
                              f'and {quoted(text)}; choose with --columns; {accepted}')
         if name:
-            columns[name] = Column(position, factor)
+            columns[name] = TableColumn(position, factor)
     given = [group for group in groups if any(name in columns for name in group)]
     for name in ('time', *(name for group in given or groups[:1] for name in group)):
         if name not in columns:

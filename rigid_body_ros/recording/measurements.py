@@ -29,7 +29,8 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import Messages, Source
 from rigid_body_ros.recording.chains import chained, STATIC
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.recording.quantities import KINDS, of_messages, of_table, Samples
+from rigid_body_ros.recording.quantities import KINDS, MeasuredSamples, of_messages, of_table
+from rigid_body_ros.recording.source import with_types
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
 
@@ -43,7 +44,7 @@ _OF_SENSOR = (messages.IMU, messages.VECTOR3)
 QUANTITIES = ('attitude', 'rates')
 
 
-class Options(NamedTuple):
+class MeasuredOptions(NamedTuple):
     """
     How to read measured topics.
 
@@ -126,7 +127,7 @@ def read_measured(path: str | Path, topic: str | None = None, **options: Any) ->
         FILE:TOPIC. If no topic is given, the path is a text file, or the recording contains
         exactly one topic of these types, not counting Vector3Stamped.
     options
-        The attributes of `Options`.
+        The attributes of `MeasuredOptions`.
 
     Returns
     -------
@@ -143,7 +144,7 @@ def read_measured(path: str | Path, topic: str | None = None, **options: Any) ->
         messages with different stamps.
 
     """
-    sensors = _read(path, topic, Options(**options))
+    sensors = _read(path, topic, MeasuredOptions(**options))
     if len(sensors) > 1:
         raise InputError(f'{path}: {topic}: expected attitudes and angular velocities in the same '
                          f'messages, found {len(sensors[0])} and {len(sensors[1])} with one of '
@@ -151,7 +152,7 @@ def read_measured(path: str | Path, topic: str | None = None, **options: Any) ->
     return sensors[0]
 
 
-def read_all(path: str | Path, topics: Iterable[str], options: Options) -> list[Measured]:
+def read_all(path: str | Path, topics: Iterable[str], options: MeasuredOptions) -> list[Measured]:
     """
     Read several measured topics, each as `read_measured` does.
 
@@ -190,7 +191,7 @@ def parts_of(path: str | Path, name: str) -> tuple[str | Path, str, str]:
     return file or path, topic, quantity
 
 
-def _read(path: str | Path, name: str | None, options: Options) -> list[Measured]:
+def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[Measured]:
     """Read one topic or text file; the result has two sensors if their messages differ."""
     name = name or (str(path) if is_text_file(str(path)) else _only_topic(path))
     file, topic, quantity = parts_of(path, name)
@@ -212,7 +213,8 @@ def _read(path: str | Path, name: str | None, options: Options) -> list[Measured
             in found.without_constants().sensors(where, label, has_log_times)]
 
 
-def _messages(path: str | Path, topic: str, options: Options) -> tuple[Messages, MessageType]:
+def _messages(path: str | Path, topic: str,
+              options: MeasuredOptions) -> tuple[Messages, MessageType]:
     """Read the messages of a topic; compose transforms if none is between the frames."""
     frames, time_source = options.frames, options.time_source
     with Source(path, topic, KINDS, time_source) as source:
@@ -236,15 +238,16 @@ def _messages(path: str | Path, topic: str, options: Options) -> tuple[Messages,
 def _only_topic(path: str | Path) -> str:
     found = [topic for topic in recording.topics(path, _CERTAIN) if not topic.endswith(STATIC)]
     if len(found) != 1:
+        types = recording.topics(path)
         advice = '; choose one with --measured' if found else ''
         raise InputError(f'{path}: expected one topic of a measured attitude (QuaternionStamped, '
                          'PoseStamped, PoseWithCovarianceStamped, TransformStamped, TFMessage, '
-                         f'Odometry, Imu), found {listed(found)}{advice}')
+                         f'Odometry, Imu), found {with_types(types, found or types)}{advice}')
     return found[0]
 
 
-def in_body_axes(where: str, found: Samples, recorded: Messages, kind: MessageType,
-                 options: Options) -> Samples:
+def in_body_axes(where: str, found: MeasuredSamples, recorded: Messages, kind: MessageType,
+                 options: MeasuredOptions) -> MeasuredSamples:
     """
     Convert measurements whose frame is the space frame or a link to body axes, with a note.
 
@@ -252,13 +255,13 @@ def in_body_axes(where: str, found: Samples, recorded: Messages, kind: MessageTy
     ----------
     where : str
         The file and the topic, for error messages.
-    found : Samples
+    found : MeasuredSamples
         The samples in the messages.
     recorded : Messages
         The messages.
     kind : MessageType
         Their type.
-    options : Options
+    options : MeasuredOptions
         The frames of the scene, and the frames that were chosen.
 
     Raises
@@ -289,7 +292,8 @@ def in_body_axes(where: str, found: Samples, recorded: Messages, kind: MessageTy
     return found
 
 
-def _other_frames(where: str, recorded: Messages, kind: MessageType, options: Options) -> str:
+def _other_frames(where: str, recorded: Messages, kind: MessageType,
+                  options: MeasuredOptions) -> str:
     """
     Describe the frames of messages that are not those of the scene and cannot be converted.
 

@@ -27,7 +27,8 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Topics
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.recording.measurements import Options, read_all
+from rigid_body_ros.recording.measurements import MeasuredOptions, read_all
+from rigid_body_ros.recording.ulog_file import flight, is_ulog
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 
@@ -72,7 +73,7 @@ class Reading:
 
     def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
         """Read the measurements, raising the same errors as `read_all`."""
-        return read_all(path, self.measured, Options(
+        return read_all(path, self.measured, MeasuredOptions(
             self.frames, scene.body_frame, scene.space_frame, scene.links, self.time_source,
             self.topics.columns, self.track))
 
@@ -153,7 +154,8 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
     reading : Reading
         What to read, and how. If `reading.start` is positive, the motion starts that long after
         the first sample, whatever the start_time, and earlier torques are kept, because a torque
-        that is held at the start acts.
+        that is held at the start acts. By default, only the longest flight of a PX4 log is read,
+        if the log says when the vehicle was in the air.
     largest_offset : float, s
         Largest possible offset between the torque clock and the measurement clock.
     may_command : bool
@@ -183,6 +185,15 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
         later_ns.append(problem.start.time_ns + duration_ns(reading.until, 'until') + 1)
     measurements = Measurements(sensors, min(later_ns, default=Measurements.end_ns), account)
     _check_overlap(path, problem, measurements, round(1e9 * largest_offset), reading)
+    is_whole = reading.start == 0.0 and reading.until is None and not scene.start.time_ns
+    if is_whole and is_ulog(path) and (flight_ns := flight(path)):
+        start = max(0.0, 1e-9 * (flight_ns[0] - problem.start.time_ns))
+        until = 1e-9 * (flight_ns[1] - flight_ns[0])
+        problem, measurements = read_observed(path, scene, replace(
+            reading, start=start, until=until), largest_offset, may_command)
+        measurements.sensors[0].account.note(
+            f'only the flight is used, from {start:.6g} s to {start + until:.6g} s after the first '
+            'sample (vehicle_land_detected); --from and --until choose another part')
     return problem, measurements
 
 

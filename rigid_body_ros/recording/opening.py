@@ -51,8 +51,7 @@ def open_files(name: str | Path, stack: ExitStack, columns: Mapping[str, str] | 
         raise InputError('expected a recording, found an empty name')
     path = Path(name)
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
-        return [CsvFile(path, columns) if path.suffix.lower() == '.csv' else
-                _open_file(path, stack)], False, ''
+        return [_open_file(path, stack, columns)], False, ''
     about = _metadata(path / 'metadata.yaml')
     compressed = str(about.get('compression_mode', '')).lower() == 'message'
     files: list[File] = []
@@ -102,7 +101,8 @@ def _metadata(path: Path) -> dict[str, Any]:
     return about
 
 
-def _open_file(path: Path, stack: ExitStack) -> File:
+def _open_file(path: Path, stack: ExitStack,
+               columns: Mapping[str, str] | None = None) -> File:
     is_compressed = path.suffix in ('.zstd', '.zst')
     unpacked = unpack_file(path, temporary(stack)) if is_compressed else path
     with reported(path, 'read the recording'), open_file(unpacked, 'recording') as stream:
@@ -110,7 +110,7 @@ def _open_file(path: Path, stack: ExitStack) -> File:
             raise InputError(f'{path}: expected MCAP or rosbag2, found a ROS 1 bag; convert it '
                              'with rosbags-convert --src IN.bag --dst OUT')
     if path.suffix.lower() == '.csv':
-        return CsvFile(path)
+        return CsvFile(path, columns)
     if is_ulog(path):
         return UlogFile(path)
     return SqliteFile(path, unpacked, stack) if unpacked.suffix == '.db3' else \

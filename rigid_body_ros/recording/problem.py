@@ -138,7 +138,7 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         epochs.
 
     """
-    torques = [source.read(path, name, None, track, time_source, topics.preferred,
+    torques = [source.read(path, name, topics.kinds(name), track, time_source, topics.preferred,
                            topics.columns)
                for name in topics.wrenches]
     momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, track, time_source) \

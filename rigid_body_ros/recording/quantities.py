@@ -88,7 +88,7 @@ class Quantity(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class MeasuredSamples:
     """
     The attitudes and angular velocities in the messages of a topic or the lines of a table.
 
@@ -110,7 +110,7 @@ class Samples:
     damage: str = ''
     notes: tuple[str, ...] = ()
 
-    def rates_from_space(self, rows: _Mask, frame: str) -> Samples:
+    def rates_from_space(self, rows: _Mask, frame: str) -> MeasuredSamples:
         """Convert angular velocities in space axes to body axes, which needs attitudes."""
         attitude, rates = self.attitude, self.rates
         assert attitude
@@ -123,7 +123,7 @@ class Samples:
         return replace(self, notes=(*self.notes, note), rates=rates._replace(
             values=values, is_usable=rates.is_usable & (known | ~rows)))
 
-    def from_link(self, rows: _Mask, rotation: Floats, frame: str) -> Samples:
+    def from_link(self, rows: _Mask, rotation: Floats, frame: str) -> MeasuredSamples:
         """
         Convert measurements in the axes of a link to body axes.
 
@@ -145,7 +145,7 @@ class Samples:
         return replace(self, attitude=converted(self.attitude, False),
                        rates=converted(self.rates, True), notes=(*self.notes, note))
 
-    def without_constants(self) -> Samples:
+    def without_constants(self) -> MeasuredSamples:
         """Drop a quantity that never changes, if the other one says that the body turns."""
         if self.attitude is None or self.rates is None:
             return self
@@ -155,7 +155,7 @@ class Samples:
                                   self.rates.values[both])
         return replace(self.without([name]), notes=(*self.notes, note)) if name else self
 
-    def without(self, names: Collection[str]) -> Samples:
+    def without(self, names: Collection[str]) -> MeasuredSamples:
         """Drop quantities: 'attitude', 'rates'."""
         return replace(self, attitude=None if 'attitude' in names else self.attitude,
                        rates=None if 'rates' in names else self.rates)
@@ -231,7 +231,7 @@ class Samples:
             account, self.damage)
 
 
-def of_messages(recorded: Messages, kind: MessageType) -> Samples:
+def of_messages(recorded: Messages, kind: MessageType) -> MeasuredSamples:
     """Return the samples in messages of a type in `KINDS`; covariances are in body axes."""
     layout, values = _LAYOUTS[kind], recorded.values
     attitude = _quantity(values, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
@@ -242,10 +242,10 @@ def of_messages(recorded: Messages, kind: MessageType) -> Samples:
                                                  [0.0, 0.0, 0.0, 1.0])))
         attitude = attitude._replace(
             covariance=np.swapaxes(turn, 1, 2) @ attitude.covariance @ turn)
-    return Samples(recorded.stamps_ns, attitude, rates, recorded.damage)
+    return MeasuredSamples(recorded.stamps_ns, attitude, rates, recorded.damage)
 
 
-def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Samples:
+def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> MeasuredSamples:
     """Return the samples in a CSV file or a TUM trajectory; see `Table`."""
     table = Table(path, [ATTITUDE, RATES], columns)
     blocks = [*table]
@@ -258,7 +258,7 @@ def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Samp
         found = values[:, [table.names.index(name) for name in group]]
         given = is_sample(found, table.width)
         return Quantity(found, given, given & is_possible(found))
-    return Samples(stamps_ns, quantity(ATTITUDE, _is_rotation), quantity(RATES, _is_slow),
+    return MeasuredSamples(stamps_ns, quantity(ATTITUDE, _is_rotation), quantity(RATES, _is_slow),
                    notes=tuple(table.notes))
 
 

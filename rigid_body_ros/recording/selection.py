@@ -16,14 +16,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 import re
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.mechanics.actuator import Actuator
-from rigid_body_ros.messages import INERTIA, joint_commands
+from rigid_body_ros.messages import INERTIA, joint_commands, MessageType
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.source import TORQUES
 from rigid_body_ros.scene import Scene
@@ -148,7 +148,7 @@ class Topics:
             return self.wheel_command
         return self._beside(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
 
-    def _beside(self, name: str, recorded: Sequence[str]) -> str | None:
+    def _beside(self, name: str, recorded: Collection[str]) -> str | None:
         """Return the topic called `name` or a node's log of that topic; None if neither exists."""
         logs = [topic for topic in recorded if topic.endswith(f'/accepted_{name}')]
         nodes = {topic.rpartition('/')[0] for topic in self.torques if _ACCEPTED.fullmatch(topic)}
@@ -196,6 +196,10 @@ class Topics:
         return [*([None] if self.preferred else self.torques),
                 *filter(None, [self.wheel_torque])]
 
+    def kinds(self, name: str | None) -> Sequence[MessageType]:
+        """Return the types of messages that one of `wrenches` may have."""
+        return TORQUES if name == self.wheel_torque else source.torques(name)
+
 
 def absolute(topic: str) -> str:
     """Return the full name of a topic, as resolved by a node without a namespace."""
@@ -210,7 +214,7 @@ def _actuator_of(topic: str, names: Sequence[str],
     return actuators[number] if number < len(names) else None
 
 
-def _match(name: str, recorded: Sequence[str]) -> str | None:
+def _match(name: str, recorded: Collection[str]) -> str | None:
     return next((topic for topic in recorded if topic in (name, absolute(name))), None)
 
 

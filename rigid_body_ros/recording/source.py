@@ -267,9 +267,10 @@ class Source:
         return InputError(f'{self._path}: {topic}: message {number + error.row + 1}: {error}')
 
 
-def read(path: str | Path, topic: str | None = None, kind: MessageType | None = None,
-         track: Track = no_progress, time_source: str = 'header',
-         preferred: str = '', columns: Mapping[str, str] | None = None) -> Messages:
+def read(path: str | Path, topic: str | None = None,
+         kind: MessageType | Sequence[MessageType] | None = None, track: Track = no_progress,
+         time_source: str = 'header', preferred: str = '',
+         columns: Mapping[str, str] | None = None) -> Messages:
     """
     Read all messages of a topic.
 
@@ -280,8 +281,9 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
         files and metadata.yaml; a PX4 log (.ulg); or a CSV file of torques.
     topic : str, optional
         The topic to read. You may omit it if only one topic has the type `kind`.
-    kind : MessageType, optional
-        The message type, such as `messages.QUATERNION`; by default WrenchStamped or Wrench.
+    kind : MessageType or sequence of MessageType, optional
+        The message type, such as `messages.QUATERNION`; by default WrenchStamped or Wrench or, if
+        the topic is given, also Vector3Stamped.
     track : callable, optional
         Wraps the iteration over blocks of messages, to show progress.
     time_source : str
@@ -301,20 +303,29 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
         or a message does not match its type.
 
     """
-    with Source(path, topic, TORQUES if kind is None else (kind,), time_source,
-                preferred, columns=columns) as source:
+    kinds = torques(topic) if kind is None else (kind,) if isinstance(kind, MessageType) else kind
+    with Source(path, topic, kinds, time_source, preferred, columns=columns) as source:
         blocks = list(track(source, source.count))
         return replace(joined(source.topic, source.kind, blocks, source.damage),
                        notes=tuple(source.notes))
 
 
-def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
-    """Return the topics whose type is in `kinds`; raise the same errors as `read`."""
-    names = _by_name(kinds)
+def torques(topic: str | None) -> Sequence[MessageType]:
+    """Return the types of torques on a topic: a vector may be anything, unless it is named."""
+    return (*TORQUES, TORQUE_VECTOR) if topic else TORQUES
+
+
+def topics(path: str | Path, kinds: Sequence[MessageType] | None = None) -> dict[str, str]:
+    """
+    Return the types of the topics whose type is in `kinds`, by default of all topics.
+
+    Raise the same errors as `read`.
+    """
+    names = None if kinds is None else _by_name(kinds)
     with ExitStack() as stack:
         files, _, _ = open_files(path, stack)
-        return [*{topic: None for file in files for topic, kind in file.types.items()
-                  if kind in names}]
+        return {topic: kind for file in files for topic, kind in file.types.items()
+                if names is None or kind in names}
 
 
 def _by_name(kinds: Sequence[MessageType]) -> dict[str, MessageType]:
@@ -339,8 +350,6 @@ def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -
 def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
                   kinds: Sequence[MessageType], preferred: str) -> tuple[str, MessageType]:
     by_name = _by_name(kinds)
-    if topic and messages.WRENCH in kinds:  # by default, do not read a vector as a torque
-        by_name = {TORQUE_VECTOR.name: TORQUE_VECTOR} | by_name
     expected = ' or '.join(kind.name for kind in kinds)
     fitting = [name for name, kind in types.items() if kind in by_name]
     if topic is None:
@@ -349,16 +358,17 @@ def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
         if len(fitting) != 1:
             advice = '; choose one with --topic' if fitting else ''
             raise InputError(f'{path}: expected one topic of type {expected}, '
-                             f'found {_listed(types, fitting or types)}{advice}')
+                             f'found {with_types(types, fitting or types)}{advice}')
         topic = fitting[0]
     if topic not in types:
         raise InputError(f'{path}: expected a topic {shortened(topic, 100)}, '
-                         f'found {_listed(types, types)}')
+                         f'found {with_types(types, types)}')
     if topic not in fitting:
         raise InputError(f'{path}: {shortened(topic, 100)}: expected {expected}, '
                          f'found {shortened(types[topic], 100) or "no type"}')
     return topic, by_name[types[topic]]
 
 
-def _listed(types: dict[str, str], topics: Iterable[str]) -> str:
+def with_types(types: Mapping[str, str], topics: Iterable[str]) -> str:
+    """List topics with their types."""
     return listed([f'{topic} ({types[topic] or "no type"})' for topic in topics])

@@ -26,7 +26,7 @@ from rigid_body_ros.messages import is_epoch_marker
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.problem import check_axes, Logged
 from rigid_body_ros.recording.selection import Topics
-from rigid_body_ros.recording.source import Messages, Source, TORQUES
+from rigid_body_ros.recording.source import Messages, Source
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.recording.torques import first_epoch, NotInOrderError, Piece, torque_pieces
 from rigid_body_ros.runtime.terminal import Track
@@ -116,9 +116,9 @@ class Streams:
                  time_source: str = 'header') -> None:
         self._path, self._scene, self._track = path, scene, track
         with ExitStack() as stack:
-            self._sources = [stack.enter_context(Source(path, name, TORQUES, time_source,
-                                                        topics.preferred,
-                                                        columns=topics.columns))
+            self._sources = [stack.enter_context(Source(
+                path, name, topics.kinds(name), time_source, topics.preferred,
+                columns=topics.columns))
                              for name in topics.wrenches]
             self._wheel_torque, self._stack = topics.wheel_torque, stack.pop_all()
         self.start: State | None = None

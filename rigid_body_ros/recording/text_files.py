@@ -36,9 +36,9 @@ from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.headings import (
     apply,
     ATTITUDE,
-    Column,
     columns_of,
     RATES,
+    TableColumn,
     TIME_UNITS,
     TORQUE,
 )
@@ -53,9 +53,9 @@ _BLOCK, _LONGEST = 8192, 2 ** 16
 #: The most digits before the decimal point of a time.
 _MOST_DIGITS = 30
 #: The columns of a file without a heading.
-_TRAJECTORY = 8, {'time': Column(0, Decimal(10 ** 9)),
-                  **{name: Column(4 + k, 1.0) for k, name in enumerate(ATTITUDE)}}
-_TORQUES = 4, {name: Column(k, Decimal(1) if k else None) for k, name in enumerate(
+_TRAJECTORY = 8, {'time': TableColumn(0, Decimal(10 ** 9)),
+                  **{name: TableColumn(4 + k, 1.0) for k, name in enumerate(ATTITUDE)}}
+_TORQUES = 4, {name: TableColumn(k, Decimal(1) if k else None) for k, name in enumerate(
     ('time', *TORQUE))}
 #: The earliest time, ns since 1970, that a large number is taken for: September 2001.
 _RECENT_NS = 10 ** 18
@@ -113,7 +113,7 @@ class Table:
         self._chosen = chosen if chosen and apply(chosen, groups) else None
         self._is_csv = Path(path).suffix.lower() in _CSV
         self.width, self._columns = _TORQUES if self._is_csv else _TRAJECTORY
-        self._rates: list[Column] = []
+        self._rates: list[TableColumn] = []
         self.names: list[str] = []
         self.notes: list[str] = []
 
@@ -186,18 +186,19 @@ class Table:
                                  f'found {quoted(",".join(line))}') from None
         if factor is None:
             factor = self._assumed_unit(stamps, [line for _, line in block])
-            self._columns = {**self._columns, 'time': Column(position, factor)}
+            self._columns = {**self._columns, 'time': TableColumn(position, factor)}
         values = np.array(rows, float).reshape(len(rows), len(columns))
         return self._stamps_ns(block, stamps, int(factor)), values
 
     def _expected(self, line: Sequence[str]) -> str:
-        if len(line) == 12 and not self._is_csv:
-            return 'time (s), x, y, z, qx, qy, qz, qw, found 12 numbers, as in a pose matrix of ' \
-                   '3 x 4 (convert it to a TUM trajectory)'
-        if len(line) != self.width and self.width != _TORQUES[0]:
-            return f'{self.width} columns as in the first line' if self._is_csv else \
-                'numbers: time (s), x, y, z, qx, qy, qz, qw'
-        return f'numbers in the columns of time, {", ".join(self.names)}'
+        if not self._is_csv:
+            matrix = ', as in a pose matrix of 3 x 4: convert it to a TUM trajectory' \
+                if len(line) == 12 else ''
+            return f'numbers: time (s), x, y, z, qx, qy, qz, qw, found {len(line)} columns{matrix}'
+        if (self.width, self._columns.keys()) == (_TORQUES[0], _TORQUES[1].keys()):
+            return 'time (s), tx, ty, tz (N m)'
+        return f'{self.width} columns as in the first line' if len(line) != self.width else \
+            f'numbers in the columns of time, {", ".join(self.names)}'
 
     def _stamps_ns(self, block: list[tuple[int, list[str]]], stamps: list[Decimal],
                    unit_ns: int) -> NDArray[np.int64]:
@@ -206,7 +207,7 @@ class Table:
             time_ns = (stamp * unit_ns).to_integral_value()
             if not 0 <= time_ns <= messages.LAST_NS:
                 raise InputError(
-                    f'{self._path}: line {number}: expected numbers, and a time from 0 to '
+                    f'{self._path}: line {number}: expected a time from 0 to '
                     f'{messages.LAST_NS // unit_ns} {_name_of(unit_ns)}, found '
                     f'{quoted(str(stamp))}; name another unit as in "time_ns" or "time (ms)"')
             stamps_ns.append(int(time_ns))
