@@ -66,6 +66,7 @@ from rigid_body_ros.messages.kinds import (
     TRANSFORM,
     TRANSFORM_STAMPED,
     TYPES,
+    unstamped,
     VECTOR3,
     WRENCH,
 )
@@ -79,5 +80,5 @@ __all__ = [
     'JointCommands', 'JointState', 'MessageType', 'Px4Type', 'Stamped', 'decoded_joints',
     'encoded_joints', 'epoch_marker', 'epoch_start', 'imu', 'imu_values', 'inertia',
     'inertia_entries', 'is_epoch_marker', 'joint_commands', 'joint_states', 'joint_values',
-    'odometry', 'torque', 'torque_frame', 'transform', 'transform_values', 'wrench',
+    'odometry', 'torque', 'torque_frame', 'transform', 'transform_values', 'unstamped', 'wrench',
     'wrench_frame']

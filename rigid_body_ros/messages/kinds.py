@@ -235,6 +235,11 @@ def opened(data: bytes) -> tuple[memoryview, str]:
     return memoryview(data)[4:], '<' if data[1] else '>'
 
 
+def unstamped(data: bytes) -> bytes:
+    """Return an encoded message that begins with a header, with the stamp 0."""
+    return data[:4] + bytes(8) + data[12:]
+
+
 def header_at(body: memoryview, offset: int, order: str) -> tuple[int, str, int]:
     """Read a header; return its stamp, ns, its frame_id, and the offset at which it ends."""
     seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)

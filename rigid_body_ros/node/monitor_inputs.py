@@ -278,6 +278,7 @@ class MonitorInputs:
         The messages of each topic are processed as one batch, because processing them one by one
         would take longer.
         """
+        is_stamped = self._scene.time_source != ARRIVAL
         for source, arrived in self._waiting.items():
             if not self._is_simulated:
                 self.drains[source].poll()
@@ -288,7 +289,7 @@ class MonitorInputs:
                 try:
                     if not now_ns:
                         raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
-                    message = decode(data)
+                    message = decode(data if is_stamped else messages.unstamped(data))
                     stamp_ns = self._stamp(message.stamp_ns, now_ns, arrival_ns)
                 except RejectedError as rejected:
                     self.diagnostics.reject(rejected, source)
@@ -312,8 +313,7 @@ class MonitorInputs:
             The stamp is too far from the present time.
 
         """
-        if not stamp_ns or self._scene.time_source == ARRIVAL:
-            stamp_ns = arrival_ns
+        stamp_ns = stamp_ns or arrival_ns
         if self._is_simulated:  # a message may overtake a /clock message that was sent before it
             check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
         else:

@@ -25,6 +25,7 @@ from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.timer import Timer
+from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.events import (
@@ -241,8 +242,10 @@ class Realtime(Mode):
             The torque or its stamp is not valid.
 
         """
-        torque = self._inputs.torque(queued.data, queued.source)
-        if not torque.stamp_ns or self._scene.time_source == ARRIVAL:
+        data = messages.unstamped(queued.data) if self._scene.time_source == ARRIVAL \
+            else queued.data
+        torque = self._inputs.torque(data, queued.source)
+        if not torque.stamp_ns:
             torque = torque._replace(stamp_ns=queued.arrived_ns)
         if self._is_simulated:
             self._check_early(torque.stamp_ns, queued)

@@ -192,8 +192,8 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
         problem, measurements = read_observed(path, scene, replace(
             reading, start=start, until=until), largest_offset, may_command)
         measurements.sensors[0].account.note(
-            f'only the flight is used, from {start:.6g} s to {start + until:.6g} s after the first '
-            'sample (vehicle_land_detected); --from and --until choose another part')
+            f'only the flight is used, from {start:.6g} s to {start + until:.6g} s after the '
+            'first sample (vehicle_land_detected); --from and --until choose another part')
     return problem, measurements
 
 
