@@ -92,7 +92,7 @@ class Session:
         self._environment = os.environ | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
                                           'ROS_DOMAIN_ID': str(domain)}
         self._command = [sys.executable, '-c', program, '--ros-args', '--params-file', str(path)]
-        self._domain = domain
+        self._domain, self.names = domain, NAMES
 
     def __enter__(self):
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -158,7 +158,7 @@ class Session:
 
     def count(self):
         """Return the number of messages that have arrived, or are known to be lost."""
-        return sum(self.values(name)[key] for name in NAMES for key in ('received', 'lost'))
+        return sum(self.values(name)[key] for name in self.names for key in ('received', 'lost'))
 
     def play(self, found):
         """Publish messages no faster than the monitor judges them, and wait for all to arrive."""

@@ -76,6 +76,20 @@ def windows(judgements):
 
 
 @pytest.mark.slow
+def test_an_attitude_that_nobody_fills_is_no_error_of_the_model():
+    monitor = Monitor(Problem(BODY, State(0)), PATIENT)
+    for time_ns, name, values in messages(120):
+        if name == 'torque':
+            monitor.apply([time_ns], values[None])
+        elif name == '/gyro':
+            monitor.measure('/imu', [time_ns], np.array([[0.0, 0.0, 0.0, 1.0]]), values[None])
+    levels = [one.level for one in monitor.judgements()]
+    assert len(levels) > 5
+    assert ERROR not in levels
+    assert monitor.notes['/imu'].startswith('the attitude is not used: it is [0.0, 0.0, 0.0, 1.0]')
+
+
+@pytest.mark.slow
 def test_the_errors_of_a_right_model_have_the_covariance_that_is_stated():
     found = [one.error for one in judged(messages(660))]
     squares = [change @ np.linalg.solve(one.covariance, change) for one in found

@@ -44,6 +44,7 @@ from rigid_body_ros.node.attitude_monitor import AttitudeMonitor
 from rigid_body_ros.recording import Writer
 from rigid_body_ros.recording.quantities import of_messages
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
+from sensor_msgs.msg import Imu
 
 pytestmark = pytest.mark.ros
 
@@ -103,6 +104,31 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
         if not actuator:
             session.wait(lambda: session.status('model').message.startswith('the model explains'))
             assert session.status('model').level == b'\x00'
+        assert session.stop() == 0
+
+
+def test_an_imu_as_people_send_it_is_judged_or_named(tmp_path, domain):
+    imu, found = messages.IMU, []
+    for number, (stamp_ns, topic, data) in enumerate(stream(20)):
+        found.append((stamp_ns, topic, data))
+        if topic == '/gyro':
+            values = np.zeros(imu.doubles)
+            values[3], values[13:16] = 1.0, messages.VECTOR3.decode(data).values
+            found.append((stamp_ns, '/imu', imu.encode(stamp_ns, '/base_link', values)))
+            found += [found[-1]] * (number % 20 == 0)  # the same stamp twice
+    measured = {'measured': ['/mocap', '/gyro', '/imu'], 'window': 2.0,
+                'attitude_noise': campaign.ATTITUDE_NOISE, 'rate_noise': campaign.RATE_NOISE}
+    with Session(tmp_path / 'scene.yaml', domain, monitor=measured) as session:
+        session.names = *NAMES, 'measured /imu'
+        session.publishers['/imu'] = session.node.create_publisher(Imu, '/imu', 10_000)
+        session.wait(lambda: session.publishers['/imu'].get_subscription_count() == 1)
+        session.play(found)
+        session.wait(session.has_judged, 8)
+        session.wait(lambda: '/imu: the attitude is not used' in session.status('model').message)
+        session.wait(lambda: 'samples have the same stamp as a later one'
+                     in session.status('measured /imu').message)
+        assert session.values('measured /imu')['rejected: unknown frame'] == 0
+        assert b'\x02' not in session.levels()
         assert session.stop() == 0
 
 

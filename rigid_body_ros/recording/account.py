@@ -84,6 +84,13 @@ class Account:
         `stamps_ns` are the stamps of those that are not rejected, in the order of the recording.
         """
         earlier = self.samples - len(self._held)
+        self.samples += len(stamps_ns) + rejected
+        self.rejected += rejected
+        is_open = self.steps and self.steps[-1][0] > earlier
+        if not is_open and _ascends(self._latest_ns, stamps_ns):  # as nearly always
+            self._held = stamps_ns
+            self._latest_ns = int(stamps_ns[-1]) if len(stamps_ns) else self._latest_ns
+            return
         stamps = np.concatenate([self._held, stamps_ns])
         # Whether a stamp steps back or only arrives late, the next block may decide.
         self.steps = [step for step in self.steps if step[0] <= earlier] + [
@@ -95,8 +102,6 @@ class Account:
             self._first_repeated = earlier + int(repeated.min()) + 1
         self.replaced += len(repeated) - len(_repeated(self._held))
         self._held, self._latest_ns = stamps_ns, int(latest[-1])
-        self.samples += len(stamps_ns) + rejected
-        self.rejected += rejected
 
     def check_norms(self, quaternions: Floats) -> None:
         """Name quaternions, shape (n, 4), without norm 1."""
@@ -160,6 +165,11 @@ def merged(accounts: Mapping[str, Account]) -> Account:
         total._others += [f'{topic}: {text}' for text in account.faults]
         total.notes += [f'{topic}: {text}' for text in account.notes]
     return total
+
+
+def _ascends(latest_ns: int, stamps_ns: _Stamps) -> bool:
+    return not len(stamps_ns) or bool(stamps_ns[0] > latest_ns
+                                      and (stamps_ns[1:] > stamps_ns[:-1]).all())
 
 
 def _repeated(stamps_ns: _Stamps) -> NDArray[np.intp]:

@@ -197,9 +197,9 @@ def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
             moved[code] = frame
     torques = _moved(where, recorded, moved) if moved else recorded.values[:, 3:]
     in_space = np.array([name == 'space' for name in axes], np.bool_)[recorded.frames]
-    piece, finite = Piece(recorded.stamps_ns, torques, in_space), np.isfinite(torques).all(axis=1)
-    if not np.all(finite):
-        piece = piece.rows(np.flatnonzero(finite))
+    piece = Piece(recorded.stamps_ns, torques, in_space)
+    if not np.isfinite(torques).all():
+        piece = piece.rows(np.flatnonzero(np.isfinite(torques).all(axis=1)))
     account.add(piece.times_ns, len(recorded) - len(piece.times_ns))
     return piece
 
