@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.report.labels import literal
+from rigid_body_ros.report.figures import literal
 
 
 def draw(path: str | Path, fit: Identification, experiment: Experiment, name: str) -> None:

@@ -16,18 +16,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+import warnings
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import EngFormatter
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.report.labels import label, legend, literal, save
 from rigid_body_ros.report.style import (
     axes_name,
     COLOURS,
@@ -46,6 +52,8 @@ from rigid_body_ros.report.style import (
 _GREYS = ('#333333', '#999999')
 #: Maximum number of points in a curve. Drawing more points would make no visible difference.
 _POINTS = 20_000
+#: The number of characters that fit into the title of a picture even if all characters are wide.
+_TITLE = 50
 
 
 def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[TorqueLog],
@@ -80,7 +88,7 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
         The file cannot be written.
 
     """
-    rows = np.unique(np.linspace(0, len(trajectory.times_ns) - 1, _POINTS).astype(int))
+    rows = _drawn(len(trajectory.times_ns))
     start_ns, end_ns = int(trajectory.times_ns[0]), int(trajectory.times_ns[-1])
     seconds = (trajectory.times_ns[rows] - start_ns) * 1e-9
     logs, has_rotors = torque_logs(log), bool(trajectory.rotor_momentum.any())
@@ -91,18 +99,14 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
     _draw_curves(panels[1], seconds, trajectory.attitude[rows], QUATERNION)
     panels[1].set_ylabel('quaternion')
-    _draw_curves(panels[2], seconds, trajectory.angular_velocity[rows], RATES)
-    label(panels[2].yaxis, 'angular velocity,\nbody axes', 'rad/s',
-          trajectory.angular_velocity[rows])
+    _draw_vectors(panels[2], seconds, trajectory.angular_velocity[rows], RATES,
+                  ('angular velocity', 'body axes', 'rad/s'))
     if has_rotors:
-        momentum = trajectory.rotor_momentum[rows]
-        _draw_curves(panels[3], seconds, momentum, MOMENTA)
-        label(panels[3].yaxis, 'rotor momentum,\nbody axes', 'N m s', momentum)
-    for panel, log, name in zip(panels[3 + has_rotors:], logs, torque_names(len(logs))):
-        _draw_torque(panel, log, name, start_ns, end_ns, timeout_ns)
+        _draw_vectors(panels[3], seconds, trajectory.rotor_momentum[rows], MOMENTA,
+                      ('rotor momentum', 'body axes', 'N m s'))
+    _draw_torques(panels[3 + has_rotors:], logs, (start_ns, end_ns), timeout_ns)
     if fields is not None:
-        _draw_curves(panels[-1], seconds, fields[rows], TORQUES)
-        label(panels[-1].yaxis, f'{FIELDS},\nbody axes', 'N m', fields[rows])
+        _draw_vectors(panels[-1], seconds, fields[rows], TORQUES, (FIELDS, 'body axes', 'N m'))
     figure.align_ylabels(panels)
     panels[-1].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
     label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
@@ -202,12 +206,10 @@ def errors(path: str | Path, panels: Sequence[Series], others: Sequence[Series],
     rows = figure.subplots(count, 1, squeeze=False)[:, 0]
     for row, panel in zip(rows, panels):
         _draw_errors(row, panel, start_ns)
-    for row, log, name in zip(rows[len(panels):], logs, torque_names(len(logs))):
-        _draw_torque(row, log, name, start_ns, end_ns, timeout_ns)
-    for row, one in zip(rows[len(panels) + len(logs):shared], others):
-        seconds, values = _thinned(one, start_ns)
-        _draw_curves(row, seconds, values, TORQUES)
-        label(row.yaxis, f'{one.label},\nbody axes', one.unit, values)
+    _draw_torques(rows[len(panels):], logs, (start_ns, end_ns), timeout_ns)
+    for row, torque in zip(rows[len(panels) + len(logs):shared], others):
+        _draw_vectors(row, *_thinned(torque, start_ns), TORQUES,
+                      (torque.label, 'body axes', torque.unit))
     for row in rows[:shared]:
         row.set_xlim(0.0, max(1e-9 * (end_ns - start_ns), 1e-9))
     rows[shared - 1].set_xlabel('time from the first measurement (s)')
@@ -244,8 +246,13 @@ def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
 
 
 def _thinned(series: Series, start_ns: int) -> tuple[Floats, Floats]:
-    chosen = np.unique(np.linspace(0, len(series.times_ns) - 1, _POINTS).astype(int))
-    return 1e-9 * (series.times_ns[chosen] - start_ns), series.values[chosen]
+    rows = _drawn(len(series.times_ns))
+    return 1e-9 * (series.times_ns[rows] - start_ns), series.values[rows]
+
+
+def _drawn(count: int) -> NDArray[np.intp]:
+    """Return the indices of the rows to draw, out of `count` rows."""
+    return np.unique(np.linspace(0, count - 1, _POINTS).astype(np.intp))
 
 
 def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) -> None:
@@ -257,13 +264,21 @@ def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) ->
                      [labels[number] for number in range(low, high + 1)])
 
 
-def _draw_torque(panel: Axes, log: TorqueLog, name: str, start_ns: int, end_ns: int,
-                 timeout_ns: int) -> None:
-    times = _torque_times(log, start_ns, end_ns, timeout_ns)
-    torques = log.at(times, timeout_ns)[0]
-    seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
-    _draw_curves(panel, seconds, torques, TORQUES)
-    label(panel.yaxis, f'{name},\n{axes_name(log.in_space)}', 'N m', torques)
+def _draw_torques(panels: Iterable[Axes], logs: Sequence[TorqueLog], span_ns: tuple[int, int],
+                  timeout_ns: int) -> None:
+    for panel, log, name in zip(panels, logs, torque_names(len(logs))):
+        times = _torque_times(log, *span_ns, timeout_ns)
+        seconds = np.asarray((times - span_ns[0]) * 1e-9, np.float64)
+        _draw_vectors(panel, seconds, log.at(times, timeout_ns)[0], TORQUES,
+                      (name, axes_name(log.in_space), 'N m'))
+
+
+def _draw_vectors(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...],
+                  labels: tuple[str, str, str]) -> None:
+    """Draw the components of vectors; `labels` contains the quantity, the axes and the unit."""
+    quantity, axes, unit = labels
+    _draw_curves(panel, x, columns, names)
+    label(panel.yaxis, f'{quantity},\n{axes}', unit, columns)
 
 
 def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:
@@ -290,3 +305,43 @@ def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
         grid = np.concatenate([grid, changes - 1, changes])
     grid = np.unique(grid)
     return grid[(grid >= start_ns) & (grid <= end_ns)]
+
+
+def literal(title: str) -> str:
+    """Shorten a title to fit into the picture, and replace bytes that are not text."""
+    return shortened(title.encode(errors='replace').decode(), _TITLE)
+
+
+def save(figure: Figure, path: str | Path, dpi: int) -> None:
+    """
+    Save a figure to a PNG file.
+
+    Names are drawn literally, so a $ does not start a formula. Characters that are missing from
+    the font are drawn as boxes.
+    """
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if text.get_text():  # ticks get their text later, often with powers of ten
+            text.set_parse_math(False)
+    with warnings.catch_warnings():
+        warnings.filterwarnings('ignore', 'Glyph|Matplotlib currently does not support')
+        FigureCanvasAgg(figure).print_figure(path, dpi=dpi, format='png')
+
+
+def legend(panel: Axes, **options: Any) -> None:
+    """Draw a legend to the right of a panel."""
+    panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, **options)
+
+
+def label(axis: Axis, text: str, unit: str, values: Floats) -> None:
+    """Label an axis; if all values are small, use a unit with a prefix, such as mrad/s."""
+    largest = float(np.abs(values).max())
+    exponent = min(3 * math.floor(math.log10(largest) / 3.0), 0) if largest else 0
+    exponent = max(exponent, min(EngFormatter.ENG_PREFIXES))
+    if exponent:
+        axis.set_major_formatter(lambda value, _: _scaled(value, 10.0 ** exponent))
+    axis.set_label_text(f'{text} ({EngFormatter.ENG_PREFIXES[exponent]}{unit})')
+
+
+def _scaled(value: float, scale: float) -> str:
+    return f'{round(value / scale, 9) + 0.0:g}'.replace('-', '−')  # + 0.0 turns -0 into 0

@@ -23,7 +23,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from rigid_body_ros.report.labels import label, legend, literal, save
+from rigid_body_ros.report.figures import label, legend, literal, save
 from rigid_body_ros.report.style import COLOURS, MARKED, STYLES
 
 #: The largest number of rank correlations that are drawn, beginning with the strongest.
