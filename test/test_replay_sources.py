@@ -432,7 +432,7 @@ def test_damage_is_reported_if_no_torque_could_be_read(recorded, written, tmp_pa
     ([TWO, WHEELS, DAMPING, ROTORS], {'wheel_torque': '/wheel_torque'}, 200)])
 def test_a_replay_with_the_recommended_setting_meets_the_target(
         recorded, written, tmp_path, monkeypatch, lines, option, samples):
-    monkeypatch.setattr('rigid_body_ros.tradeoff.settings._MOST_STEPS', 5_000)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_STEPS', 5_000)
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
     given = [word for name, topic in option.items()
              for word in (f'--{name.replace("_", "-")}', topic)]

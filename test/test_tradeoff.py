@@ -330,7 +330,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
     picture, figures, web = (tmp_path / name for name in ('p.png', 'o.json', 'o.html'))
     environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}
     script = ('import sys; from rigid_body_ros.commands import main; '
-              'from rigid_body_ros.tradeoff import settings; settings._MOST_STEPS = 20000;'
+              'from rigid_body_ros.tradeoff import trade; trade._MOST_STEPS = 20000;'
               'sys.exit(main.attitude_tradeoff())')
     done = subprocess.run([sys.executable, '-c', script, *TUMBLER, *TORQUES, '--target', '1e-9',
                            '--json', figures, '--plot', picture, '--report', web],

@@ -37,7 +37,7 @@ TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
 
 @pytest.fixture(autouse=True)
 def _short_runs(monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.tradeoff.settings._MOST_STEPS', 5_000)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_STEPS', 5_000)
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
 
 

@@ -30,9 +30,8 @@ A setting that meets a target on the stretch is recommended only if it also meet
 whole motion.
 """
 
-from rigid_body_ros.tradeoff.choices import Choice, Error, Measurement, recommend
+from rigid_body_ros.tradeoff.choices import Choice, Error, Measurement, recommend, Setting
 from rigid_body_ros.tradeoff.result import Tradeoff
-from rigid_body_ros.tradeoff.settings import Setting
 from rigid_body_ros.tradeoff.trade import measure, TARGET
 
 __all__ = ['TARGET', 'Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure',

@@ -19,16 +19,42 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Options
 from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST
-from rigid_body_ros.tradeoff.settings import Setting
 
 #: An integration error up to this fraction of the spread of an ensemble is negligible.
 _PART = 0.1
 #: Time needed to compute a reference, divided by the time of one run of the Taylor series.
 _REFERENCE_COST = 14.0
+
+
+class Setting(NamedTuple):
+    """A solver, together with its tolerance or step."""
+
+    solver: str
+    tolerance: float | None = None
+    #: Length of a step, s.
+    max_step: float | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Return the setting as keyword arguments of `propagate`."""
+        return {name: value for name, value in self._asdict().items() if value is not None}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the lines of a scene file that select this setting."""
+        if self.max_step is not None:
+            return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
+        return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
+                'max_step: 0.0')
+
+
+#: The setting that applies if a scene specifies neither a solver nor a tolerance.
+DEFAULT = Setting(Options.solver, Options.tolerance)
 
 
 class Error(NamedTuple):

@@ -29,9 +29,8 @@ from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.runtime.limits import read_json
-from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
+from rigid_body_ros.tradeoff.choices import Advice, Choice, DEFAULT, recommend, Setting, Spread
 from rigid_body_ros.tradeoff.result import Tradeoff
-from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
 
 #: Many runs are timed in `_ROUNDS` rounds. In each round, every setting computes the same number
 #: of runs, at most `_MOST_RUNS`. The cheapest setting takes about `_TIMED` seconds for these runs.

@@ -21,6 +21,7 @@ The reference is the Taylor series at its tightest tolerance, with shorter steps
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import combinations
 import math
 from typing import Any
@@ -29,11 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, LONGEST
+from rigid_body_ros.engine import body_layout, kernels, state_layout, tensor
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.torque import stamps_of
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
-from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
 TIGHTEST = 1e-15
 #: Default length of a torque-free motion, in turns.
@@ -46,6 +49,10 @@ _WORK = 20_000
 #: Number of output times in addition to the torque stamps. The additional times reveal errors
 #: between stamps that are far apart.
 _OUTPUTS = 100
+#: A coefficient of Euler's equations that is too small to affect the motion. Because this
+#: coefficient is not zero, the kernels use the arithmetic for full tensors, so the rounding errors
+#: differ even if the given tensor is diagonal.
+_NEGLIGIBLE = 1e-200
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +206,54 @@ class Reference:
             motions.append(case.run(solver='exact').attitude)
         floor = max(float(so3.angle_between(*pair).max()) for pair in combinations(motions, 2))
         return cls(best, max(floor, math.ulp(1.0)), last_digit_effect(case.problem, case.times_ns))
+
+
+class PrincipalAxes:
+    """
+    Convert a body and its motion to the principal axes, and convert attitudes to body axes.
+
+    In principal axes, the Taylor series has different rounding errors, because no terms of
+    J^-1 tau cancel. The principal moments and axes are computed with about 32 digits. Torques and
+    rates are rounded only once, after they have been rotated.
+
+    Attributes
+    ----------
+    body : RigidBody
+        The body in principal axes. Its motion can be computed only with the Taylor series.
+
+    """
+
+    def __init__(self, body: RigidBody) -> None:
+        moments, self._axes = body._principal
+        exact = np.vectorize(Fraction, otypes=[object])
+        coefficients = tensor.euler_coefficients(np.diag(exact(moments[0]) + exact(moments[1])))
+        coefficients[0, 0, 1] = _NEGLIGIBLE
+        self.body = RigidBody(np.diag(moments[0]))
+        self.body._constants = body_layout.pack(
+            coefficients, moments, np.stack([np.eye(3), np.zeros((3, 3))]), np.zeros((2, 3, 3)))
+        self._rotation = so3.from_matrix(self._axes[0])
+
+    def start(self, start: State) -> State:
+        """Convert an initial state to principal axes."""
+        rates = self._components(start.angular_velocity[None])[0]
+        attitude = so3.multiply(start.attitude, self._rotation)
+        packed = state_layout.pack(rates[:, 0], attitude, rates[:, 1])
+        return State._as_computed(start.time_ns, packed)
+
+    def log(self, log: TorqueLog) -> TorqueLog:
+        """Convert torques in body axes to principal axes; torques in space axes do not change."""
+        turned = self._components(log.torques)[..., 0]
+        return log.with_torques(np.where(log.in_space[:, None], log.torques, turned))
+
+    def back(self, attitude: Floats) -> Floats:
+        """Convert attitudes of the principal axes to attitudes of the body axes, shape (m, 4)."""
+        return so3.multiply(attitude, so3.conjugate(self._rotation))
+
+    def _components(self, vectors: Floats) -> Floats:
+        high, low = self._axes
+        result = np.empty((len(vectors), 3, 2))
+        kernels.fill_components(high, low, vectors, result)
+        return result
 
 
 def whole(problem: Problem, end_ns: int | None) -> Case:

@@ -24,10 +24,9 @@ import platform
 from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row, lines
-from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement, OnWhole
+from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement, OnWhole, Setting
 from rigid_body_ros.tradeoff.interpolation import better_interpolation, InterpolationError
 from rigid_body_ros.tradeoff.problem import Case, Reference
-from rigid_body_ros.tradeoff.settings import Setting
 
 _WIDTH = 18
 #: Descriptions of the rounding floor. The first one is for motions without rotors, damping and

@@ -24,15 +24,26 @@ import time
 import numpy as np
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem, Trajectory
+from rigid_body_ros.propagation.solvers import RECORDS
 from rigid_body_ros.runtime.terminal import no_progress, Track
-from rigid_body_ros.tradeoff.choices import Error, Measurement, NO_ERROR, OnWhole, recommend
+from rigid_body_ros.tradeoff.choices import (
+    Error,
+    Measurement,
+    NO_ERROR,
+    OnWhole,
+    recommend,
+    Setting,
+)
 from rigid_body_ros.tradeoff.interpolation import final_differences, interpolation_errors
 from rigid_body_ros.tradeoff.problem import Case, Reference, turned_angle, whole
 from rigid_body_ros.tradeoff.result import Tradeoff
-from rigid_body_ros.tradeoff.settings import Setting, settings_of
 
 #: Default target of `measure` and of --target, rad.
 TARGET = 1e-6
+_TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
+#: Angle through which the body turns in the longest fixed step, rad, and maximum number of steps
+#: in a run. A run with that many steps takes about 0.1 s.
+_LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
 #: The wall time of a run shorter than this, in seconds, depends on what ran before. Before each of
 #: these short runs, the same setting therefore runs once without being timed.
@@ -75,7 +86,7 @@ def measure(problem: Problem, *, end_ns: int | None = None,
     stretch = case.stretch()
     reference = Reference.of(stretch)
     measurements = _with_pareto_front(
-        _measure_all(stretch, settings_of(stretch, reference.trajectory), reference, seconds,
+        _measure_all(stretch, _settings_of(stretch, reference.trajectory), reference, seconds,
                      track),
         reference.floor)
     growth = case.seconds / stretch.seconds
@@ -86,6 +97,22 @@ def measure(problem: Problem, *, end_ns: int | None = None,
     return Tradeoff(stretch, case, turned_angle(reference.trajectory), measurements, reference,
                     interpolation_errors(stretch), final_differences(case), choices,
                     error_on_whole)
+
+
+def _settings_of(case: Case, motion: Trajectory) -> list[Setting]:
+    """Return all settings to measure for a case and its motion, from coarse to fine."""
+    settings = [Setting(solver.name) for solver in RECORDS
+                if case.conserves and not solver.takes_torque]
+    settings += [Setting(solver.name, tolerance) for solver in RECORDS
+                 if solver.takes_torque and not solver.fixed_step for tolerance in _TOLERANCES]
+    longest = case.natural_step(motion, _LONGEST_ANGLE)
+    for solver in [solver.name for solver in RECORDS if solver.fixed_step
+                   and (solver.takes_linear_terms or not case.has_linear_terms)]:
+        step = longest
+        while step >= 1e-9 and case.seconds / step <= _MOST_STEPS:
+            settings.append(Setting(solver, max_step=round(step * 1e9) / 1e9))
+            step /= 2.0
+    return settings
 
 
 def _measure_all(case: Case, settings: Sequence[Setting], reference: Reference,
