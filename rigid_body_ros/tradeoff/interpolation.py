@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -32,7 +32,7 @@ from rigid_body_ros.tradeoff.problem import Case
 _ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
 #: An interpolation is clearly better than another if its error is less than this fraction of the
 #: other's error.
-_CLEARLY = 0.25
+CLEARLY = 0.25
 
 
 class InterpolationError(NamedTuple):
@@ -51,20 +51,11 @@ def interpolation_errors(case: Case) -> tuple[InterpolationError, ...]:
         return ()
     changes = {}
     for name in INTERPOLATIONS:
-        try:
+        with suppress(ValueError):  # the body spins too fast with this interpolation
             changes[name] = _change(case, name, 2), _change(case, name, 4)
-        except ValueError:  # the body spins too fast with this interpolation
-            continue
     coarsest, _ = changes.get('hold', (0.0, 0.0))
     return tuple(InterpolationError(name, half, _extrapolated(name, half, quarter, coarsest))
                  for name, (half, quarter) in changes.items())
-
-
-def better_interpolation(errors: Sequence[InterpolationError],
-                         own: InterpolationError) -> InterpolationError | None:
-    """Return the best interpolation, or None if it is not clearly better than `own`."""
-    best = min(errors, key=lambda error: error.estimate)
-    return best if best.estimate < _CLEARLY * own.estimate else None
 
 
 def final_differences(case: Case) -> dict[str, float | None]:
@@ -82,18 +73,14 @@ def final_differences(case: Case) -> dict[str, float | None]:
     """
     if not _can_interpolate(case):
         return {}
-    last = replace(case, times_ns=case.times_ns[-1:])
-    rows, own = np.arange(len(case.problem.logs[0])), case.interpolation
-    end = _motion(last, own, rows).attitude[0]
-    differences: dict[str, float | None] = {}
-    for name in INTERPOLATIONS:
-        if name != own:
-            try:
-                other = _motion(last, name, rows).attitude[0]
-            except ValueError:  # the body spins too fast with this interpolation
-                differences[name] = None
-            else:
-                differences[name] = float(so3.angle_between(other, end))
+    last, rows = replace(case, times_ns=case.times_ns[-1:]), np.arange(len(case.problem.logs[0]))
+    end = _motion(last, case.interpolation, rows).attitude[0]
+    differences: dict[str, float | None] = {
+        name: None for name in INTERPOLATIONS if name != case.interpolation}
+    for name in differences:
+        with suppress(ValueError):  # the body spins too fast with this interpolation
+            other = _motion(last, name, rows).attitude[0]
+            differences[name] = float(so3.angle_between(other, end))
     return differences
 
 
@@ -128,7 +115,7 @@ def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) 
     interpolation is not clearly better than hold, the torque is not smooth at this spacing, and
     the order is assumed to be 1.
     """
-    order = _ORDERS[interpolation] if half < _CLEARLY * hold else 1
+    order = _ORDERS[interpolation] if half < CLEARLY * hold else 1
     observed = quarter / half - 1.0 if half else 2.0
     return half / (min(max(observed, 2.0), 2.0 ** order) - 1.0)
 

@@ -25,7 +25,7 @@ from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row, lines
 from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement, OnWhole, Setting
-from rigid_body_ros.tradeoff.interpolation import better_interpolation, InterpolationError
+from rigid_body_ros.tradeoff.interpolation import CLEARLY, InterpolationError
 from rigid_body_ros.tradeoff.problem import Case, Reference
 
 _WIDTH = 18
@@ -110,7 +110,8 @@ class Tradeoff:
         Otherwise, return None.
         """
         own = self.interpolation_error
-        return better_interpolation(self.interpolation_errors, own) if own else None
+        best = min(self.interpolation_errors, key=lambda error: error.estimate, default=None)
+        return best if own and best and best.estimate < CLEARLY * own.estimate else None
 
     def dominant(self, target: float, held: bool = False) -> str:
         """
@@ -162,8 +163,7 @@ class Tradeoff:
         return {
             'machine': platform.platform(),
             'processor': platform.processor() or platform.machine(),
-            'versions': {'python': platform.python_version(),
-                         **{name: metadata.version(name) for name in ('numpy',)}},
+            'versions': {'python': platform.python_version(), 'numpy': metadata.version('numpy')},
             'stretch_s': span, 'stretch_angle_rad': self.angle, 'whole_s': self.whole.seconds,
             'samples': self.stretch.samples, 'outputs': len(self.stretch.times_ns),
             'interpolation': self.stretch.interpolation,
@@ -302,10 +302,12 @@ def _table(result: Tradeoff, all_rows: bool) -> list[str]:
 
 def _facts(result: Tradeoff) -> list[tuple[str, str]]:
     reference, (floor, rest) = result.reference, _FLOORS[result.stretch.has_terms]
+    drift = 'largest change since the start, relative' if result.stretch.conserves else \
+        'largest difference from the reference, relative to its largest value'
     return [*_ensemble(result), ('motion', _motion(result)),
             ('errors', 'difference from the Taylor series at its tightest tolerance with shorter '
                        'steps'),
-            ('drift', f'momentum and energy: {_drift(result)}'),
+            ('drift', f'momentum and energy: {drift}'),
             ('cost', f'wall time per simulated second with {len(result.stretch.times_ns)} '
                      'outputs; fastest of several runs'),
             ('rounding floor', f'{reference.floor:.1e} rad, {floor}'), ('', rest),
@@ -393,12 +395,6 @@ def _motion(result: Tradeoff) -> str:
             if stretch.torque_free else f'under fields and {torques}'
     part = '' if stretch is whole else f', the beginning of a motion of {whole.seconds:.9g} s'
     return f'{stretch.seconds:.9g} s, {result.angle:.3g} rad, {torques}{part}'
-
-
-def _drift(result: Tradeoff) -> str:
-    if result.stretch.conserves:
-        return 'largest change since the start, relative'
-    return 'largest difference from the reference, relative to its largest value'
 
 
 def _line(one: Measurement, span: float) -> str:
