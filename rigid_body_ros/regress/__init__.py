@@ -18,12 +18,11 @@ Run a controller again in lockstep, and compare its closed loop with a recorded 
 First, `domain` reserves a ROS domain. Two processes run in this domain: `controller` starts the
 controller's command, and `node_process` runs a node that the caller provides. `session` connects
 the two processes in a closed loop and records the loop. Then `loop` reads the recording, and
-`differences` compares two loops. `regression` decides which loops to compare, and `page` shows the
-loops on an HTML page.
+compares two loops. `regression` decides which loops to compare, and `page` shows the loops on an
+HTML page.
 """
 
-from rigid_body_ros.regress.differences import Differences, differences
-from rigid_body_ros.regress.loop import Loop, read, Signal
+from rigid_body_ros.regress.loop import Differences, differences, Loop, read, Signal
 from rigid_body_ros.regress.regression import compare, Regression, update
 from rigid_body_ros.regress.session import Session, Span
 

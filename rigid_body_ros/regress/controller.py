@@ -17,13 +17,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 import os
 from pathlib import Path
 import signal
 import subprocess
 import tempfile
 import time
-from types import TracebackType
 
 from rigid_body_ros.common.errors import InputError, printable, reason
 
@@ -34,7 +34,7 @@ _PERIOD = 0.02
 _LINES, _WIDTH = 20, 200
 
 
-class ControllerProcess:
+class ControllerProcess(AbstractContextManager['ControllerProcess']):
     """
     A command that runs in a new process session.
 
@@ -64,11 +64,7 @@ class ControllerProcess:
             self._output.close()
             raise InputError(f'{words[0]}: cannot be started: {reason(error)}') from error
 
-    def __enter__(self) -> ControllerProcess:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         self.end()
         self._output.close()
 

@@ -12,27 +12,30 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read a closed loop from a recording: the torques and the states in a node's log."""
+"""Read closed loops from recordings of a node's log, and compare two loops stamp by stamp."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.efforts import EffortLog, filled
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording import Messages
-from rigid_body_ros.runtime.fingerprint import NAME
+from rigid_body_ros.runtime.fingerprint import NAME, other_versions
 
 COMMITTED = 'committed'
 INERTIA, COMMANDS = 'accepted_inertia', 'accepted_wheel_command'
 _TORQUE = 'accepted_'
+_STATE, _STAMP = 'state', 'stamp'
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,3 +183,164 @@ def _samples(found: Messages, kind: messages.MessageType) -> Signal:
     frames = np.array(found.names, np.str_)[found.frames[order]] if len(order) else \
         np.empty(0, np.str_)
     return Signal(found.stamps_ns[order], values[order], frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """
+    How a closed loop differs from a reference.
+
+    Attributes
+    ----------
+    torques, states : int
+        The number of torques and the number of states that were compared: those whose stamps occur
+        in both loops.
+    same_torques, same_states : int
+        The number of compared torques, and of compared states, that agree in every bit.
+    first_ns : int, optional
+        The first stamp where the loops differ, either because some bits are different or because
+        the stamp occurs in only one loop. None if all bits are equal.
+    first : str
+        What differs at `first_ns`: the name of a torque log; 'state'; or 'stamp', if the stamp
+        occurs in only one loop. Empty if nothing differs.
+    missing : int
+        The number of stamps that occur in only one of the two loops.
+    torque, attitude, rate : float, optional
+        The largest differences between the torques (N m), the attitudes (rad) and the angular
+        velocities (rad/s) of the two loops. None if the loops have no stamps in common.
+    start_ns, end_ns : int
+        The times of the start and of the last state of the reference.
+    versions : dict
+        For each package whose version has changed, the version that made the reference and the
+        version in use now.
+
+    """
+
+    torques: int
+    states: int
+    same_torques: int
+    same_states: int
+    first_ns: int | None
+    first: str
+    missing: int
+    torque: float | None
+    attitude: float | None
+    rate: float | None
+    start_ns: int
+    end_ns: int
+    versions: dict[str, tuple[str, str]]
+
+    @property
+    def equal(self) -> bool:
+        """Return whether all bits are equal."""
+        return self.first_ns is None
+
+    def within(self, tolerance: float | None) -> bool:
+        """
+        Return whether the loops agree. Without a tolerance, all bits must be equal.
+
+        The tolerance is the largest angle by which attitudes may differ, rad. Stamps must be equal
+        even if there is a tolerance.
+        """
+        if self.equal or tolerance is None:
+            return self.equal
+        return not self.missing and self.attitude is not None and self.attitude <= tolerance
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the differences as rows to print, each with a name and a text."""
+        span = (self.end_ns - self.start_ns) * 1e-9
+        found = [('compared', f'{self.torques} torques and {self.states} states over {span:.9g} '
+                              's of the loop'),
+                 ('same bits', f'{self.same_torques} of {self.torques} torques, '
+                               f'{self.same_states} of {self.states} states')]
+        if self.missing:
+            found.append(('stamps', f'{self.missing} are those of one of the two loops only'))
+        if self.first_ns is not None:
+            found.append(('first', f'{self._cause} at {self.first_ns} ns, '
+                          f'{(self.first_ns - self.start_ns) * 1e-9:.9g} s after the start'))
+        if self.attitude is not None:
+            torque = '' if self.torque is None else f'torque {self.torque:.2g} N m, '
+            found.append(('largest', f'{torque}attitude {self.attitude:.2g} rad, rate '
+                                     f'{self.rate:.2g} rad/s'))
+        return found + [('made by', f'{name} {there}, here {here}: the last bits may differ')
+                        for name, (there, here) in self.versions.items()]
+
+    @property
+    def _cause(self) -> str:
+        if self.first == _STATE:
+            return 'the state, so the scene or the package differs,'
+        if self.first == _STAMP:
+            return 'a stamp that only one of the two loops has,'
+        log = self.first.removeprefix('accepted_').replace('_', ' ')
+        return f'the {log} at equal states, so the controller differs,'
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the differences as a dictionary of JSON types; the keys contain the units."""
+        return {'torques': self.torques, 'states': self.states,
+                'first_difference_ns': self.first_ns,
+                'largest': {'torque_N_m': self.torque, 'attitude_rad': self.attitude,
+                            'rate_rad_s': self.rate}}
+
+
+def differences(reference: Loop, loop: Loop) -> Differences:
+    """Compare a loop with a reference, up to the last state of the reference."""
+    last_ns = int(reference.states.times_ns[-1])
+    pairs = {name: Pair.of(*(one.torques.get(name, EMPTY).until(last_ns)
+                             for one in (reference, loop)))
+             for name in {**reference.torques, **loop.torques}}
+    states = Pair.of(reference.states, loop.states.until(last_ns))
+    # If a state and a torque differ at the same stamp, report the state, because the controller
+    # computes the torque from this state.
+    every = {_STATE: states, **pairs}
+    first = {name: pair.first_ns for name, pair in every.items() if pair.first_ns is not None}
+    name = min(first, key=lambda one: first[one], default='')
+    torques = [_largest(pair.reference - pair.found) for key, pair in pairs.items()
+               if key != INERTIA and len(pair.same)]
+    (attitude, rates), (attitude_found, rates_found) = (
+        np.split(values, [4], axis=1) for values in (states.reference, states.found))
+    has_states = len(states.same) > 0
+    first_ns = first.get(name)
+    if name and first_ns in every[name].missing_ns:
+        name = _STAMP
+    return Differences(
+        torques=sum(len(pair.same) for pair in pairs.values()), states=len(states.same),
+        same_torques=sum(int(pair.same.sum()) for pair in pairs.values()),
+        same_states=int(states.same.sum()), first_ns=first_ns, first=name,
+        missing=sum(len(pair.missing_ns) for pair in every.values()),
+        torque=max(torques, default=None),
+        attitude=float(so3.angle_between(attitude, attitude_found).max()) if has_states else None,
+        rate=_largest(rates - rates_found) if has_states else None,
+        start_ns=reference.start.time_ns, end_ns=last_ns,
+        versions=other_versions(reference.made_by))
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The values of two series at their common stamps, and the first stamp where they differ."""
+
+    times_ns: NDArray[np.int64]
+    reference: Floats
+    found: Floats
+    same: NDArray[np.bool_]
+    missing_ns: NDArray[np.int64]
+    first_ns: int | None
+
+    @classmethod
+    def of(cls, reference: Signal, found: Signal) -> Pair:
+        """Pair the values of two series by their stamps."""
+        times_ns, rows, others = np.intersect1d(
+            reference.times_ns, found.times_ns, assume_unique=True, return_indices=True)
+        values, other_values = (np.ascontiguousarray(samples.values[chosen]) for samples, chosen
+                                in ((reference, rows), (found, others)))
+        if not times_ns.size:  # one series may be `EMPTY`, with a different number of columns
+            other_values = values
+        same = (values.view(np.int64) == other_values.view(np.int64)).all(axis=1) \
+            & (reference.frames[rows] == found.frames[others])
+        missing_ns = np.setxor1d(reference.times_ns, found.times_ns, assume_unique=True)
+        differing_ns = np.concatenate([times_ns[~same], missing_ns])
+        return cls(times_ns, values, other_values, same, missing_ns,
+                   int(differing_ns.min()) if differing_ns.size else None)
+
+
+def _largest(errors: Floats) -> float:
+    return float(np.linalg.norm(errors, axis=1).max())

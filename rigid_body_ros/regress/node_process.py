@@ -22,14 +22,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager, suppress
-import multiprocessing
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Protocol
 
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.runtime.pool import Child
 
 #: Time between two checks for a message from the parent process, s.
 _PERIOD = 0.02
@@ -79,7 +78,7 @@ class Status(NamedTuple):
 Start = Callable[[Collection[str]], AbstractContextManager[Node]]
 
 
-class NodeProcess:
+class NodeProcess(Child, AbstractContextManager['NodeProcess']):
     """
     A process that runs a node.
 
@@ -101,27 +100,13 @@ class NodeProcess:
 
     def __init__(self, start: Start, logs: Collection[str] = ()) -> None:
         self.status = Status({}, [], False)
-        # Use spawn, not fork. A fork copies the locks that other threads hold but not the threads,
-        # so these locks would never be released.
-        context = multiprocessing.get_context('spawn')
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, start, [*logs]),
-                                        daemon=True)
-        with interrupts.blocked_in_children():
-            self._process.start()
-        theirs.close()  # otherwise, we would not notice when the other process ends
+        super().__init__(_serve, start, [*logs])
 
-    def __enter__(self) -> NodeProcess:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self._connection.close()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        self.connection.close()
         if kind:
-            self._process.kill()
-        self._process.join(_PATIENCE)
-        self._process.kill()  # in case the process hangs
-        self._process.join()
+            self.process.kill()
+        self.wait(_PATIENCE)
 
     def watch(self, seconds: float) -> None:
         """
@@ -147,7 +132,7 @@ class NodeProcess:
 
         """
         with suppress(OSError):  # if the process has ended, its last message gives the reason
-            self._connection.send((path, last_ns))
+            self.connection.send((path, last_ns))
         while isinstance(found := self._received(_PATIENCE), Status):
             self.status = found  # the node sent this report before it received our request
         if found != _WRITTEN:
@@ -157,11 +142,11 @@ class NodeProcess:
     def _received(self, seconds: float) -> Status | str | None:
         """Return the next message, or None if no message arrives within `seconds`."""
         try:
-            found = self._connection.recv() if self._connection.poll(seconds) else None
+            found = self.connection.recv() if self.connection.poll(seconds) else None
         except (EOFError, OSError):
-            self._process.join()
+            self.process.join()
             raise InputError('expected a node that runs to the end of the loop, found that its '
-                             f'process ended with status {self._process.exitcode}') from None
+                             f'process ended with status {self.process.exitcode}') from None
         if isinstance(found, InputError):
             raise found
         return found

@@ -20,12 +20,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.regress.differences import Pair
-from rigid_body_ros.regress.loop import COMMANDS, EMPTY, INERTIA, Loop, Signal
+from rigid_body_ros.regress.loop import COMMANDS, EMPTY, INERTIA, Loop, Pair, Signal
 from rigid_body_ros.regress.regression import Regression
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
@@ -102,11 +100,7 @@ def _body(regression: Regression, scene: Scene) -> dict[str, Any]:
     """Return an animation of the loop, whose motion is recomputed from the torques."""
     loop = regression.loop
     problem = recording.read_epochs(regression.path, scene, _topics(loop))[-1].problem
-    step = -(-len(loop.states) // moving_body.MOST)
-    motion = problem.propagate(at=loop.states.times_ns[::step])
-    torque = problem.torque(motion.times_ns, motion.attitude)
-    return moving_body.as_data(problem.body, motion.times_ns, np.hstack([
-        motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))
+    return moving_body.of_motion(problem, loop.states.times_ns)
 
 
 def _topics(loop: Loop) -> recording.Topics:

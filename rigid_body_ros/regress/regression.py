@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rigid_body_ros.regress.differences import Differences, differences
-from rigid_body_ros.regress.loop import Loop, read
+from rigid_body_ros.regress.loop import Differences, differences, Loop, read
 from rigid_body_ros.regress.session import Session, Span
 from rigid_body_ros.report.text import lines
 

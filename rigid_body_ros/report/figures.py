@@ -90,7 +90,7 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     """
     rows = _drawn(len(trajectory.times_ns))
     start_ns, end_ns = int(trajectory.times_ns[0]), int(trajectory.times_ns[-1])
-    seconds = (trajectory.times_ns[rows] - start_ns) * 1e-9
+    seconds = _seconds(trajectory.times_ns[rows], start_ns)
     logs, has_rotors = torque_logs(log), bool(trajectory.rotor_momentum.any())
     count = 3 + has_rotors + len(logs) + (fields is not None)
     figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
@@ -247,7 +247,11 @@ def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
 
 def _thinned(series: Series, start_ns: int) -> tuple[Floats, Floats]:
     rows = _drawn(len(series.times_ns))
-    return 1e-9 * (series.times_ns[rows] - start_ns), series.values[rows]
+    return _seconds(series.times_ns[rows], start_ns), series.values[rows]
+
+
+def _seconds(times_ns: NDArray[np.int64], start_ns: int) -> Floats:
+    return np.asarray((times_ns - start_ns) * 1e-9, np.float64)
 
 
 def _drawn(count: int) -> NDArray[np.intp]:
@@ -268,8 +272,7 @@ def _draw_torques(panels: Iterable[Axes], logs: Sequence[TorqueLog], span_ns: tu
                   timeout_ns: int) -> None:
     for panel, log, name in zip(panels, logs, torque_names(len(logs))):
         times = _torque_times(log, *span_ns, timeout_ns)
-        seconds = np.asarray((times - span_ns[0]) * 1e-9, np.float64)
-        _draw_vectors(panel, seconds, log.at(times, timeout_ns)[0], TORQUES,
+        _draw_vectors(panel, _seconds(times, span_ns[0]), log.at(times, timeout_ns)[0], TORQUES,
                       (name, axes_name(log.in_space), 'N m'))
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from itertools import islice
 import multiprocessing
 from multiprocessing.connection import Connection
@@ -38,7 +38,7 @@ class WorkerError(Exception):
     """Raised if the process that computes an item has died; the message says how it died."""
 
 
-class Workers:
+class Workers(AbstractContextManager['Workers']):
     """
     A pool of threads, for functions that release the global interpreter lock; a context manager.
 
@@ -52,9 +52,6 @@ class Workers:
     def __init__(self, workers: int) -> None:
         self._workers = workers
         self._executor: Executor = ThreadPoolExecutor(workers)
-
-    def __enter__(self) -> Workers:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         if kind:
@@ -134,7 +131,7 @@ class Processes(Workers):
         for process, future in self._last.items():
             process.end(is_idle=future.done())
         for process in self._last:
-            process.wait()
+            process.wait(_PATIENCE)
         super().__exit__(None)
 
     def ahead(self) -> int:
@@ -144,44 +141,59 @@ class Processes(Workers):
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
         idle = (process for process, future in self._last.items()
                 if future.done() and not future.exception())
-        process = next(idle, None) or _Process()
+        process = next(idle, None) or _Process(_serve)
         self._last[process] = super()._submit(process.call, (function, item))
         return self._last[process]
 
 
-class _Process:
-    """A process that computes one item at a time."""
+class Child:
+    """
+    A process, and a connection to it.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    target : callable
+        The function that the process runs. Its first argument is the other end of the connection.
+    arguments
+        Further arguments of the function.
+
+    """
+
+    def __init__(self, target: Callable[..., None], *arguments: object) -> None:
         # Use spawn, because a fork would copy the locks that threads hold, but not the threads
         # that release them.
         context = multiprocessing.get_context('spawn')
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=target, args=(theirs, *arguments), daemon=True)
         with interrupts.blocked_in_children():
-            self._process.start()
-        theirs.close()  # otherwise `call` would not notice if the process ends
+            self.process.start()
+        theirs.close()  # otherwise we would not notice if the process ends
+
+    def wait(self, seconds: float) -> None:
+        """Wait until the process has ended, and kill it after the given time."""
+        self.process.join(seconds)
+        self.process.kill()  # in case it does not respond
+        self.process.join()
+
+
+class _Process(Child):
+    """A process that computes one item at a time."""
 
     def call(self, work: tuple[Callable[[Any], Any], Any]) -> Any:
         try:
-            self._connection.send(work)
-            return self._connection.recv()
+            self.connection.send(work)
+            return self.connection.recv()
         except (EOFError, OSError):
-            self._process.join()
-            code = self._process.exitcode or 0
+            self.process.join()
+            code = self.process.exitcode or 0
             end = f'killed (signal {-code})' if code < 0 else f'exited with status {code}'
             raise WorkerError(f'worker process {end}') from None
 
     def end(self, is_idle: bool) -> None:
         if is_idle:
-            self._connection.close()
+            self.connection.close()
         else:
-            self._process.terminate()
-
-    def wait(self) -> None:
-        self._process.join(_PATIENCE)
-        self._process.kill()  # in case it does not respond
-        self._process.join()
+            self.process.terminate()
 
 
 def _serve(connection: Connection) -> None:
