@@ -92,8 +92,7 @@ def _length(options: argparse.Namespace) -> float | None:
 
 
 def _replay_many(options: argparse.Namespace) -> int:
-    from rigid_body_ros.replay.index import page, Picture
-    from rigid_body_ros.replay.many import outputs_in, replay_many, table
+    from rigid_body_ros.replay.many import outputs_in, page, Picture, replay_many, table
     if options.plot:
         raise InputError(f'--plot: expected one recording, found {len(options.input)}')
     if not options.output:

@@ -16,6 +16,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +31,6 @@ from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording import Logged, Source, Topics
-from rigid_body_ros.replay.epochs import groups
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.fingerprint import NAME, other_versions
 from rigid_body_ros.runtime.terminal import progress
@@ -180,7 +181,7 @@ def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats
         raise InputError('expected states, found no messages')
     start, is_state = epochs[0].problem.start, values.shape[1] > 4
     if epochs[0].is_epoch:
-        return groups([one.problem.start for one in epochs], stamps_ns, values)
+        return _rows_of_epochs([one.problem.start for one in epochs], stamps_ns, values)
     # A node marks the start of each epoch. If there are no markers, the motion starts with the
     # last state at the start time.
     begun = np.flatnonzero(stamps_ns == start.time_ns)
@@ -189,6 +190,62 @@ def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats
     if is_state:
         _check_start(start, stamps_ns[first:], values[first, :4])
     return [slice(first, None)]
+
+
+def _rows_of_epochs(starts: Sequence[State], stamps_ns: NDArray[np.int64],
+                    values: Floats) -> list[slice]:
+    """
+    Return the rows that belong to each epoch of a recorded motion.
+
+    The first row of an epoch is its start state. If the node was killed before any state was
+    recorded, the epoch has no rows.
+
+    Parameters
+    ----------
+    starts : sequence of State
+        The start states of the epochs.
+    stamps_ns : array of int64, shape (n,)
+        The stamps of the recorded states, which ascend within an epoch.
+    values : array, shape (n, 4) or (n, 7)
+        The attitudes, each followed by the body rates, rad/s, if these are recorded.
+
+    Raises
+    ------
+    InputError
+        The recording does not begin with the start state of an epoch; or a stamp is not later
+        than the one before, although no epoch starts there.
+
+    """
+    numbers: dict[tuple[int, bytes], list[int]] = {}
+    for number, start in enumerate(starts):
+        doubles = np.hstack([start.attitude, start.angular_velocity])[:values.shape[1]]
+        numbers.setdefault((start.time_ns, doubles.tobytes()), []).append(number)
+    restarts = np.append(True, np.diff(stamps_ns) <= 0)
+    possible = np.flatnonzero(restarts | np.isin(stamps_ns, [start.time_ns for start in starts]))
+    states = [(int(stamps_ns[row]), values[row].tobytes()) for row in possible]
+    left, begun = Counter(states), list[tuple[int, int]]()
+    for row, state in zip(possible.tolist(), states):
+        left[state] -= 1
+        same = numbers.get(state, [])
+        following = same[bisect(same, begun[-1][0] if begun else -1):]
+        # A state in the current epoch may happen to equal the start state of a later epoch.
+        if following and (restarts[row] or left[state] < len(following)):
+            begun.append((following[0], row))
+        elif restarts[row]:
+            raise InputError(_not_a_start(row, stamps_ns))
+    ends = [*(row for _, row in begun[1:]), len(stamps_ns)]
+    rows = {number: slice(row, end) for (number, row), end in zip(begun, ends)}
+    return [rows.get(number, slice(0)) for number in range(len(starts))]
+
+
+def _not_a_start(row: int, stamps_ns: NDArray[np.int64]) -> str:
+    where = f'expected the start state of an epoch of the torque log in message {row + 1}'
+    if not row:
+        return f'{where}, found another state, at {stamps_ns[0]} ns: the recording began in the ' \
+               'middle of an epoch, or is not that of this log'
+    return f'{where}, because its stamp, {stamps_ns[row]} ns, is not later than the one before, ' \
+           f'{stamps_ns[row - 1]} ns; found another state: the recording is not that of this ' \
+           'log, or a part is missing'
 
 
 def _until(end_ns: int, stamps_ns: NDArray[np.int64],
