@@ -76,7 +76,7 @@ class Error(NamedTuple):
     energy: float
 
 
-NO_ERROR = Error(*5 * [math.nan])
+_NO_ERROR = Error(*5 * [math.nan])
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,9 @@ class Measurement:
     """
 
     setting: Setting
-    error: Error
-    seconds: float
-    first_seconds: float
+    error: Error = _NO_ERROR
+    seconds: float = math.nan
+    first_seconds: float = math.nan
     failure: str = ''
     pareto_optimal: bool = False
 

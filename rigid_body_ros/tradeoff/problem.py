@@ -34,7 +34,7 @@ from rigid_body_ros.engine import body_layout, kernels, state_layout, tensor
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
+from rigid_body_ros.mechanics.torque import stamps_of
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 
@@ -113,19 +113,30 @@ class Case:
 
     def in_principal_axes(self, max_step: float) -> Floats:
         """
-        Compute the attitudes with the Taylor series in principal axes.
+        Compute the attitudes, shape (m, 4), with the Taylor series in principal axes.
 
-        The motion must have no rotors, damping or fields, so `has_terms` must be false.
+        The rounding errors there differ, because no terms of J^-1 tau cancel. The principal
+        moments and axes have about 32 digits. Torques and rates are rounded only once, after they
+        have been rotated. The motion must have no rotors, damping or fields, so `has_terms` must
+        be false.
         """
-        axes, given = PrincipalAxes(self.problem.body), self.problem
-        # Actuator limits apply along the body axes, so apply them before the conversion. Actuator
-        # lags are the same in all axes.
+        given, (moments, axes) = self.problem, self.problem.body._principal
+        rates = _components(axes, given.start.angular_velocity[None])[0]
+        rotation = so3.from_matrix(axes[0])
+        start = State._as_computed(given.start.time_ns, state_layout.pack(
+            rates[:, 0], so3.multiply(given.start.attitude, rotation), rates[:, 1]))
+        # Torques in space axes do not change.
+        logs = [log.with_torques(np.where(log.in_space[:, None], log.torques,
+                                          _components(axes, log.torques)[..., 0]))
+                for log in given.acting_logs]
+        # Actuator limits apply along the body axes, so `acting_logs` applies them before the
+        # conversion. Actuator lags are the same in all axes.
         lags = [each and each.lag for each in given.actuators]
-        problem = given.replaced(body=axes.body, start=axes.start(given.start),
-                                 log=[*map(axes.log, given.acting_logs)], actuator=lags or None)
-        turned = replace(self, problem=problem)
-        return axes.back(turned.run(solver='taylor', tolerance=TIGHTEST,
-                                    max_step=max_step).attitude)
+        problem = given.replaced(body=_principal_body(moments), start=start, log=logs,
+                                 actuator=lags or None)
+        motion = replace(self, problem=problem).run(solver='taylor', tolerance=TIGHTEST,
+                                                    max_step=max_step)
+        return so3.multiply(motion.attitude, so3.conjugate(rotation))
 
     def until(self, end_ns: int) -> Case:
         """Return the motion up to an end time, without samples that the motion does not need."""
@@ -208,52 +219,26 @@ class Reference:
         return cls(best, max(floor, math.ulp(1.0)), last_digit_effect(case.problem, case.times_ns))
 
 
-class PrincipalAxes:
+def _principal_body(moments: Floats) -> RigidBody:
     """
-    Convert a body and its motion to the principal axes, and convert attitudes to body axes.
+    Return a body in its principal axes; its motion can be computed only with the Taylor series.
 
-    In principal axes, the Taylor series has different rounding errors, because no terms of
-    J^-1 tau cancel. The principal moments and axes are computed with about 32 digits. Torques and
-    rates are rounded only once, after they have been rotated.
-
-    Attributes
-    ----------
-    body : RigidBody
-        The body in principal axes. Its motion can be computed only with the Taylor series.
-
+    `moments` contains the high and the low parts of the principal moments, kg m^2, shape (2, 3).
     """
+    exact = np.vectorize(Fraction, otypes=[object])
+    coefficients = tensor.euler_coefficients(np.diag(exact(moments[0]) + exact(moments[1])))
+    coefficients[0, 0, 1] = _NEGLIGIBLE
+    body = RigidBody(np.diag(moments[0]))
+    body._constants = body_layout.pack(
+        coefficients, moments, np.stack([np.eye(3), np.zeros((3, 3))]), np.zeros((2, 3, 3)))
+    return body
 
-    def __init__(self, body: RigidBody) -> None:
-        moments, self._axes = body._principal
-        exact = np.vectorize(Fraction, otypes=[object])
-        coefficients = tensor.euler_coefficients(np.diag(exact(moments[0]) + exact(moments[1])))
-        coefficients[0, 0, 1] = _NEGLIGIBLE
-        self.body = RigidBody(np.diag(moments[0]))
-        self.body._constants = body_layout.pack(
-            coefficients, moments, np.stack([np.eye(3), np.zeros((3, 3))]), np.zeros((2, 3, 3)))
-        self._rotation = so3.from_matrix(self._axes[0])
 
-    def start(self, start: State) -> State:
-        """Convert an initial state to principal axes."""
-        rates = self._components(start.angular_velocity[None])[0]
-        attitude = so3.multiply(start.attitude, self._rotation)
-        packed = state_layout.pack(rates[:, 0], attitude, rates[:, 1])
-        return State._as_computed(start.time_ns, packed)
-
-    def log(self, log: TorqueLog) -> TorqueLog:
-        """Convert torques in body axes to principal axes; torques in space axes do not change."""
-        turned = self._components(log.torques)[..., 0]
-        return log.with_torques(np.where(log.in_space[:, None], log.torques, turned))
-
-    def back(self, attitude: Floats) -> Floats:
-        """Convert attitudes of the principal axes to attitudes of the body axes, shape (m, 4)."""
-        return so3.multiply(attitude, so3.conjugate(self._rotation))
-
-    def _components(self, vectors: Floats) -> Floats:
-        high, low = self._axes
-        result = np.empty((len(vectors), 3, 2))
-        kernels.fill_components(high, low, vectors, result)
-        return result
+def _components(axes: Floats, vectors: Floats) -> Floats:
+    """Return the high and low parts of vectors along axes that have high and low parts, too."""
+    result = np.empty((len(vectors), 3, 2))
+    kernels.fill_components(axes[0], axes[1], vectors, result)
+    return result
 
 
 def whole(problem: Problem, end_ns: int | None) -> Case:

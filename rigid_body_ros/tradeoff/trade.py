@@ -26,14 +26,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.solvers import RECORDS
 from rigid_body_ros.runtime.terminal import no_progress, Track
-from rigid_body_ros.tradeoff.choices import (
-    Error,
-    Measurement,
-    NO_ERROR,
-    OnWhole,
-    recommend,
-    Setting,
-)
+from rigid_body_ros.tradeoff.choices import Error, Measurement, OnWhole, recommend, Setting
 from rigid_body_ros.tradeoff.interpolation import final_differences, interpolation_errors
 from rigid_body_ros.tradeoff.problem import Case, Reference, turned_angle, whole
 from rigid_body_ros.tradeoff.result import Tradeoff
@@ -145,7 +138,7 @@ def _first_run(case: Case, setting: Setting, reference: Reference) -> Measuremen
     try:
         motion = case.run(**setting.options)
     except ValueError as error:
-        return Measurement(setting, NO_ERROR, math.nan, math.nan, str(error))
+        return Measurement(setting, failure=str(error))
     seconds = time.perf_counter() - began
     return Measurement(setting, _error(case, motion, reference.trajectory), seconds, seconds)
 
