@@ -185,7 +185,10 @@ class Part:
         #: lines.
         self.discard = weakref.finalize(self, _remove, self.path)
         try:
-            self._create()
+            if suffix == FOLDER:
+                self.path.mkdir()
+            else:
+                open(self.path, 'xb').close()
         except OSError:
             self.discard.detach()  # `discard` must not remove an existing file
             raise
@@ -256,12 +259,6 @@ class Part:
         except OSError:  # no hard links, as on FAT; this empty file is soon replaced
             open(self.target, 'xb').close()
 
-    def _create(self) -> None:
-        if self._suffix == FOLDER:
-            self.path.mkdir()
-        else:
-            open(self.path, 'xb').close()
-
     def _check_target(self) -> os.stat_result | None:
         """Return the status of the file that will be replaced; None if no file has that name."""
         found = None
@@ -270,11 +267,9 @@ class Part:
             check_apart(path)
         for path in paths:
             self._check_name(path)
-            try:
+            with suppress(FileNotFoundError):
                 found = os.stat(path)
-            except FileNotFoundError:
-                continue
-            self._check_replaced(found)
+                self._check_replaced(found)
         return found
 
     def _check_name(self, path: str | Path) -> None:
