@@ -33,8 +33,7 @@ from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
-    from rigid_body_ros.regress import Regression
-    from rigid_body_ros.regress.session import Span
+    from rigid_body_ros.regress import Regression, Span
     from rigid_body_ros.scene import Scene
 
 #: The exit status if the controller's loop differs from the reference.

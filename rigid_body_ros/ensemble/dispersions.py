@@ -26,8 +26,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.ensemble.streams import normals, uniforms
 from rigid_body_ros.runtime.limits import read_yaml
-from rigid_body_ros.runtime.parameter_file import described, entries, number
-from rigid_body_ros.runtime.parameters import BIG, resembled
+from rigid_body_ros.runtime.parameters import BIG, described, entries, number, resembled
 from rigid_body_ros.scene import PARAMETERS
 from rigid_body_ros.scene.fields import of_names, ORBIT
 import yaml

@@ -15,16 +15,14 @@
 """
 Run a controller again in lockstep, and compare its closed loop with a recorded loop.
 
-First, `domain` reserves a ROS domain. Two processes run in this domain: `controller` starts the
-controller's command, and `node_process` runs a node that the caller provides. `session` connects
-the two processes in a closed loop and records the loop. Then `loop` reads the recording, and
-compares two loops. `regression` decides which loops to compare, and `page` shows the loops on an
-HTML page.
+First, `domain` reserves a ROS domain. `processes` starts two processes in this domain: the
+controller's command, and a node that the caller provides. `regression` connects the two processes
+in a closed loop, records the loop, and decides which loops to compare. `loop` reads a recording,
+and compares two loops. `page` shows the loops on an HTML page.
 """
 
 from rigid_body_ros.regress.loop import Differences, differences, Loop, read, Signal
-from rigid_body_ros.regress.regression import compare, Regression, update
-from rigid_body_ros.regress.session import Session, Span
+from rigid_body_ros.regress.regression import compare, Regression, Session, Span, update
 
 __all__ = ['Differences', 'Loop', 'Regression', 'Session', 'Signal', 'Span', 'compare',
            'differences', 'read', 'update']

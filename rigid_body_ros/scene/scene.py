@@ -36,8 +36,13 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
-from rigid_body_ros.runtime.parameter_file import node_parameters
-from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Value
+from rigid_body_ros.runtime.parameters import (
+    checked,
+    is_foreign,
+    node_parameters,
+    Parameter,
+    Value,
+)
 from rigid_body_ros.scene.actuator import actuators_of
 from rigid_body_ros.scene.body import body_of, group, inertia_of_robot, links_of
 from rigid_body_ros.scene.fields import at_start, check_named, fields_of

@@ -13,29 +13,38 @@
 # limitations under the License.
 
 """
-Run a node in a separate process.
+Run a node in a process, and the command of a controller in a session of processes.
 
-A separate process can be killed even if threads of the ROS middleware deadlock.
+A process can be killed even if threads of the ROS middleware deadlock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import Connection
+import os
 from pathlib import Path
+import signal
+import subprocess
+import tempfile
+import time
 from typing import NamedTuple, Protocol
 
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, printable, reason
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.pool import Child
 
-#: Time between two checks for a message from the parent process, s.
+#: Time between two checks for a message from the parent process, or for the end of a command, s.
 _PERIOD = 0.02
 #: How long to wait for the node to end, s.
 _PATIENCE = 20.0
 #: The message that the node's process sends after it has written the log.
 _WRITTEN = 'written'
+#: How long to wait after SIGINT, the signal of Ctrl-C, before sending SIGKILL, s.
+_GRACE = 3.0
+#: Maximum number of output lines to show, and maximum number of characters per line.
+_LINES, _WIDTH = 20, 200
 
 
 class Node(Protocol):
@@ -171,3 +180,89 @@ def _serve(connection: Connection, start: Start, logs: Collection[str]) -> None:
             connection.send(_WRITTEN)
         except InputError as error:
             connection.send(error)
+
+
+class ControllerProcess(AbstractContextManager['ControllerProcess']):
+    """
+    A command that runs in a new process session.
+
+    Use this class as a context manager, which ends the command on exit.
+
+    Parameters
+    ----------
+    words : sequence of str
+        The command and its arguments.
+
+    Raises
+    ------
+    InputError
+        The command cannot be started.
+
+    """
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self.words = words
+        # Use a file, not a pipe. Nobody reads the output during the run, so a full pipe would
+        # block the command.
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 (`__exit__` closes it)
+        try:
+            self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=self._output,
+                                             stderr=subprocess.STDOUT, start_new_session=True)
+        except (OSError, ValueError) as error:
+            self._output.close()
+            raise InputError(f'{words[0]}: cannot be started: {reason(error)}') from error
+
+    def __exit__(self, *error: object) -> None:
+        self.end()
+        self._output.close()
+
+    @property
+    def status(self) -> int | None:
+        """Return the exit code: None while the command runs, negative if a signal has ended it."""
+        return self._process.poll()
+
+    @property
+    def output(self) -> list[str]:
+        """Return the last lines that the command printed."""
+        # Use pread, because read would move the file position at which the command writes.
+        descriptor = self._output.fileno()
+        size = os.fstat(descriptor).st_size
+        wanted = _LINES * _WIDTH
+        text = os.pread(descriptor, wanted, max(0, size - wanted)).decode(errors='replace')
+        return [printable(line[:_WIDTH]) for line in text.splitlines()[-_LINES:]]
+
+    def end(self) -> None:
+        """End all processes of the session: send SIGINT and, if that fails, SIGKILL after 3 s."""
+        until = time.monotonic() + _GRACE
+        self._send(signal.SIGINT)
+        while self._alive() and time.monotonic() < until:
+            time.sleep(_PERIOD)
+        while self._alive():
+            self._send(signal.SIGKILL)
+            time.sleep(_PERIOD)
+
+    def _alive(self) -> bool:
+        return self._process.poll() is None or bool(_members(self._process.pid))
+
+    def _send(self, number: int) -> None:
+        for process in {self._process.pid, *_members(self._process.pid)}:
+            try:
+                # Do not signal the first process if it has ended: its ID may be in use again.
+                if process != self._process.pid or self._process.poll() is None:
+                    os.kill(process, number)
+            except ProcessLookupError:
+                continue
+
+
+def _members(session: int) -> list[int]:
+    """Return the IDs of the running processes in a session; an empty list without /proc."""
+    found = []
+    for stat in Path('/proc').glob('[0-9]*/stat'):
+        try:
+            text = stat.read_text(errors='replace')
+        except OSError:
+            continue  # the process has ended in the meantime
+        state, _, _, number, *_ = text.rpartition(')')[2].split()
+        if int(number) == session and state not in 'ZX':
+            found.append(int(stat.parent.name))
+    return found
