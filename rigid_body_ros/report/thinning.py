@@ -57,13 +57,18 @@ class Extremes:
         """
         times = np.concatenate([self._rest[0], times_ns])
         values = np.concatenate([self._rest[1], values])
-        count = len(times) // self._size
-        whole = count * self._size
-        blocks = values[:whole].reshape(count, self._size, values.shape[1])
-        self._append(times[:whole:self._size], blocks.min(axis=1), blocks.max(axis=1))
-        self._rest = times[whole:].copy(), values[whole:].copy()
-        while len(self._times) > self._most:
-            self._merge()
+        while count := len(times) // self._size:
+            if len(self._times) == self._most:
+                self._merge_pairs()
+                continue
+            count = min(count, self._most - len(self._times))
+            whole = count * self._size
+            blocks = values[:whole].reshape(count, self._size, values.shape[1])
+            self._times = np.concatenate([self._times, times[:whole:self._size]])
+            self._low = np.concatenate([self._low, blocks.min(axis=1)])
+            self._high = np.concatenate([self._high, blocks.max(axis=1)])
+            times, values = times[whole:], values[whole:]
+        self._rest = times.copy(), values.copy()
 
     def result(self) -> tuple[NDArray[np.int64], Floats, Floats]:
         """
@@ -77,23 +82,7 @@ class Extremes:
         return (np.append(self._times, times[0]), np.vstack([self._low, values.min(axis=0)]),
                 np.vstack([self._high, values.max(axis=0)]))
 
-    def _append(self, times: NDArray[np.int64], low: Floats, high: Floats) -> None:
-        self._times = np.concatenate([self._times, times])
-        self._low = np.concatenate([self._low, low])
-        self._high = np.concatenate([self._high, high])
-
-    def _merge(self) -> None:
-        # Merge the intervals in pairs. If the last interval has no partner, put its minima and
-        # maxima back into the incomplete interval as samples.
-        odd = len(self._times) % 2
-        if odd:
-            time, low, high = self._times[-1:], self._low[-1:], self._high[-1:]
-            self._times, self._low, self._high = \
-                self._times[:-1], self._low[:-1], self._high[:-1]
-            filler = np.repeat(np.vstack([low, high]), self._size // 2, axis=0) \
-                if self._size > 1 else low
-            self._rest = (np.concatenate([np.repeat(time, len(filler)), self._rest[0]]),
-                          np.concatenate([filler, self._rest[1]]))
+    def _merge_pairs(self) -> None:
         shape = len(self._times) // 2, 2, self._low.shape[1]
         self._times = self._times[::2]
         self._low = self._low.reshape(shape).min(axis=1)
