@@ -296,9 +296,7 @@ def differences(reference: Loop, loop: Loop) -> Differences:
     name = min(first, key=lambda one: first[one], default='')
     torques = [_largest(pair.reference - pair.found) for key, pair in pairs.items()
                if key != INERTIA and len(pair.same)]
-    (attitude, rates), (attitude_found, rates_found) = (
-        np.split(values, [4], axis=1) for values in (states.reference, states.found))
-    has_states = len(states.same) > 0
+    angles = so3.angle_between(states.reference[:, :4], states.found[:, :4])
     first_ns = first.get(name)
     if name and first_ns in every[name].missing_ns:
         name = _STAMP
@@ -308,8 +306,8 @@ def differences(reference: Loop, loop: Loop) -> Differences:
         same_states=int(states.same.sum()), first_ns=first_ns, first=name,
         missing=sum(len(pair.missing_ns) for pair in every.values()),
         torque=max(torques, default=None),
-        attitude=float(so3.angle_between(attitude, attitude_found).max()) if has_states else None,
-        rate=_largest(rates - rates_found) if has_states else None,
+        attitude=float(angles.max()) if len(angles) else None,
+        rate=_largest((states.reference - states.found)[:, 4:]) if len(angles) else None,
         start_ns=reference.start.time_ns, end_ns=last_ns,
         versions=other_versions(reference.made_by))
 

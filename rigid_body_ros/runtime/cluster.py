@@ -42,6 +42,8 @@ if TYPE_CHECKING:  # importing distributed takes a second, and only --scheduler 
 #: How long to try to connect, s.
 _PATIENCE = 10.0
 _ADDRESS = re.compile(r'\w+://.+|[^/\s]+:\d+')
+#: Unpickles a function; all tasks on a worker share one function.
+_loaded = lru_cache(maxsize=1)(pickle.loads)
 
 
 class Cluster(Workers):
@@ -140,10 +142,8 @@ def connected(scheduler: str, note: Callable[[str], None]) -> Iterator[Cluster]:
 
     """
     address = scheduler if _ADDRESS.fullmatch(scheduler) else _address_in(scheduler)
-    with _quiet():
-        client = _client(scheduler, address)
-        with client:
-            yield Cluster(scheduler, client, note)
+    with _quiet(), _client(scheduler, address) as client:
+        yield Cluster(scheduler, client, note)
 
 
 def _address_in(path: str) -> str:
@@ -187,8 +187,8 @@ async def _kind(address: str) -> str:
     from distributed import rpc, Security
     remote = rpc(address, connection_args=Security().get_connection_args('client'))
     try:
-        found = await asyncio.wait_for(remote.identity(), _PATIENCE)
-        return str(found['type'])
+        identity = await asyncio.wait_for(remote.identity(), _PATIENCE)
+        return str(identity['type'])
     finally:
         await remote.close_rpc()
 
@@ -245,8 +245,3 @@ def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:
                              f'{name} {versions.get(name)}, found {found}; other versions may '
                              'give other bits')
     return _loaded(function)(item)
-
-
-@lru_cache(maxsize=1)  # all tasks on a worker share one function
-def _loaded(function: bytes) -> Any:
-    return pickle.loads(function)

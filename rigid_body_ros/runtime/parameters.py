@@ -176,7 +176,7 @@ def limits(low: float, high: float) -> str:
     return 'a finite number' + {-BIG: '', 0.0: ' not less than 0', TINY: ' greater than 0'}[low]
 
 
-def node_parameters(root: yaml.Node | None, node: str) -> tuple[str, dict[str, Any]]:
+def parameters_of(root: yaml.Node | None, node: str) -> tuple[str, dict[str, Any]]:
     """
     Find the parameters of a node in a parameter file.
 

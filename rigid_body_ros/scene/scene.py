@@ -36,13 +36,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
-from rigid_body_ros.runtime.parameters import (
-    checked,
-    is_foreign,
-    node_parameters,
-    Parameter,
-    Value,
-)
+from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, parameters_of, Value
 from rigid_body_ros.scene.actuator import actuators_of
 from rigid_body_ros.scene.body import body_of, group, inertia_of_robot, links_of
 from rigid_body_ros.scene.fields import at_start, check_named, fields_of
@@ -349,7 +343,7 @@ def load(path: str | Path) -> Scene:
     """
     root, node = read_yaml(path, 'scene'), NODE
     try:
-        node, given = node_parameters(root, NODE)
+        node, given = parameters_of(root, NODE)
         return replace(Scene.from_values(given), path=Path(path).absolute(), node=node)
     except InputError as error:
         raise InputError('; '.join([f'{path}: {error}', *_other_node(node)])) from error
