@@ -35,7 +35,7 @@ from rigid_body_ros import messages, Propagator, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.regress import differences, read, Signal
-from rigid_body_ros.regress.domain import private_domain
+from rigid_body_ros.regress.processes import private_domain
 import unload_wheels
 
 pytestmark = pytest.mark.ros

@@ -77,7 +77,7 @@ def _check(options: argparse.Namespace) -> None:
 
 def _compared(options: argparse.Namespace, scene: Scene, folder: Path) -> Regression:
     from rigid_body_ros.regress import compare, Session, update
-    from rigid_body_ros.regress.domain import private_domain
+    from rigid_body_ros.regress.processes import private_domain
     wheels = tuple(wheel.name for wheel in scene.named_wheels)
     session = Session(options.rest, partial(_node, options.command, scene), options.timeout,
                       wheels)

@@ -176,13 +176,10 @@ def _samples(found: Messages, kind: messages.MessageType) -> Signal:
         messages.inertia_entries(found.values) if kind is messages.INERTIA else \
         np.hstack([found.values[:, messages.ORIENTATION],
                    found.values[:, messages.ANGULAR_VELOCITY]])
-    order = np.argsort(found.stamps_ns, kind='stable')
-    stamps_ns = found.stamps_ns[order]
     # If several torques have the same stamp, only the last of these torques acts.
-    order = order[np.append(np.diff(stamps_ns) != 0, True)[:len(order)]]
-    frames = np.array(found.names, np.str_)[found.frames[order]] if len(order) else \
-        np.empty(0, np.str_)
-    return Signal(found.stamps_ns[order], values[order], frames)
+    stamps_ns, from_end = np.unique(found.stamps_ns[::-1], return_index=True)
+    order = len(found.stamps_ns) - 1 - from_end
+    return Signal(stamps_ns, values[order], np.array(found.names, np.str_)[found.frames[order]])
 
 
 @dataclass(frozen=True, eq=False)

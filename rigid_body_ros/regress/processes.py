@@ -15,17 +15,19 @@
 """
 Run a node in a process, and the command of a controller in a session of processes.
 
+The processes share a private ROS domain, in which no other processes send or receive messages.
 A process can be killed even if threads of the ROS middleware deadlock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from multiprocessing.connection import Connection
 import os
 from pathlib import Path
 import signal
+import socket
 import subprocess
 import tempfile
 import time
@@ -45,6 +47,18 @@ _WRITTEN = 'written'
 _GRACE = 3.0
 #: Maximum number of output lines to show, and maximum number of characters per line.
 _LINES, _WIDTH = 20, 200
+#: The domains to try. Their ports are below the range that Linux uses for outgoing connections.
+#: The search begins with the highest number, because users tend to choose low numbers.
+_DOMAINS = range(100, 0, -1)
+#: The first port of domain 0, and the number of ports per domain. ROS nodes use the lowest free
+#: ports of their domain.
+_FIRST_PORT, _PORTS = 7400, 250
+#: The environment variable that keeps all packets on this machine. The name of this variable in
+#: ROS 2 Humble differs from its name in later releases.
+_LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
+    {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+#: Environment variables that would connect the nodes to other machines.
+_ELSEWHERE = 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER'
 
 
 class Node(Protocol):
@@ -266,3 +280,56 @@ def _members(session: int) -> list[int]:
         if int(number) == session and state not in 'ZX':
             found.append(int(stat.parent.name))
     return found
+
+
+@contextmanager
+def private_domain() -> Iterator[int]:
+    """
+    Reserve a free ROS domain, and set up the environment so that new nodes use it.
+
+    Raises
+    ------
+    InputError
+        No domain is free.
+
+    """
+    number, lock = _reserved()
+    before = dict(os.environ)
+    try:
+        os.environ.update({'ROS_DOMAIN_ID': str(number), **_LOCAL})
+        for name in _ELSEWHERE:
+            os.environ.pop(name, None)
+        yield number
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+        lock.close()
+
+
+def _reserved() -> tuple[int, socket.socket]:
+    """Find an unused domain; return it, and a socket that keeps others from reserving it."""
+    ours = os.environ.get('ROS_DOMAIN_ID')
+    for number in _DOMAINS:
+        if str(number) == ours:
+            continue
+        lock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with suppress(OSError):
+            # The last port of a domain serves as its lock. The system frees this port when our
+            # process ends.
+            lock.bind(('127.0.0.1', _FIRST_PORT + _PORTS * (number + 1) - 1))
+            if not _used(number):
+                return number, lock
+        lock.close()
+    raise InputError(f'expected a free ROS domain from {_DOMAINS[-1]} to {_DOMAINS[0]}, found '
+                     'nodes in all of them')
+
+
+def _used(number: int) -> bool:
+    """Return whether any process on this machine uses a port of a domain, except its lock port."""
+    first = _FIRST_PORT + _PORTS * number
+    for name in ('udp', 'udp6'):
+        with suppress(OSError):  # these tables exist only on Linux
+            for line in Path('/proc/net', name).read_text().splitlines()[1:]:
+                if first <= int(line.split()[1].rpartition(':')[2], 16) < first + _PORTS - 1:
+                    return True
+    return False
