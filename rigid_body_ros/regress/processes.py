@@ -260,26 +260,22 @@ class ControllerProcess(AbstractContextManager['ControllerProcess']):
 
     def _send(self, number: int) -> None:
         for process in {self._process.pid, *_members(self._process.pid)}:
-            try:
-                # Do not signal the first process if it has ended: its ID may be in use again.
-                if process != self._process.pid or self._process.poll() is None:
+            # Do not signal the first process if it has ended: its ID may be in use again.
+            if process != self._process.pid or self._process.poll() is None:
+                with suppress(ProcessLookupError):
                     os.kill(process, number)
-            except ProcessLookupError:
-                continue
 
 
 def _members(session: int) -> list[int]:
     """Return the IDs of the running processes in a session; an empty list without /proc."""
-    found = []
+    members = []
     for stat in Path('/proc').glob('[0-9]*/stat'):
-        try:
+        with suppress(OSError):  # the process has ended in the meantime
             text = stat.read_text(errors='replace')
-        except OSError:
-            continue  # the process has ended in the meantime
-        state, _, _, number, *_ = text.rpartition(')')[2].split()
-        if int(number) == session and state not in 'ZX':
-            found.append(int(stat.parent.name))
-    return found
+            state, _, _, number, *_ = text.rpartition(')')[2].split()
+            if int(number) == session and state not in 'ZX':
+                members.append(int(stat.parent.name))
+    return members
 
 
 @contextmanager

@@ -57,11 +57,10 @@ class Extremes:
         """
         times = np.concatenate([self._rest[0], times_ns])
         values = np.concatenate([self._rest[1], values])
-        while count := len(times) // self._size:
+        while len(times) >= self._size:
             if len(self._times) == self._most:
                 self._merge_pairs()
-                continue
-            count = min(count, self._most - len(self._times))
+            count = min(len(times) // self._size, self._most - len(self._times))
             whole = count * self._size
             blocks = values[:whole].reshape(count, self._size, values.shape[1])
             self._times = np.concatenate([self._times, times[:whole:self._size]])

@@ -108,6 +108,22 @@ class Measurement:
     failure: str = ''
     pareto_optimal: bool = False
 
+    def as_dict(self, span: float) -> dict[str, Any]:
+        """Return the measurement of a motion of `span` seconds as JSON types."""
+        error = self.error
+        figures = {'attitude_error_final_rad': error.attitude_final,
+                   'attitude_error_largest_rad': error.attitude,
+                   'angular_velocity_error_largest_rad_per_s': error.angular_velocity,
+                   'momentum_drift_relative': error.momentum,
+                   'energy_drift_relative': error.energy,
+                   'first_call_s': self.first_seconds, 'warm_call_s': self.seconds,
+                   'cost_s_per_simulated_s': self.seconds / span,
+                   'times_real_time': span / self.seconds}
+        return {'solver': self.setting.solver, 'tolerance': self.setting.tolerance,
+                'max_step_s': self.setting.max_step,
+                **(dict.fromkeys(figures) if self.failure else figures),  # NaN is not valid JSON
+                'on_pareto_front': self.pareto_optimal, 'failure': self.failure or None}
+
 
 class Choice(NamedTuple):
     """The cheapest setting that meets a target."""
@@ -160,6 +176,23 @@ class Advice(NamedTuple):
         """
         per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
         return self.spread.runs * max(per_run, 0.0)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the advice as rows to print, each with a name and a text."""
+        spread = self.spread
+        rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal run '
+                             f'(median); the target is a tenth of this: {spread.target:.3g} rad')]
+        if self.seconds is not None:
+            rows.append(('', f'a run takes {self.seconds:.3g} s with the setting for this target, '
+                             f'{self.default_seconds:.3g} s with the default; all runs save '
+                             f'{self.saved_seconds:.3g} s on one core'))
+        return rows
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the advice as JSON types, with units in the keys."""
+        return {'runs': self.spread.runs, 'median_angle_rad': self.spread.median,
+                'target_rad': self.spread.target, 'run_s': self.seconds,
+                'run_default_s': self.default_seconds, 'saved_s': self.saved_seconds}
 
 
 class OnWhole:

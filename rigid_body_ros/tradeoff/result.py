@@ -171,13 +171,14 @@ class Tradeoff:
             'rounding_floor_rad': self.reference.floor,
             'rounding_floor_is': ' '.join(_FLOORS[self.stretch.has_terms]),
             'last_digit_effect_rad': self.reference.last_digits,
-            **targets[0], 'targets': targets, 'ensemble': _ensemble_data(self.ensemble),
+            **targets[0], 'targets': targets,
+            'ensemble': self.ensemble and self.ensemble.as_dict(),
             'readings': [{'interpolation': error.interpolation,
                           'thinned_by_two_rad': error.thinned,
                           'estimated_error_rad': error.estimate}
                          for error in self.interpolation_errors],
             'interpolation_differences_rad': dict(self.interpolation_differences),
-            'runs': [_measurement_data(one, span) for one in self.measurements],
+            'runs': [one.as_dict(span) for one in self.measurements],
         }
 
     def curves(self) -> dict[str, tuple[list[float], list[float]]]:
@@ -304,7 +305,7 @@ def _facts(result: Tradeoff) -> list[tuple[str, str]]:
     reference, (floor, rest) = result.reference, _FLOORS[result.stretch.has_terms]
     drift = 'largest change since the start, relative' if result.stretch.conserves else \
         'largest difference from the reference, relative to its largest value'
-    return [*_ensemble(result), ('motion', _motion(result)),
+    return [*(result.ensemble.rows() if result.ensemble else []), ('motion', _motion(result)),
             ('errors', 'difference from the Taylor series at its tightest tolerance with shorter '
                        'steps'),
             ('drift', f'momentum and energy: {drift}'),
@@ -313,20 +314,6 @@ def _facts(result: Tradeoff) -> list[tuple[str, str]]:
             ('rounding floor', f'{reference.floor:.1e} rad, {floor}'), ('', rest),
             ('last digits', _DIGITS.format(reference.last_digits)),
             *_interpolation(result)]
-
-
-def _ensemble(result: Tradeoff) -> list[tuple[str, str]]:
-    advice = result.ensemble
-    if advice is None:
-        return []
-    spread = advice.spread
-    rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal run '
-                         f'(median); the target is a tenth of this: {spread.target:.3g} rad')]
-    if advice.seconds is not None:
-        rows.append(('', f'a run takes {advice.seconds:.3g} s with the setting for this target, '
-                         f'{advice.default_seconds:.3g} s with the default; all runs save '
-                         f'{advice.saved_seconds:.3g} s on one core'))
-    return rows
 
 
 def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
@@ -353,33 +340,9 @@ def _target_data(result: Tradeoff, target: float) -> dict[str, Any]:
     return {
         'target_rad': target, 'dominant': result.dominant(target),
         'recommended': None if choice is None else {
-            **_measurement_data(choice.measurement, result.stretch.seconds),
+            **choice.measurement.as_dict(result.stretch.seconds),
             'parameters': [*choice.measurement.setting.parameters],
             'whole_attitude_error_rad': choice.error, 'measured_on_whole': choice.measured}}
-
-
-def _ensemble_data(advice: Advice | None) -> dict[str, Any] | None:
-    return None if advice is None else {
-        'runs': advice.spread.runs, 'median_angle_rad': advice.spread.median,
-        'target_rad': advice.spread.target, 'run_s': advice.seconds,
-        'run_default_s': advice.default_seconds, 'saved_s': advice.saved_seconds}
-
-
-def _measurement_data(one: Measurement, span: float) -> dict[str, Any]:
-    def number(value: float) -> float | None:
-        return None if one.failure else value  # NaN is not valid JSON
-    error = one.error
-    return {'solver': one.setting.solver, 'tolerance': one.setting.tolerance,
-            'max_step_s': one.setting.max_step,
-            'attitude_error_final_rad': number(error.attitude_final),
-            'attitude_error_largest_rad': number(error.attitude),
-            'angular_velocity_error_largest_rad_per_s': number(error.angular_velocity),
-            'momentum_drift_relative': number(error.momentum),
-            'energy_drift_relative': number(error.energy),
-            'first_call_s': number(one.first_seconds), 'warm_call_s': number(one.seconds),
-            'cost_s_per_simulated_s': number(one.seconds / span),
-            'times_real_time': number(span / one.seconds),
-            'on_pareto_front': one.pareto_optimal, 'failure': one.failure or None}
 
 
 def _pair(row: tuple[str, str]) -> str:
