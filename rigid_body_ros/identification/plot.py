@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.report.figures import literal
 
 
 def draw(path: str | Path, fit: Identification, experiment: Experiment, name: str) -> None:
@@ -52,7 +51,7 @@ def draw(path: str | Path, fit: Identification, experiment: Experiment, name: st
     panels = []
     for parts in fit.first_errors():
         quantity, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
-        panels.append(figures.Series(f'{literal(parts[0].topic)}:\n{quantity} error', unit,
+        panels.append(figures.Series(f'{figures.literal(parts[0].topic)}:\n{quantity} error', unit,
                                      np.concatenate([part.kept_ns for part in parts]),
                                      np.concatenate([part.kept for part in parts])))
     figures.errors(path, panels, (), experiment.logs, {}, name)

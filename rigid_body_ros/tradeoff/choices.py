@@ -180,8 +180,9 @@ class Advice(NamedTuple):
     def rows(self) -> list[tuple[str, str]]:
         """Return the advice as rows to print, each with a name and a text."""
         spread = self.spread
-        rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal run '
-                             f'(median); the target is a tenth of this: {spread.target:.3g} rad')]
+        rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal '
+                             f'run (median); the target is a tenth of this: {spread.target:.3g} '
+                             'rad')]
         if self.seconds is not None:
             rows.append(('', f'a run takes {self.seconds:.3g} s with the setting for this target, '
                              f'{self.default_seconds:.3g} s with the default; all runs save '
