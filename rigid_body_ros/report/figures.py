@@ -34,20 +34,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.report.style import (
-    axes_name,
-    COLOURS,
-    ERRORS,
-    euler_names,
-    FIELDS,
-    MARKERS,
-    MOMENTA,
-    QUATERNION,
-    RATES,
-    STYLES,
-    torque_names,
-    TORQUES,
-)
+from rigid_body_ros.report import style
 
 _GREYS = ('#333333', '#999999')
 #: Maximum number of points in a curve. Drawing more points would make no visible difference.
@@ -97,16 +84,17 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     figure.suptitle(literal(title))
     panels = figure.subplots(count, 1, sharex=True)
     _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
-    _draw_curves(panels[1], seconds, trajectory.attitude[rows], QUATERNION)
+    _draw_curves(panels[1], seconds, trajectory.attitude[rows], style.QUATERNION)
     panels[1].set_ylabel('quaternion')
-    _draw_vectors(panels[2], seconds, trajectory.angular_velocity[rows], RATES,
+    _draw_vectors(panels[2], seconds, trajectory.angular_velocity[rows], style.RATES,
                   ('angular velocity', 'body axes', 'rad/s'))
     if has_rotors:
-        _draw_vectors(panels[3], seconds, trajectory.rotor_momentum[rows], MOMENTA,
+        _draw_vectors(panels[3], seconds, trajectory.rotor_momentum[rows], style.MOMENTA,
                       ('rotor momentum', 'body axes', 'N m s'))
     _draw_torques(panels[3 + has_rotors:], logs, (start_ns, end_ns), timeout_ns)
     if fields is not None:
-        _draw_vectors(panels[-1], seconds, fields[rows], TORQUES, (FIELDS, 'body axes', 'N m'))
+        _draw_vectors(panels[-1], seconds, fields[rows], style.TORQUES,
+                      (style.FIELDS, 'body axes', 'N m'))
     figure.align_ylabels(panels)
     panels[-1].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
     label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
@@ -141,14 +129,14 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     panel = figure.subplots()
     least = float(np.finfo(float).eps)  # smaller errors have no meaning
     for number, (name, (errors, costs)) in enumerate(curves.items()):
-        panel.loglog(np.maximum(errors, least), costs, STYLES[number % len(STYLES)],
-                     linewidth=1.4, markersize=4.5, color=COLOURS[number],
-                     marker=MARKERS[number], label=name.replace('_', ' '))
+        panel.loglog(np.maximum(errors, least), costs, style.STYLES[number % len(style.STYLES)],
+                     linewidth=1.4, markersize=4.5, color=style.COLOURS[number],
+                     marker=style.MARKERS[number], label=name.replace('_', ' '))
     for number, (name, value) in enumerate(sorted(lines.items(), key=lambda line: line[1])):
         value = max(value, least)
         text = name if name.endswith('rad') else f'{name} {value:.0e} rad'
-        panel.axvline(value, color=_GREYS[number // len(STYLES) % len(_GREYS)],
-                      linestyle=STYLES[number % len(STYLES)], linewidth=1.0, zorder=1,
+        panel.axvline(value, color=_GREYS[number // len(style.STYLES) % len(_GREYS)],
+                      linestyle=style.STYLES[number % len(style.STYLES)], linewidth=1.0, zorder=1,
                       label=text)
     panel.margins(0.08)
     panel.set_xlabel('largest attitude error (rad)')
@@ -208,7 +196,7 @@ def errors(path: str | Path, panels: Sequence[Series], others: Sequence[Series],
         _draw_errors(row, panel, start_ns)
     _draw_torques(rows[len(panels):], logs, (start_ns, end_ns), timeout_ns)
     for row, torque in zip(rows[len(panels) + len(logs):shared], others):
-        _draw_vectors(row, *_thinned(torque, start_ns), TORQUES,
+        _draw_vectors(row, *_thinned(torque, start_ns), style.TORQUES,
                       (torque.label, 'body axes', torque.unit))
     for row in rows[:shared]:
         row.set_xlim(0.0, max(1e-9 * (end_ns - start_ns), 1e-9))
@@ -223,8 +211,8 @@ def _draw_errors(row: Axes, series: Series, start_ns: int) -> None:
     seconds, values = _thinned(series, start_ns)
     least = float(np.finfo(float).tiny)
     sizes = np.maximum(np.abs(np.column_stack([np.linalg.norm(values, axis=1), values])), least)
-    for column, name, colour, width in zip(sizes.T, ERRORS,
-                                           ('#000000', *COLOURS), (1.2, 0.7, 0.7, 0.7)):
+    for column, name, colour, width in zip(sizes.T, style.ERRORS,
+                                           ('#000000', *style.COLOURS), (1.2, 0.7, 0.7, 0.7)):
         row.semilogy(seconds, column, color=colour, linewidth=width, label=name,
                      zorder=3 if name == '|e|' else 2)
     shown = sizes[:, 0][sizes[:, 0] > 0.0]
@@ -238,7 +226,8 @@ def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
     seconds = sorted(horizons)
     for column, name in enumerate(('median', '95 %')):
         row.loglog(seconds, [max(float(horizons[each][column]), 1e-16) for each in seconds],
-                   STYLES[column], color=COLOURS[column], marker=MARKERS[column], label=name)
+                   style.STYLES[column], color=style.COLOURS[column],
+                   marker=style.MARKERS[column], label=name)
     row.set_xlabel('time since the restart from the measurement (s)')
     row.set_ylabel('attitude error (rad)')
     row.grid(alpha=0.3)
@@ -260,7 +249,7 @@ def _drawn(count: int) -> NDArray[np.intp]:
 
 
 def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) -> None:
-    _draw_curves(panel, seconds, _without_jumps(angles), euler_names(sequence))
+    _draw_curves(panel, seconds, _without_jumps(angles), style.euler_names(sequence))
     panel.set_ylabel(f'Euler angles {sequence} (rad)')
     low, high = (-2, 2) if angles.min() < 0.0 else (0, 4)
     labels = {-2: '−π', -1: '−π/2', 0: '0', 1: 'π/2', 2: 'π', 3: '3π/2', 4: '2π'}
@@ -270,10 +259,11 @@ def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) ->
 
 def _draw_torques(panels: Iterable[Axes], logs: Sequence[TorqueLog], span_ns: tuple[int, int],
                   timeout_ns: int) -> None:
-    for panel, log, name in zip(panels, logs, torque_names(len(logs))):
+    for panel, log, name in zip(panels, logs, style.torque_names(len(logs))):
         times = _torque_times(log, *span_ns, timeout_ns)
-        _draw_vectors(panel, _seconds(times, span_ns[0]), log.at(times, timeout_ns)[0], TORQUES,
-                      (name, axes_name(log.in_space), 'N m'))
+        torques, _ = log.at(times, timeout_ns)
+        _draw_vectors(panel, _seconds(times, span_ns[0]), torques, style.TORQUES,
+                      (name, style.axes_name(log.in_space), 'N m'))
 
 
 def _draw_vectors(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...],
@@ -285,8 +275,8 @@ def _draw_vectors(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...
 
 
 def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:
-    for column, name, colour, style in zip(columns.T, names, COLOURS, STYLES):
-        panel.plot(x, column, style, color=colour, linewidth=1.2, label=name)
+    for column, name, colour, dashes in zip(columns.T, names, style.COLOURS, style.STYLES):
+        panel.plot(x, column, dashes, color=colour, linewidth=1.2, label=name)
     panel.grid(alpha=0.3)
     legend(panel, handlelength=2.5)
 
