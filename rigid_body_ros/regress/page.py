@@ -31,7 +31,6 @@ from rigid_body_ros.report.page import Page
 from rigid_body_ros.scene import Scene
 
 _WHEELS = 'accepted_wheel_torque'
-_AXES = tuple(name.strip('|') for name in style.ERRORS[1:])
 
 
 def page(regression: Regression, name: str, scene: Scene, command: str) -> Page:
@@ -75,7 +74,7 @@ def _panels(regression: Regression) -> Iterator[Panel]:
         names = loop.wheels if name == COMMANDS else style.TORQUES
         yield _panel(label, 'N m', torques, names, slice(len(names)), start_ns, lines)
         yield _difference(label, 'N m', pair, pair.found - pair.reference, start_ns, lines,
-                          loop.wheels if name == COMMANDS else _AXES)
+                          loop.wheels if name == COMMANDS else style.SIGNED)
 
 
 def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str], columns: slice,
@@ -89,7 +88,7 @@ def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str],
 
 
 def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int,
-                lines: Mapping[str, float], names: Sequence[str] = _AXES) -> Panel:
+                lines: Mapping[str, float], names: Sequence[str] = style.SIGNED) -> Panel:
     """Return a panel that shows the loop minus the reference at the stamps that both have."""
     return Panel(f'difference: {label}', unit,
                  [Curves.thinned(pair.times_ns, errors, names, start_ns)] if len(errors) else [],
