@@ -545,4 +545,5 @@ def test_ambiguous_topics_are_an_error(run, tmp_path, measured):
                  pose=messages_of('PoseStamped', measured), imu=messages_of('Imu', measured))
     status, _, error = run(path=path)
     assert status == 2
-    assert 'found /pose (geometry_msgs/msg/PoseStamped), /imu (sensor_msgs/msg/Imu); choose one with --measured' in error
+    assert ('found /pose (geometry_msgs/msg/PoseStamped), /imu (sensor_msgs/msg/Imu); choose one '
+            'with --measured') in error
