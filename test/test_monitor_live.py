@@ -75,7 +75,8 @@ def expected(session, found):
         else:
             recorded = recording.Messages(topic, np.array([stamp_ns]), np.zeros(1, int), [''],
                                           values)
-            monitor.measure(topic, [stamp_ns], *of_messages(recorded, kind).usable)
+            samples = of_messages(recorded, kind)
+            monitor.measure(topic, [stamp_ns], samples.attitude, samples.rates)
     return [*monitor.judgements()]
 
 

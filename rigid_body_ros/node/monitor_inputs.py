@@ -347,7 +347,8 @@ class MonitorInputs:
             with suppress(InputError):  # space axes, without an attitude
                 samples = in_body_axes(topic, of_messages(recorded, kind), recorded, kind,
                                        self._options)
-                attitude[rows], rates[rows] = samples.without(self._unused[source]).usable
+                samples = samples.without(self._unused[source])
+                attitude[rows], rates[rows] = samples.attitude, samples.rates
         sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])
         if sent.any():
             self._measured.setdefault(source, int(sent[sent > 0][0]))

@@ -103,9 +103,8 @@ class Account:
         self.replaced += len(repeated) - len(_repeated(self._held))
         self._held, self._latest_ns = stamps_ns, int(latest[-1])
 
-    def check_norms(self, quaternions: Floats) -> None:
-        """Name quaternions, shape (n, 4), without norm 1."""
-        norms = np.linalg.norm(quaternions, axis=1)
+    def check_norms(self, norms: Floats) -> None:
+        """Name quaternions whose norms, shape (n,), are not 1."""
         wrong = norms[np.abs(norms - 1.0) > UNIT]
         if len(wrong) > _LOST * len(norms):
             self._others.append(

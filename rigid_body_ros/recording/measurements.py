@@ -29,7 +29,13 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import Messages, Source
 from rigid_body_ros.recording.chains import chained, STATIC
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.recording.quantities import KINDS, MeasuredSamples, of_messages, of_table
+from rigid_body_ros.recording.quantities import (
+    KINDS,
+    MeasuredSamples,
+    of_messages,
+    of_table,
+    QUANTITIES,
+)
 from rigid_body_ros.recording.source import with_types
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
@@ -40,8 +46,6 @@ _CERTAIN = tuple(kind for kind in KINDS if kind is not messages.VECTOR3)
 _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 #: Message types whose frame_id names the axes of a sensor.
 _OF_SENSOR = (messages.IMU, messages.VECTOR3)
-#: What of a topic is read, after a colon, as in /imu:rates.
-QUANTITIES = ('attitude', 'rates')
 
 
 class MeasuredOptions(NamedTuple):
@@ -280,8 +284,9 @@ def in_body_axes(where: str, found: MeasuredSamples, recorded: Messages, kind: M
         frame, is_odometry = name.removeprefix('/'), kind is messages.ODOMETRY
         if frame in ('', options.body_frame):
             continue
-        if found.rates and (frame == options.space_frame or (is_odometry and name == parent)):
-            if not (found.attitude and found.attitude.is_usable[rows].any()):
+        has_attitude, has_rates = found.usable[rows].any(axis=0).tolist()
+        if has_rates and (frame == options.space_frame or (is_odometry and name == parent)):
+            if not has_attitude:
                 number = recorded.before + int(np.argmax(rows)) + 1
                 raise InputError(f'{where}: message {number}: frame_id: expected an angular '
                                  f'velocity in body axes, found {shortened(quoted(name))} (space '

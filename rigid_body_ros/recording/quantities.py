@@ -16,10 +16,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,48 +43,24 @@ _TOGETHER = 0.9
 _Mask = NDArray[np.bool_]
 
 
-class _Layout(NamedTuple):
-    """Where the values and their covariances are among the doubles of a message."""
-
-    attitude: slice | None = None
-    attitude_covariance: slice | None = None
-    rates: slice | None = None
-    rate_covariance: slice | None = None
-
-
-_LAYOUTS: dict[MessageType, _Layout] = {
-    messages.QUATERNION: _Layout(slice(0, 4)),
-    messages.POSE: _Layout(slice(3, 7)),
-    messages.POSE_WITH_COVARIANCE: _Layout(slice(3, 7), slice(7, 43)),
-    messages.TRANSFORM_STAMPED: _Layout(slice(3, 7)),
-    messages.TRANSFORM: _Layout(slice(3, 7)),
-    messages.ODOMETRY: _Layout(messages.ORIENTATION, slice(7, 43), messages.ANGULAR_VELOCITY,
-                               slice(49, 85)),
-    messages.IMU: _Layout(slice(0, 4), slice(4, 13), slice(13, 16), slice(16, 25)),
-    messages.VECTOR3: _Layout(rates=slice(0, 3)),
+#: What a topic may contain.
+QUANTITIES = ('attitude', 'rates')
+_NONE = None, None
+#: Where the attitude and the angular velocity are among the doubles of a message, each with its
+#: covariance.
+_LAYOUTS: dict[MessageType, tuple[tuple[slice | None, slice | None], ...]] = {
+    messages.QUATERNION: ((slice(0, 4), None), _NONE),
+    messages.POSE: ((slice(3, 7), None), _NONE),
+    messages.POSE_WITH_COVARIANCE: ((slice(3, 7), slice(7, 43)), _NONE),
+    messages.TRANSFORM_STAMPED: ((slice(3, 7), None), _NONE),
+    messages.TRANSFORM: ((slice(3, 7), None), _NONE),
+    messages.ODOMETRY: ((messages.ORIENTATION, slice(7, 43)),
+                        (messages.ANGULAR_VELOCITY, slice(49, 85))),
+    messages.IMU: ((slice(0, 4), slice(4, 13)), (slice(13, 16), slice(16, 25))),
+    messages.VECTOR3: (_NONE, (slice(0, 3), None)),
 }
 #: Message types that a measured topic can have.
 KINDS = tuple(_LAYOUTS)
-
-
-class Quantity(NamedTuple):
-    """
-    Attitudes or angular velocities, with one row for each message.
-
-    Attributes
-    ----------
-    values : array, shape (n, 4) or (n, 3)
-        Quaternions, not normalised, or angular velocities, rad/s.
-    is_given, is_usable : array of bool, shape (n,)
-        Whether a message contains the quantity, and whether its value can also be used.
-    covariance : array, shape (n, 3, 3), optional
-
-    """
-
-    values: Floats
-    is_given: _Mask
-    is_usable: _Mask
-    covariance: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +72,16 @@ class MeasuredSamples:
     ----------
     stamps_ns : array of int64, shape (n,)
         In the order of the recording.
-    attitude, rates : Quantity, optional
+    attitude : array, shape (n, 4)
+        Unit quaternions; NaN in messages without a usable attitude.
+    rates : array, shape (n, 3), rad/s
+        Angular velocities; NaN in messages without a usable one.
+    given : array of bool, shape (n, 2)
+        Whether a message contains an attitude, and an angular velocity, usable or not.
+    norms : array, shape (n,)
+        The norms of the quaternions in the messages.
+    covariances : tuple of array, shape (n, 3, 3), or None
+        Those of the attitude and of the angular velocity.
     damage : str
         What was lost from the recording.
     notes : tuple of str
@@ -105,23 +90,25 @@ class MeasuredSamples:
     """
 
     stamps_ns: NDArray[np.int64]
-    attitude: Quantity | None
-    rates: Quantity | None
+    attitude: Floats
+    rates: Floats
+    given: _Mask
+    norms: Floats
+    covariances: tuple[Floats | None, Floats | None] = (None, None)
     damage: str = ''
     notes: tuple[str, ...] = ()
 
+    @property
+    def usable(self) -> _Mask:
+        """Return whether a message has a usable attitude, and a usable rate, shape (n, 2)."""
+        return np.isfinite(np.column_stack([self.attitude[:, 0], self.rates[:, 0]]))
+
     def rates_from_space(self, rows: _Mask, frame: str) -> MeasuredSamples:
         """Convert angular velocities in space axes to body axes, which needs attitudes."""
-        attitude, rates = self.attitude, self.rates
-        assert attitude
-        assert rates
-        known = rows & attitude.is_usable
-        values = rates.values.copy()
-        values[known] = so3.rotate(so3.conjugate(so3.normalize(attitude.values[known])),
-                                   values[known])
+        rates = self.rates.copy()
+        rates[rows] = so3.rotate(so3.conjugate(self.attitude[rows]), rates[rows])
         note = f'the angular velocity is in the axes of {frame} (space): converted to body axes'
-        return replace(self, notes=(*self.notes, note), rates=rates._replace(
-            values=values, is_usable=rates.is_usable & (known | ~rows)))
+        return replace(self, rates=rates, notes=(*self.notes, note))
 
     def from_link(self, rows: _Mask, rotation: Floats, frame: str) -> MeasuredSamples:
         """
@@ -129,55 +116,34 @@ class MeasuredSamples:
 
         `rotation`, shape (3, 3), contains the axes of the link as columns, in body axes.
         """
-        turn = so3.from_matrix(rotation)
-
-        def converted(quantity: Quantity | None, is_rates: bool) -> Quantity | None:
-            if quantity is None:
-                return None
-            values, covariance = quantity.values.copy(), quantity.covariance
-            values[rows] = so3.rotate(turn, values[rows]) if is_rates else so3.multiply(
-                values[rows], so3.conjugate(turn))
-            if covariance is not None:
-                covariance = covariance.copy()
-                covariance[rows] = rotation @ covariance[rows] @ rotation.T
-            return quantity._replace(values=values, covariance=covariance)
+        turn, attitude, rates = so3.from_matrix(rotation), self.attitude.copy(), self.rates.copy()
+        attitude[rows] = so3.multiply(attitude[rows], so3.conjugate(turn))
+        rates[rows] = so3.rotate(turn, rates[rows])
+        first, second = (None if each is None else np.where(
+            rows[:, None, None], rotation @ each @ rotation.T, each) for each in self.covariances)
         note = f'the measurements are in the axes of {frame}: converted to body axes'
-        return replace(self, attitude=converted(self.attitude, False),
-                       rates=converted(self.rates, True), notes=(*self.notes, note))
+        return replace(self, attitude=attitude, rates=rates, covariances=(first, second),
+                       notes=(*self.notes, note))
 
     def without_constants(self) -> MeasuredSamples:
         """Drop a quantity that never changes, if the other one says that the body turns."""
-        if self.attitude is None or self.rates is None:
-            return self
-        both = np.flatnonzero(self.attitude.is_usable & self.rates.is_usable)
+        both = np.flatnonzero(self.usable.all(axis=1))
         both = both[np.argsort(self.stamps_ns[both], kind='stable')]
-        name, note = not_measured(self.stamps_ns[both], self.attitude.values[both],
-                                  self.rates.values[both])
+        name, note = not_measured(self.stamps_ns[both], self.attitude[both], self.rates[both])
         return replace(self.without([name]), notes=(*self.notes, note)) if name else self
 
     def without(self, names: Collection[str]) -> MeasuredSamples:
         """Drop quantities: 'attitude', 'rates'."""
-        return replace(self, attitude=None if 'attitude' in names else self.attitude,
-                       rates=None if 'rates' in names else self.rates)
+        kept = np.array([name not in names for name in QUANTITIES])
+        return replace(self, given=self.given & kept,
+                       attitude=np.where(kept[0], self.attitude, np.nan),
+                       rates=np.where(kept[1], self.rates, np.nan))
 
-    @property
-    def usable(self) -> tuple[Floats, Floats]:
+    def sensors(self, where: str, topic: str, has_log_times: bool) -> list[Measured]:
         """
-        Return unit quaternions, shape (n, 4), and angular velocities, rad/s, shape (n, 3).
+        Return the usable samples as a sensor, sorted by stamp.
 
-        Values that are not measured or not usable are NaN.
-        """
-        attitude, rates = (np.full((len(self.stamps_ns), size), np.nan) for size in (4, 3))
-        for values, quantity in ((attitude, self.attitude), (rates, self.rates)):
-            if quantity:
-                values[quantity.is_usable] = quantity.values[quantity.is_usable]
-        return so3.normalize(attitude), rates
-
-    def sensors(self, where: str, topic: str, has_log_times: bool) -> Iterator[Measured]:
-        """
-        Generate the usable samples as a sensor, sorted by stamp.
-
-        Generate two sensors if attitudes and angular velocities are in different messages.
+        Return two sensors if attitudes and angular velocities are in different messages.
 
         Parameters
         ----------
@@ -194,55 +160,72 @@ class MeasuredSamples:
             There are too few usable samples.
 
         """
-        named = [(name, each) for name, each in (('attitude', self.attitude),
-                                                 ('rates', self.rates))
-                 if each is not None and each.is_usable.any()]
-        usable = [each.is_usable for _, each in named]
-        if len(named) == 2 and (usable[0] & usable[1]).sum() < _TOGETHER * max(
-                usable[0].sum(), usable[1].sum()):
-            for name, each in named:
-                yield self._sensor(where, f'{topic}:{name}', each.is_given, {name: each},
-                                   has_log_times)
-        else:
-            given = [each.is_given for _, each in named]
-            yield self._sensor(where, topic, np.logical_or.reduce(
-                given or [np.full(len(self.stamps_ns), True)]), dict(named), has_log_times)
+        usable = self.usable
+        columns = np.flatnonzero(usable.any(axis=0)).tolist()
+        if len(columns) == 2 and usable.all(axis=1).sum() < _TOGETHER * usable.sum(axis=0).max():
+            return [self._sensor(where, f'{topic}:{QUANTITIES[column]}', [column], has_log_times)
+                    for column in columns]
+        return [self._sensor(where, topic, columns, has_log_times)]
 
-    def _sensor(self, where: str, topic: str, given: _Mask, quantities: Mapping[str, Quantity],
+    def _sensor(self, where: str, topic: str, columns: list[int],
                 has_log_times: bool) -> Measured:
-        usable = np.logical_and.reduce([np.full(len(given), bool(quantities)), *(
-            each.is_usable for each in quantities.values())])
-        count = int(usable.sum())
-        if count < FEWEST:
+        usable = np.flatnonzero(self.usable[:, columns].all(axis=1) & bool(columns))
+        count = int(self.given[:, columns].any(axis=1).sum()) if columns else len(self.stamps_ns)
+        if len(usable) < FEWEST:
             lost = f' ({self.damage})' if self.damage else ''
             raise InputError(f'{where}: expected at least {FEWEST} messages with a finite '
-                             f'attitude or angular velocity, found {count} among '
-                             f'{len(given)}{lost}')
+                             f'attitude or angular velocity, found {len(usable)} among '
+                             f'{count}{lost}')
         account = Account(Account.advice if has_log_times else '', notes=[*self.notes])
-        account.add(self.stamps_ns[usable], int(given.sum()) - count)
-        rows = _ordered(where, self.stamps_ns, np.flatnonzero(usable), has_log_times)
-        attitude, rates = (quantities.get(name) for name in ('attitude', 'rates'))
-        if attitude:
-            account.check_norms(attitude.values[usable])
-        return Measured(
-            topic, self.stamps_ns[rows],
-            so3.normalize(attitude.values[rows]) if attitude else None,
-            rates.values[rows] if rates else None, _known(attitude, rows), _known(rates, rows),
-            account, self.damage)
+        account.add(self.stamps_ns[usable], count - len(usable))
+        rows = _ordered(where, self.stamps_ns, usable, has_log_times)
+        if 0 in columns:
+            account.check_norms(self.norms[usable])
+        attitude, rates, of_attitude, of_rates = (
+            values[rows] if values is not None and column in columns else None
+            for column, values in zip((0, 1, 0, 1), (self.attitude, self.rates,
+                                                     *self.covariances)))
+        return Measured(topic, self.stamps_ns[rows], attitude, rates, _known(of_attitude),
+                        _known(of_rates), account, self.damage)
+
+
+def _samples(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats, given: _Mask,
+             **others: Any) -> MeasuredSamples:
+    """Return the samples in messages, with NaN in place of values that are not usable."""
+    is_rotation = np.isfinite(attitude).all(axis=1) & attitude.any(axis=1) & given[:, 0]
+    is_slow = (np.abs(rates) <= FASTEST).all(axis=1) & given[:, 1]
+    unit = np.full(attitude.shape, np.nan)
+    unit[is_rotation] = so3.normalize(attitude[is_rotation])
+    return MeasuredSamples(stamps_ns, unit, np.where(is_slow[:, None], rates, np.nan), given,
+                           np.linalg.norm(attitude, axis=1), **others)
 
 
 def of_messages(recorded: Messages, kind: MessageType) -> MeasuredSamples:
     """Return the samples in messages of a type in `KINDS`; covariances are in body axes."""
-    layout, values = _LAYOUTS[kind], recorded.values
-    attitude = _quantity(values, layout.attitude, layout.attitude_covariance, kind, _is_rotation)
-    rates = _quantity(values, layout.rates, layout.rate_covariance, kind, _is_slow)
-    if attitude and attitude.covariance is not None and kind in (
-            messages.POSE_WITH_COVARIANCE, messages.ODOMETRY):
-        turn = so3.matrix(so3.normalize(np.where(attitude.is_usable[:, None], attitude.values,
-                                                 [0.0, 0.0, 0.0, 1.0])))
-        attitude = attitude._replace(
-            covariance=np.swapaxes(turn, 1, 2) @ attitude.covariance @ turn)
-    return MeasuredSamples(recorded.stamps_ns, attitude, rates, recorded.damage)
+    parts = [_part(recorded.values, *where, size, kind is messages.IMU)
+             for where, size in zip(_LAYOUTS[kind], (4, 3))]
+    (attitude, rates), given, (first, second) = zip(*parts)
+    samples = _samples(recorded.stamps_ns, attitude, rates, np.column_stack(given),
+                       damage=recorded.damage)
+    if first is not None and kind is not messages.IMU:  # in space axes
+        turn = so3.matrix(samples.attitude)
+        first = np.swapaxes(turn, 1, 2) @ first @ turn
+    return replace(samples, covariances=(first, second))
+
+
+def _part(values: Floats, where: slice | None, of_covariance: slice | None, size: int,
+          may_lack: bool) -> tuple[Floats, _Mask, Floats | None]:
+    """Return a quantity of messages, which of them contain it, and its covariances."""
+    if where is None:
+        return np.full((len(values), size), np.nan), np.full(len(values), False), None
+    given = np.full(len(values), True)
+    if of_covariance is None:
+        return values[:, where], given, None
+    covariances = _block(values[:, of_covariance])
+    given &= ~(np.diagonal(covariances, axis1=1, axis2=2) >= _MEANINGLESS).any(axis=1)
+    if may_lack:
+        given &= values[:, of_covariance.start] != -1.0
+    return values[:, where], given, covariances
 
 
 def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> MeasuredSamples:
@@ -251,37 +234,12 @@ def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Meas
     blocks = [*table]
     stamps_ns = np.concatenate([np.empty(0, np.int64), *(stamps_ns for stamps_ns, _ in blocks)])
     values = np.concatenate([np.empty((0, len(table.names))), *(values for _, values in blocks)])
-
-    def quantity(group: Sequence[str], is_possible: Callable[[Floats], _Mask]) -> Quantity | None:
-        if not {*group} <= {*table.names}:
-            return None
-        found = values[:, [table.names.index(name) for name in group]]
-        given = is_sample(found, table.width)
-        return Quantity(found, given, given & is_possible(found))
-    return MeasuredSamples(stamps_ns, quantity(ATTITUDE, _is_rotation), quantity(RATES, _is_slow),
-                   notes=tuple(table.notes))
-
-
-def _is_rotation(attitude: Floats) -> _Mask:
-    return np.asarray(np.isfinite(attitude).all(axis=1) & attitude.any(axis=1))
-
-
-def _is_slow(rates: Floats) -> _Mask:
-    return np.all(np.abs(rates) <= FASTEST, axis=1)
-
-
-def _quantity(values: Floats, where: slice | None, covariance: slice | None, kind: MessageType,
-              is_possible: Callable[[Floats], _Mask]) -> Quantity | None:
-    """Return a quantity of messages, or None if their type has no field for it."""
-    if where is None:
-        return None
-    found, given, block = values[:, where], np.full(len(values), True), None
-    if covariance is not None:
-        if kind is messages.IMU:
-            given &= values[:, covariance.start] != -1.0
-        block = _block(values[:, covariance])
-        given &= ~(np.diagonal(block, axis1=1, axis2=2) >= _MEANINGLESS).any(axis=1)
-    return Quantity(found, given, given & is_possible(found), block)
+    attitude, rates = (
+        values[:, [table.names.index(name) for name in group]] if group[0] in table.names else
+        np.full((len(values), len(group)), np.nan) for group in (ATTITUDE, RATES))
+    given = [is_sample(attitude, table.width) & (ATTITUDE[0] in table.names),
+             is_sample(rates, table.width) & (RATES[0] in table.names)]
+    return _samples(stamps_ns, attitude, rates, np.column_stack(given), notes=tuple(table.notes))
 
 
 def _block(covariances: Floats) -> Floats:
@@ -290,14 +248,11 @@ def _block(covariances: Floats) -> Floats:
     return covariances.reshape(-1, size, size)[:, size - 3:, size - 3:]
 
 
-def _known(quantity: Quantity | None, rows: NDArray[np.intp]) -> Floats | None:
-    """Return the covariances in the given rows; None if any is not positive definite."""
-    if quantity is None or quantity.covariance is None:
-        return None
-    found = quantity.covariance[rows]
-    is_known = np.all(np.abs(found) < _MEANINGLESS) and not any(
-        np.any(np.linalg.det(found[:, :size, :size]) <= 0.0) for size in (1, 2, 3))
-    return found if is_known else None
+def _known(covariances: Floats | None) -> Floats | None:
+    """Return the covariances, or None if any is not positive definite."""
+    is_known = covariances is not None and np.all(np.abs(covariances) < _MEANINGLESS) and not any(
+        np.any(np.linalg.det(covariances[:, :size, :size]) <= 0.0) for size in (1, 2, 3))
+    return covariances if is_known else None
 
 
 def _ordered(where: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.intp],
