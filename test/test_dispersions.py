@@ -17,7 +17,7 @@
 from conftest import nearest_rank
 import numpy as np
 import pytest
-from rigid_body_ros.ensemble import streams
+from rigid_body_ros.ensemble import dispersions
 from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
 from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.scene import InputError
@@ -72,7 +72,7 @@ def test_a_key_draws_the_same_without_the_others():
 @pytest.mark.parametrize('count', [1, 3, 4, 17])
 def test_the_numbers_of_a_run_do_not_depend_on_the_other_runs(seed, count):
     runs = np.arange(10 ** 9 - 50, 10 ** 9)
-    for draw in (streams.uniforms, streams.normals):
+    for draw in (dispersions.uniforms, dispersions.normals):
         together = draw(seed, runs, 'inertia', count)
         alone = [draw(seed, runs[[row]], 'inertia', count)[0] for row in range(len(runs))]
         assert np.array_equal(together, alone)
@@ -81,7 +81,7 @@ def test_the_numbers_of_a_run_do_not_depend_on_the_other_runs(seed, count):
 
 
 def test_normal_numbers_have_the_normal_distribution():
-    numbers = streams.normals(3, RUNS, 'inertia', 2).ravel()
+    numbers = dispersions.normals(3, RUNS, 'inertia', 2).ravel()
     assert stats.kstest(numbers, 'norm').pvalue > 0.01
     tails = np.count_nonzero(np.abs(numbers) > 3.0)
     expected = 2.0 * stats.norm.sf(3.0) * numbers.size

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameter values that the runs of an ensemble use."""
+"""The parameter values, fields and torques that the runs of an ensemble use."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,13 +24,19 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.elementary import exponentials
+from rigid_body_ros.ensemble.dispersions import ATTITUDE, INERTIA
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.scene.fields import values_of, with_values
+
+#: A function that takes the torque from a controller and returns the applied torque, both in N m.
+Actuated = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +70,49 @@ class Applied:
     torque_bias: Floats
     clock_offset: Floats
     fields: Fields
+
+    @classmethod
+    def nominal(cls, problem: Problem) -> Applied:
+        """Return the parameters of a single run, without any dispersion."""
+        body, start = problem.body, problem.start
+        return cls(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
+                   States(start.time_ns, start.attitude, start.angular_velocity,
+                          start.rotor_momentum), np.ones(1), np.zeros((1, 3)), np.zeros(1),
+                   Fields.with_values(problem.fields, {}, 1))
+
+    @classmethod
+    def with_values(cls, problem: Problem, runs: NDArray[np.int64], values: Mapping[str, Floats],
+                    drawn: Mapping[str, Floats], of_fields: Sequence[str]) -> Applied:
+        """
+        Return the parameters of some runs of a problem.
+
+        Parameters
+        ----------
+        problem : Problem
+            The nominal motion.
+        runs : array of int, shape (n,)
+            The run numbers.
+        values : mapping
+            The value of each key of `columns`, shape (n,).
+        drawn : mapping
+            The numbers that vary the inertia and the attitude, shape (n, 3), by key.
+        of_fields : list of str
+            The keys of the values that replace those of the nominal fields.
+
+        """
+        inertia = _relative_inertia(problem.body, drawn[INERTIA]) if INERTIA in drawn \
+            else _tensors('inertia.i', values)
+        attitude = _vectors(ATTITUDE, values, 'xyzw')
+        if ATTITUDE in drawn:
+            attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
+        starts = States(np.full(len(runs), problem.start.time_ns), attitude,
+                        _vectors('initial_angular_velocity', values),
+                        _vectors('initial_rotor_momentum', values))
+        return cls(runs, RigidBodies(inertia, _tensors('damping.d', values)), starts,
+                   values['torque_gain'], _vectors('torque_bias', values),
+                   np.rint(values['clock_offset'] * 1e9) / 1e9,
+                   Fields.with_values(problem.fields, {
+                       key: values[key] for key in of_fields}, len(runs)))
 
     def columns(self) -> dict[str, Floats]:
         """Return the parameter values as columns of shape (n,), one column for each key."""
@@ -107,17 +156,16 @@ class Fields:
                    for key, value in values_of(one).items()} | dict(values)
         if not values:
             return cls([nominal] * count, [''] * count, columns)
-        found, messages = [], []
+        of_each, messages = [], []
         for row in range(count):
             own = {key: float(column[row]) for key, column in values.items()}
             try:
-                found.append(tuple(with_values(one, {
-                    key: own[key] for key in values_of(one) if key in own}) for one in nominal))
+                of_each.append(tuple([with_values(one, own) for one in nominal]))
                 messages.append('')
             except ValueError as error:
-                found.append(nominal)
+                of_each.append(nominal)
                 messages.append(str(error))
-        return cls(found, messages, columns)
+        return cls(of_each, messages, columns)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
         """
@@ -129,17 +177,80 @@ class Fields:
                          for fields, *moments in zip(self.of_each, least, largest)], float)
 
 
+@dataclass(frozen=True)
+class Torques:
+    """
+    The dispersed torques in the runs of an ensemble.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal motion.
+    end_ns : int, ns
+        The end of every run.
+    seed : int
+        The seed of the random numbers.
+    noise : float, N m
+        Standard deviation of the noise in each component of the torque.
+
+    """
+
+    problem: Problem
+    end_ns: int
+    seed: int
+    noise: float
+
+    def recorded(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
+        """
+        Return the recorded torques in a run: first those on the body, then those on the rotors.
+
+        Raises
+        ------
+        ValueError
+            A torque is not finite, or a stamp does not fit into 64 bits.
+
+        """
+        gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
+        torques = [gain * log.torques for log in self.problem.logs]
+        if self.noise:
+            random = self._random(int(applied.runs[row]))
+            torques = [torque + random.normal(0.0, self.noise, torque.shape)
+                       for torque in torques]
+        logs = [_later(log, offset, torque) for log, torque in zip(self.problem.logs, torques)]
+        bias, wheels = applied.torque_bias[row], self.problem.wheels
+        if bias.any():
+            logs.append(TorqueLog.constant(bias, self.problem.start.time_ns, self.end_ns,
+                                           self.problem.options.timeout_ns))
+        return logs, wheels and (_later(wheels, offset, wheels.torques) if offset else wheels)
+
+    def commands(self, applied: Applied, row: int) -> EffortLog | None:
+        """Return the commands for named wheels in a run; raise the same errors as `recorded`."""
+        offset, log = float(applied.clock_offset[row]), self.problem.efforts
+        return log and EffortLog(_later_ns(log.times_ns, offset), log.efforts)
+
+    def actuated(self, applied: Applied, row: int) -> Actuated:
+        """Return a function that applies the gain and noise of a run to a controller's torque."""
+        gain, noise = applied.torque_gain[row], self.noise
+        if not noise:
+            return lambda torque: np.asarray(gain * torque)
+        random = self._random(int(applied.runs[row]), 1)
+        return lambda torque: np.asarray(gain * torque + random.normal(0.0, noise, 3))
+
+    def _random(self, *key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+
 def components(prefix: str, vectors: Floats) -> dict[str, Floats]:
     """Return the components of vectors, shape (n, 3 or 4), as columns with keys PREFIX.AXIS."""
     return {f'{prefix}.{axis}': column for axis, column in zip('xyzw', vectors.T)}
 
 
-def vectors(prefix: str, values: Mapping[str, Floats], axes: str = 'xyz') -> Floats:
+def _vectors(prefix: str, values: Mapping[str, Floats], axes: str = 'xyz') -> Floats:
     """Return the vectors whose components have the keys PREFIX.AXIS, shape (n, len(axes))."""
     return np.stack([values[f'{prefix}.{axis}'] for axis in axes], axis=-1)
 
 
-def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
+def _tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
     """Return the symmetric tensors whose entries have keys with `prefix`, shape (n, 3, 3)."""
     result = np.empty((len(values[f'{prefix}xx']), 3, 3))
     for entry, (row, column) in ENTRIES.items():
@@ -147,7 +258,7 @@ def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
     return result
 
 
-def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
+def _relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     """
     Vary the principal moments of inertia of a body, without changing its principal axes.
 
@@ -164,39 +275,9 @@ def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     return (axes[:, None] * axes * varied[:, None, None]).sum(axis=-1)
 
 
-def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> TorqueLog:
-    """
-    Return a copy of a log with its stamps shifted and, optionally, with new torques.
-
-    Parameters
-    ----------
-    log : TorqueLog
-        A log of n samples.
-    offset : float, s
-        The time to add to the stamps. It is rounded to whole nanoseconds.
-    torques : array, shape (n, 3), N m, optional
-        The new torques, in the axes of the log.
-
-    Raises
-    ------
-    ValueError
-        A shifted stamp does not fit into 64 bits, or a torque is not finite.
-
-    """
-    if torques is None:
-        if offset == 0.0:
-            return log
-        torques = log.torques
+def _later(log: TorqueLog, offset: float, torques: Floats) -> TorqueLog:
+    """Return a log of other torques, N m, whose stamps are `offset` seconds later."""
     return TorqueLog(_later_ns(log.times_ns, offset), torques, log.in_space, log.interpolation)
-
-
-def later_commands(log: EffortLog, offset: float) -> EffortLog:
-    """
-    Return a copy of a log of wheel commands, with `offset` seconds added to its stamps.
-
-    The arguments and errors are the same as for `later`.
-    """
-    return EffortLog(_later_ns(log.times_ns, offset), log.efforts)
 
 
 def _later_ns(times_ns: NDArray[np.int64], offset: float) -> NDArray[np.int64]:

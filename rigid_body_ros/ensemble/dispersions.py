@@ -19,12 +19,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+import zlib
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
-from rigid_body_ros.ensemble.streams import normals, uniforms
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import BIG, described, entries, number, resembled
 from rigid_body_ros.scene import PARAMETERS
@@ -46,6 +46,8 @@ INERTIA, ATTITUDE, NOISE = 'inertia', 'initial_attitude', 'torque_noise'
 _EXAMPLE = 'torque_gain: {normal: 0.03}'
 #: For each key that accepts only one kind of distribution, this kind.
 _SPECIAL = {INERTIA: 'relative', ATTITUDE: 'tilt', NOISE: 'normal'}
+#: Philox produces this many random numbers for each value of its counter.
+_AT_ONCE = 4
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,46 @@ def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
             else:
                 values[one.key] = draw + (one.kind == 'normal') * values[one.key]
     return values
+
+
+def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
+    """
+    Return uniform random numbers for each run, strictly between 0 and 1.
+
+    The generator, Philox, computes random numbers directly from a key and a counter. Each run has
+    its own range of the counter, so that the random numbers of a run can be computed without those
+    of earlier runs.
+
+    Parameters
+    ----------
+    seed : int
+        The seed, from 0 to 2**64 - 1.
+    runs : array of int, shape (n,)
+        The run numbers. They should be close together, because random numbers are computed for all
+        runs from the lowest to the highest number.
+    key : str
+        The name of the stream, for example the key of a parameter.
+    count : int
+        Number of random numbers for each run.
+
+    Returns
+    -------
+    array, shape (n, count)
+        Row i depends only on the seed, `runs[i]`, the key and the count.
+
+    """
+    first, counters = int(runs.min()), -(-count // _AT_ONCE)
+    generator = np.random.Philox(key=zlib.crc32(key.encode()) << 64 | seed,
+                                 counter=first * counters)
+    bits = generator.random_raw((int(runs.max()) + 1 - first) * counters * _AT_ONCE)
+    chosen = bits.reshape(-1, counters * _AT_ONCE)[runs - first, :count]
+    return ((chosen >> np.uint64(12)).astype(float) + 0.5) * 2.0 ** -52
+
+
+def normals(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
+    """Return standard normal random numbers for each run; see `uniforms` for the arguments."""
+    from scipy.special import ndtri  # slow to import
+    return np.asarray(ndtri(uniforms(seed, runs, key, count)))
 
 
 def units_with(fields: Iterable[str]) -> dict[str, str]:

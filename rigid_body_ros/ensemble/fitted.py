@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.ensemble.applied import components
-from rigid_body_ros.ensemble.dispersions import ATTITUDE, units_with
-from rigid_body_ros.ensemble.streams import normals
+from rigid_body_ros.ensemble.dispersions import ATTITUDE, normals, units_with
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime.limits import read_json

@@ -27,17 +27,9 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.engine.binding import LANES
-from rigid_body_ros.ensemble.applied import (
-    Applied,
-    components,
-    Fields,
-    relative_inertia,
-    tensors,
-    vectors,
-)
-from rigid_body_ros.ensemble.controller import Controller
+from rigid_body_ros.ensemble.applied import Applied, components, Torques
+from rigid_body_ros.ensemble.controller import closed_loop, Controller
 from rigid_body_ros.ensemble.dispersions import (
-    ATTITUDE,
     dispersed,
     Dispersion,
     draws,
@@ -46,14 +38,10 @@ from rigid_body_ros.ensemble.dispersions import (
     units_with,
 )
 from rigid_body_ros.ensemble.fitted import Fitted
-from rigid_body_ros.ensemble.loop import closed_loop
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
-from rigid_body_ros.ensemble.torques import Torques
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.fields import UniformField
-from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.propagation.many import LogsOfRuns
@@ -152,12 +140,8 @@ class Ensemble:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """Return the nominal value of each key, without any dispersion."""
-        body, start = self.problem.body, self.problem.start
-        applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
-                          States(start.time_ns, start.attitude, start.angular_velocity,
-                                 start.rotor_momentum), np.ones(1), np.zeros((1, 3)), np.zeros(1),
-                          Fields.with_values(self.problem.fields, {}, 1))
-        values = {name: float(column[0]) for name, column in applied.columns().items()}
+        columns = Applied.nominal(self.problem).columns()
+        values = {name: float(column[0]) for name, column in columns.items()}
         return {**values, **self.fitted.nominal} if self.fitted else values
 
     @cached_property
@@ -275,24 +259,7 @@ class Ensemble:
 
     def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
                 drawn: Mapping[str, Floats]) -> Applied:
-        """
-        Return the parameters of some runs.
-
-        These are the parameters in `values`, and the inertia and attitude computed from `drawn`.
-        """
-        inertia = relative_inertia(self.problem.body, drawn[INERTIA]) if INERTIA in drawn \
-            else tensors('inertia.i', values)
-        attitude = vectors(ATTITUDE, values, 'xyzw')
-        if ATTITUDE in drawn:
-            attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
-        starts = States(np.full(len(runs), self._start_ns), attitude,
-                        vectors('initial_angular_velocity', values),
-                        vectors('initial_rotor_momentum', values))
-        return Applied(runs, RigidBodies(inertia, tensors('damping.d', values)), starts,
-                       values['torque_gain'], vectors('torque_bias', values),
-                       np.rint(values['clock_offset'] * 1e9) / 1e9,
-                       Fields.with_values(self.problem.fields, {
-                           key: values[key] for key in self._of_fields}, len(runs)))
+        return Applied.with_values(self.problem, runs, values, drawn, self._of_fields)
 
     @property
     def _start_ns(self) -> int:
