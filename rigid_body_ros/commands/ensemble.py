@@ -34,8 +34,8 @@ from rigid_body_ros.runtime.terminal import progress
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.controller import Controller
     from rigid_body_ros.ensemble.driver import Pool
-    from rigid_body_ros.ensemble.requirements import Requirement
     from rigid_body_ros.ensemble.runs import Ensemble
+    from rigid_body_ros.ensemble.summary import Requirement
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
 
@@ -45,14 +45,13 @@ FINAL = 'final'
 
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.ensemble import driver, summary, worst
-    from rigid_body_ros.ensemble.folder import opened
-    from rigid_body_ros.ensemble.identity import identity_of
+    from rigid_body_ros.ensemble.lock import opened
     from rigid_body_ros.ensemble.page import page
     requirements = _requirements(options)
     with checked(options) as outputs:
         scene = load_scene(options)
         ensemble = _ensemble(options, scene)
-        identity = identity_of(ensemble, scene, options.times)
+        identity = driver.identity_of(ensemble, scene, options.times)
         with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
                     note=partial(note, options)) as folder:
             driver.compute(ensemble, folder, _pool(options), progress(
@@ -74,7 +73,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _requirements(options: argparse.Namespace) -> list[Requirement]:
-    from rigid_body_ros.ensemble.requirements import Requirement
+    from rigid_body_ros.ensemble.summary import Requirement
     try:
         return [Requirement.read(text) for text in options.require]
     except InputError as error:

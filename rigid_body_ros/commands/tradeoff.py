@@ -99,7 +99,7 @@ def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
         return None
     if options.until:
         raise InputError('--until: expected the end of the runs of --ensemble, found both')
-    from rigid_body_ros.ensemble.identity import recording_hash
+    from rigid_body_ros.ensemble.driver import recording_hash
     from rigid_body_ros.tradeoff import ensemble
     spread, start_ns = ensemble.read(options.ensemble), problem.start.time_ns
     if spread.recording != recording_hash(problem):

@@ -12,22 +12,29 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute the missing runs of a folder, in threads, in processes or on a Dask cluster."""
+"""Compute the missing runs of an ensemble, in threads, in processes or on a Dask cluster."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
+from dataclasses import asdict
 from functools import partial
+import hashlib
+from importlib.metadata import version
+import json
 import math
 from operator import itemgetter
-from typing import NoReturn, TYPE_CHECKING
+from typing import Any, NoReturn, TYPE_CHECKING
 
 import numpy as np
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.cluster import connected
+from rigid_body_ros.runtime.fingerprint import fingerprint
 from rigid_body_ros.runtime.pool import Processes, WorkerError, Workers
+from rigid_body_ros.scene import Scene
 
 if TYPE_CHECKING:  # never imported at run time, so that workers need neither Parquet nor MCAP
     from rigid_body_ros.ensemble.folder import Folder
@@ -46,6 +53,35 @@ _PARTS = 8
 #: Maximum number of runs in a block if there is a controller, because a run with a controller
 #: takes about a second.
 _IN_LOOP = 16
+
+
+def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
+    """Return all inputs of the runs as JSON types; runs with equal inputs have equal results."""
+    controller, fitted, problem = ensemble.controller, ensemble.fitted, ensemble.problem
+    varied = {'vary': dict(fitted.estimates), 'covariance': _hash(
+        fitted.covariance.tobytes() + fitted.guess_attitude.tobytes())} if fitted else {
+            'vary': [asdict(one) for one in ensemble.dispersions]}
+    # Convert to JSON and back, so that the result can be compared with the content of a file.
+    return dict(json.loads(json.dumps({
+        'seed': ensemble.seed, **varied,
+        'scene': _hash(json.dumps(dict(scene.values), sort_keys=True).encode()),
+        'recording': recording_hash(problem), 'start_ns': problem.start.time_ns,
+        'end_ns': ensemble.end_ns, 'times': times,
+        **({'controller': f'{controller.name} {controller.digest}'} if controller else {}),
+        'versions': {**fingerprint(), 'scipy': version('scipy')}})))
+
+
+def recording_hash(problem: Problem) -> str:
+    """Return a hash of all recorded torques: those on the body, the rotors and the wheels."""
+    torques = hashlib.sha256()
+    for log in problem.sources:
+        for array in (log.times_ns, log.torques, log.in_space):
+            torques.update(array.tobytes())
+        torques.update(log.interpolation.encode())
+    if problem.efforts:
+        for array in (problem.efforts.times_ns, problem.efforts.efforts):
+            torques.update(array.tobytes())
+    return f'sha256:{torques.hexdigest()}'
 
 
 def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> None:
@@ -107,6 +143,10 @@ def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
                 yield from _joined(found.results(partial(_part, ensemble), _parts(spans, found),
                                                  died))
     return blocks
+
+
+def _hash(data: bytes) -> str:
+    return f'sha256:{hashlib.sha256(data).hexdigest()}'
 
 
 def _block(ensemble: Ensemble, span: Span) -> Block:

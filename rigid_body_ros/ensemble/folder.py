@@ -15,10 +15,15 @@
 """
 Store an ensemble in a folder: one row per run in Parquet files and, optionally, the motions.
 
-Runs are computed and written in blocks, with one file per block, so that an interrupted ensemble
-can continue where it stopped. A row depends only on its run number, and the rows are joined in the
-order of the run numbers. The content of `runs.parquet` is therefore exactly the same for any
-division of the runs into blocks.
+Runs are computed and written in blocks of consecutive runs, with one file per block, so that an
+interrupted ensemble can continue where it stopped. A row depends only on its run number, and the
+rows are joined in the order of the run numbers. The content of `runs.parquet` is therefore exactly
+the same for any division of the runs into blocks.
+
+The file name of a block contains the range of run numbers and one or two digests. The first digest
+covers the identity of the ensemble, the run numbers, and every byte of the file. If motions are
+kept, a second digest covers the motions of these runs. A file that is damaged or that belongs to
+another ensemble is recognized because its digests do not match.
 
 The file `summary.json` marks a complete folder, and is therefore written last. When a user asks
 for more runs, the earlier results are removed before anything else changes, beginning with
@@ -27,8 +32,8 @@ for more runs, the earlier results are removed before anything else changes, beg
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+import hashlib
 import io
 import json
 from pathlib import Path
@@ -40,13 +45,10 @@ from numpy.typing import NDArray
 import pyarrow as arrow
 from pyarrow import parquet
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, listed, quoted, reason
-from rigid_body_ros.ensemble import lock
-from rigid_body_ros.ensemble.blocks import Blocks
-from rigid_body_ros.ensemble.causes import causes
-from rigid_body_ros.ensemble.motions import Motions, remove_parts
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.ensemble.motions import Motions
 from rigid_body_ros.ensemble.runs import MOTION, Span
-from rigid_body_ros.runtime import files, protection
+from rigid_body_ros.runtime import files
 
 #: If possible, the missing runs are divided into at least `BLOCKS` blocks, so that there is enough
 #: work for every worker. No block contains more than `LONGEST` runs, so that little work is lost
@@ -57,52 +59,11 @@ GROUP = 2 ** 16
 #: Columns with many repeated values. A Parquet dictionary makes these columns smaller. In other
 #: columns, a dictionary would only cost time and space.
 _REPEATED = ['status', 'message']
-_IDENTITY, _SUMMARY, _PICTURE, _TABLE = ('identity.json', 'summary.json', 'bands.png',
-                                         'runs.parquet')
-#: Names of unfinished files that may be removed. They are temporary versions of the files above
-#: and of blocks.
-_PART = re.compile(r'\.(identity\.json|summary\.json|bands\.png|runs\.parquet|\d{9}-[-0-9a-f]+'
-                   r'\.parquet)\.[0-9a-f]{16}\.\d+\.part')
-
-
-@contextmanager
-def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Iterator[Folder]:
-    """
-    Open the folder of an ensemble, and lock it for this process until the context ends.
-
-    Parameters
-    ----------
-    path : str or Path
-        The folder; it is created if it does not exist.
-    ensemble
-        The other arguments of `Folder`.
-    note : function
-        A function that shows a line of text to the user.
-
-    Raises
-    ------
-    InputError
-        Another process is writing to the folder, or `Folder` raises this error.
-    KeyboardInterrupt
-        A signal was received while the folder was open. The message says how to continue.
-
-    """
-    protection.check_apart(path)
-    # Check that the folder belongs to an ensemble before creating a lock file there.
-    if not (Path(path) / lock.NAME).exists():
-        _check_kind(Path(path))
-    try:
-        with lock.locked(Path(path), note) as is_locked:
-            if is_locked:
-                _remove_parts(Path(path))
-            folder = Folder(path, *ensemble)
-            if folder.misfits:
-                note(f'{path}: ignored blocks that are damaged or from elsewhere, of the runs '
-                     f'{listed(folder.misfits)}; what is missing is computed again')
-            yield folder
-    except KeyboardInterrupt as interrupt:
-        interrupt.args += (f'; run the same command again to continue in {path}',)
-        raise
+IDENTITY, _SUMMARY, _PICTURE, _TABLE = ('identity.json', 'summary.json', 'bands.png',
+                                        'runs.parquet')
+#: The names of block files, as written by this and earlier versions of the package. Files with any
+#: other name are never removed.
+_BLOCK = re.compile(r'(\d{9})-(\d{9,10})(-[0-9a-f]{16}){0,2}\.parquet')
 
 
 class Folder:
@@ -126,6 +87,8 @@ class Folder:
     ----------
     table, picture : Path
         The paths of `runs.parquet`, which contains all rows, and of the picture `bands.png`.
+    motions : Motions or None
+        The motions of the runs; None if no states are kept.
     misfits : list of str
         For each block that is damaged or belongs to another ensemble, the block's range of run
         numbers as text.
@@ -133,14 +96,14 @@ class Folder:
     Raises
     ------
     InputError
-        The folder contains unrelated files, the runs of another ensemble, or more than `runs`
-        runs; or it cannot be written.
+        The folder contains the runs of another ensemble, or more than `runs` runs; or it cannot be
+        written.
 
     """
 
     def __init__(self, path: str | Path, identity: Mapping[str, Any], units: Mapping[str, str],
                  runs: int, times: Floats | None = None) -> None:
-        self.path, self.runs, self.times = Path(path), runs, times
+        self.path, self.runs = Path(path), runs
         self.table, self.picture = self.path / _TABLE, self.path / _PICTURE
         self._schema = arrow.schema([
             ('run', arrow.int64()), ('status', arrow.string()), ('message', arrow.string()),
@@ -150,15 +113,12 @@ class Folder:
             with files.reported(path):
                 self.path.mkdir(parents=True, exist_ok=True)
             self._remove_results()
-            self._write(_IDENTITY, {'runs': runs, **identity})
-        self._motions = None
-        if times is not None:
-            self._motions = Motions(self.path / 'motion.zarr', times, runs)
-        self._blocks = Blocks(self.path / 'blocks', json.dumps(identity, sort_keys=True),
-                              self._motions)
+            self._write(IDENTITY, {'runs': runs, **identity})
+        self.motions = None if times is None else Motions(self.path / 'motion.zarr', times, runs)
+        self._identity, self._blocks = json.dumps(identity, sort_keys=True), dict[Span, Path]()
         with files.reported(path):
             (self.path / 'blocks').mkdir(exist_ok=True)
-            self.misfits = self._blocks.find(runs)
+            self.misfits = self._find_blocks()
         if self.missing():
             self._remove_results()
 
@@ -172,13 +132,11 @@ class Folder:
             Maximum number of runs in a block.
 
         """
-        present = self._blocks.spans
-        begins, ends = [0, *(stop for _, stop in present)], [first for first, _ in present]
-        gaps = [*zip(begins, [*ends, self.runs])]
+        gaps = self._gaps()
         runs = sum(end - begin for begin, end in gaps)
         longest = min(max(runs // BLOCKS, 1), longest or LONGEST)
-        if self._motions:
-            longest = self._motions.block(longest)
+        if self.motions:
+            longest = self.motions.block(longest)
         return [(first, min(first + longest, end)) for begin, end in gaps
                 for first in range(begin, end, longest)]
 
@@ -200,14 +158,18 @@ class Folder:
             The file cannot be written.
 
         """
-        if self._motions:
-            self._motions.write(first, rows[MOTION])
+        if self.motions:
+            self.motions.write(first, rows[MOTION])
         table = arrow.Table.from_arrays(
             [arrow.array(rows[field.name], field.type, from_pandas=True)
              for field in self._schema], schema=self._schema)
         buffer = io.BytesIO()
         parquet.write_table(table, buffer, use_dictionary=_REPEATED)
-        self._blocks.write((first, stop), buffer.getvalue(), rows.get(MOTION))
+        data = buffer.getvalue()
+        path = self.path / 'blocks' / self._name((first, stop), data, rows.get(MOTION))
+        with files.atomic_output(path, '.parquet') as temporary:
+            temporary.write_bytes(data)
+        self._blocks[first, stop] = path
 
     def complete(self) -> None:
         """
@@ -220,13 +182,16 @@ class Folder:
             twice.
 
         """
-        with files.atomic_output(self.table, '.parquet') as path:
-            with parquet.ParquetWriter(path, self._schema, use_dictionary=_REPEATED) as writer:
-                for group in self._groups():
-                    writer.write_table(group, GROUP)
-            self._check_runs(path)
+        for run, _ in self._gaps():
+            raise InputError(f'{self.path}: expected each of {self.runs} runs once, found run '
+                             f'{run} missing or twice; the same command computes what is missing')
+        with files.atomic_output(self.table, '.parquet') as path, \
+                parquet.ParquetWriter(path, self._schema, use_dictionary=_REPEATED) as writer:
+            for group in self._groups():
+                writer.write_table(group, GROUP)
         with files.reported(self.path):
-            self._blocks.remove_others()
+            for path in {path for _, path in self._candidates()} - {*self._blocks.values()}:
+                path.unlink()
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """
@@ -236,41 +201,21 @@ class Folder:
         """
         self._write(_SUMMARY, summary)
 
-    def motions(self) -> Iterator[Floats]:
+    def numbers(self, name: str, stop: int | None = None) -> Floats:
         """
-        Generate the motions of all runs in order, in chunks that fit into memory.
-
-        Yields
-        ------
-        array, shape (n, m, 7)
-            States at `times`. Each contains the attitude, x y z w, from body to space axes, and
-            the angular velocity, rad/s, in body axes. All states of a failed run are NaN.
-
-        Raises
-        ------
-        InputError
-            The motions cannot be read.
-
-        """
-        if self._motions:
-            yield from self._motions.chunks()
-
-    def numbers(self, name: str, stop: int) -> Floats:
-        """
-        Return a numeric column of `runs.parquet` for all runs before `stop`.
+        Return a numeric column of `runs.parquet` for all runs or, if given, those before `stop`.
 
         The numbers of failed runs are NaN.
         """
-        wanted = min(stop, self.runs)
+        wanted = min(stop or self.runs, self.runs)
         groups = range(-(-wanted // GROUP))
         column = parquet.ParquetFile(self.table).read_row_groups([*groups], columns=[name])
         return np.asarray(column.column(name).to_numpy(), float)[:wanted]
 
-    def failures(self) -> dict[str, int]:
-        """Return, for each cause of failure, the number of runs that failed for this cause."""
-        batches = parquet.ParquetFile(self.table).iter_batches(columns=['message'])
-        return causes(message for batch in batches
-                      for message in filter(None, batch.column(0).to_pylist()))
+    def messages(self) -> Iterator[str]:
+        """Generate the messages of the failed runs."""
+        for batch in parquet.ParquetFile(self.table).iter_batches(columns=['message']):
+            yield from filter(None, batch.column(0).to_pylist())
 
     def _check(self, identity: Mapping[str, Any]) -> int:
         """
@@ -278,8 +223,7 @@ class Folder:
 
         Raise InputError if the runs in the folder were computed from other inputs.
         """
-        _check_kind(self.path)
-        record = self.path / _IDENTITY
+        record = self.path / IDENTITY
         if not record.exists():
             return 0
         try:
@@ -308,24 +252,16 @@ class Folder:
         with files.atomic_output(self.path / name, '.json') as path:
             path.write_text(f'{json.dumps(data, indent=1)}\n', encoding='utf-8')
 
-    def _check_runs(self, path: Path) -> None:
-        """Raise InputError unless a file has exactly one row for each run."""
-        end = 0
-        for batch in parquet.ParquetFile(path).iter_batches(columns=['run']):
-            numbers = batch.column(0).to_numpy()
-            if not np.array_equal(numbers, np.arange(end, end + len(numbers))):
-                break
-            end += len(numbers)
-        else:
-            if end == self.runs:
-                return
-        raise InputError(f'{self.path}: expected each of {self.runs} runs once, found run {end} '
-                         'missing or twice; the same command computes what is missing')
+    def _gaps(self) -> list[Span]:
+        """Return the spans between the blocks; a gap is negative if two blocks overlap."""
+        spans = sorted(self._blocks)
+        begins, ends = [0, *(stop for _, stop in spans)], [first for first, _ in spans]
+        return [gap for gap in zip(begins, [*ends, self.runs]) if gap[0] != gap[1]]
 
     def _groups(self) -> Iterator[arrow.Table]:
         """Generate all rows of the ensemble, in tables of one Parquet row group each."""
         waiting = self._schema.empty_table()
-        for span in self._blocks.spans:
+        for span in sorted(self._blocks):
             waiting = arrow.concat_tables([waiting, self._read(span)])
             while waiting.num_rows >= GROUP:
                 yield waiting.slice(0, GROUP).combine_chunks()
@@ -334,24 +270,44 @@ class Folder:
             yield waiting.combine_chunks()
 
     def _read(self, span: Span) -> arrow.Table:
-        return parquet.ParquetFile(io.BytesIO(self._blocks.read(span))).read().cast(self._schema)
+        """Read a block; raise InputError if the file has changed since it was found or written."""
+        path = self._blocks[span]
+        with files.reported(path, 'read'):
+            data = path.read_bytes()
+        if self._digest(span, data) not in path.name:
+            raise InputError(f'{path}: expected the runs that were written, found others; the '
+                             'same command computes them again')
+        return parquet.ParquetFile(io.BytesIO(data)).read().cast(self._schema)
 
+    def _find_blocks(self) -> list[str]:
+        """Look for valid blocks, and return the run numbers of each invalid block as text."""
+        misfits, end = [], 0
+        for (first, stop), path in sorted(self._candidates()):
+            if not (first < stop <= self.runs and self._fits((first, stop), path)):
+                misfits.append(f'{first} to {stop - 1}')
+            elif first >= end:
+                self._blocks[first, stop], end = path, stop
+        return misfits
 
-def _check_kind(path: Path) -> None:
-    """Raise InputError unless a path is new, or is the folder of an ensemble."""
-    if not path.exists() or (path / _IDENTITY).exists():
-        return
-    if not path.is_dir() or any(entry.name != lock.NAME and not _PART.fullmatch(entry.name)
-                                for entry in path.iterdir()):
-        raise InputError(f'{path}: expected a new folder or that of an ensemble, found something '
-                         'else; choose another folder')
+    def _candidates(self) -> Iterator[tuple[Span, Path]]:
+        for path in (self.path / 'blocks').iterdir():
+            name = _BLOCK.fullmatch(path.name)
+            if name and path.is_file():
+                yield (int(name[1]), int(name[2])), path
 
+    def _fits(self, span: Span, path: Path) -> bool:
+        motions = self.motions.read(*span) if self.motions else None
+        if self.motions and motions is None:
+            return False
+        with files.reported(path, 'read'):
+            return path.name == self._name(span, path.read_bytes(), motions)
 
-def _remove_parts(path: Path) -> None:
-    """Remove unfinished files left behind by a process that was killed."""
-    with files.reported(path):
-        for folder in (path, path / 'blocks'):
-            for part in folder.glob('.*.part'):
-                if _PART.fullmatch(part.name):
-                    part.unlink()
-        remove_parts(path / 'motion.zarr')
+    def _name(self, span: Span, data: bytes, motions: Floats | None) -> str:
+        digests = [self._digest(span, each)
+                   for each in (data, *([] if motions is None else [motions.tobytes()]))]
+        return f'{span[0]:09d}-{span[1]:09d}-{"-".join(digests)}.parquet'
+
+    def _digest(self, span: Span, data: bytes) -> str:
+        digest = hashlib.sha256(f'{self._identity}\n{span}\n'.encode())
+        digest.update(data)
+        return digest.hexdigest()[:16]

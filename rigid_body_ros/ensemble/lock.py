@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Lock a folder, so that only one process at a time writes to it."""
+"""Open the folder of an ensemble, and lock it, so that only one process at a time writes to it."""
 
 from __future__ import annotations
 
@@ -22,19 +22,69 @@ from datetime import datetime, timezone
 import errno
 import os
 from pathlib import Path
+import re
 import socket
 import sys
+from typing import Any
 
-from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.runtime import files
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.ensemble.folder import Folder, IDENTITY
+from rigid_body_ros.runtime import files, protection
 
 #: The name of the file that is locked. This file is never removed. After a removal, two processes
 #: could each lock a different file with this name.
 NAME = 'ensemble.lock'
+#: Names of unfinished files that may be removed: temporary versions of the results and of blocks,
+#: and chunk files that Zarr did not finish writing.
+_PART = re.compile(r'\.(identity\.json|summary\.json|bands\.png|runs\.parquet|\d{9}-[-0-9a-f]+'
+                   r'\.parquet)\.[0-9a-f]{16}\.\d+\.part|[0-9.]+\.[0-9a-f]{32}\.partial')
+_UNFINISHED = '.*.part', 'blocks/.*.part', 'motion.zarr/**/*.partial'
 
 
 @contextmanager
-def locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
+def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Iterator[Folder]:
+    """
+    Open the folder of an ensemble, and lock it for this process until the context ends.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder; it is created if it does not exist.
+    ensemble
+        The other arguments of `Folder`.
+    note : function
+        A function that shows a line of text to the user.
+
+    Raises
+    ------
+    InputError
+        Another process is writing to the folder, the folder contains unrelated files, or `Folder`
+        raises this error.
+    KeyboardInterrupt
+        A signal was received while the folder was open. The message says how to continue.
+
+    """
+    protection.check_apart(path)
+    # Check that the folder belongs to an ensemble before creating a lock file there.
+    if not (Path(path) / NAME).exists():
+        _check_kind(Path(path))
+    try:
+        with _locked(Path(path), note) as is_locked:
+            if is_locked:
+                _remove_parts(Path(path))
+            _check_kind(Path(path))
+            folder = Folder(path, *ensemble)
+            if folder.misfits:
+                note(f'{path}: ignored blocks that are damaged or from elsewhere, of the runs '
+                     f'{listed(folder.misfits)}; what is missing is computed again')
+            yield folder
+    except KeyboardInterrupt as interrupt:
+        interrupt.args += (f'; run the same command again to continue in {path}',)
+        raise
+
+
+@contextmanager
+def _locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
     """
     Lock a folder until the context ends.
 
@@ -96,3 +146,22 @@ def _lock(handle: int, folder: Path, note: Callable[[str], None]) -> bool:
 def _description() -> str:
     since = datetime.now(timezone.utc).isoformat(' ', 'seconds')
     return f'process {os.getpid()} on host {socket.gethostname()}\nsince {since}\n'
+
+
+def _check_kind(path: Path) -> None:
+    """Raise InputError unless a path is new, or is the folder of an ensemble."""
+    if not path.exists() or (path / IDENTITY).exists():
+        return
+    if not path.is_dir() or any(entry.name != NAME and not _PART.fullmatch(entry.name)
+                                for entry in path.iterdir()):
+        raise InputError(f'{path}: expected a new folder or that of an ensemble, found something '
+                         'else; choose another folder')
+
+
+def _remove_parts(path: Path) -> None:
+    """Remove unfinished files left behind by a process that was killed."""
+    with files.reported(path):
+        for pattern in _UNFINISHED:
+            for part in path.glob(pattern):
+                if _PART.fullmatch(part.name):
+                    part.unlink()

@@ -27,7 +27,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
-import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +40,6 @@ COMPONENTS = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
 #: The maximum number of runs in a chunk, and the maximum number of states in a chunk, in a block
 #: and in a run. A state takes 56 bytes.
 _RUNS, _CHUNK, _BLOCK, _MOST = 1024, 2 ** 16, 2 ** 19, 2 ** 21
-#: The names of chunk files that Zarr did not finish writing.
-_PART = re.compile(r'[0-9.]+\.[0-9a-f]{32}\.partial')
 
 
 def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
@@ -75,13 +72,6 @@ def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
     return np.unique(np.append(offsets[offsets < end_ns - start_ns], end_ns - start_ns)) + start_ns
 
 
-def remove_parts(path: Path) -> None:
-    """Remove unfinished files left in a Zarr group by a process that was killed."""
-    for part in path.rglob('*.partial'):
-        if _PART.fullmatch(part.name):
-            part.unlink()
-
-
 class Motions:
     """
     The motions of an ensemble in a Zarr group, which is created if it does not exist.
@@ -91,7 +81,7 @@ class Motions:
     path : Path
         The Zarr group.
     times : array, shape (m,), s
-        Times since the start.
+        Times since the start, which are also an attribute.
     runs : int
         Number of runs. It must not be smaller than the number of runs in the group.
 
@@ -103,7 +93,7 @@ class Motions:
     """
 
     def __init__(self, path: Path, times: Floats, runs: int) -> None:
-        self._path, self._times, self._runs = path, times, runs
+        self.times, self._path, self._runs = times, path, runs
         self._shape = (min(max(_CHUNK // times.size, 1), _RUNS), min(times.size, _CHUNK))
         import zarr  # slow to import, and needed only for --times
         with self._reported('open'):
@@ -123,7 +113,7 @@ class Motions:
 
         If possible, a block consists of whole chunks.
         """
-        runs = min(runs, max(_BLOCK // self._times.size, 1))
+        runs = min(runs, max(_BLOCK // self.times.size, 1))
         return runs - runs % self._shape[0] or runs
 
     def write(self, first: int, motions: Floats) -> None:
@@ -175,7 +165,7 @@ class Motions:
         import numcodecs
         import zarr
         group = zarr.open_group(self._path, mode='a', zarr_format=2)
-        for name, values, more in (('time', self._times, {'units': 's', 'long_name':
+        for name, values, more in (('time', self.times, {'units': 's', 'long_name':
                                                           'time since the start'}),
                                    ('component', np.array([*COMPONENTS]),
                                     {'unit': [*COMPONENTS.values()]})):
@@ -184,7 +174,7 @@ class Motions:
             group.create_array(name, data=values, compressors=None, overwrite=True,
                                fill_value=None, attributes={'_ARRAY_DIMENSIONS': [name], **more})
         group.create_array(
-            'motion', shape=(0, self._times.size, len(COMPONENTS)), overwrite=True,
+            'motion', shape=(0, self.times.size, len(COMPONENTS)), overwrite=True,
             chunks=(*self._shape, len(COMPONENTS)), dtype='<f8', fill_value=np.nan,
             # Do not use Blosc, because the order of the bytes that Blosc writes depends on its
             # threads.
@@ -204,7 +194,7 @@ class Motions:
         """Generate the row and column of each chunk that contains any of these runs."""
         runs, times = self._shape
         return product(range(first // runs, -(-stop // runs)),
-                       range(-(-self._times.size // times)))
+                       range(-(-self.times.size // times)))
 
     def _file(self, row: int, column: int) -> Path:
         return self._path / 'motion' / f'{row}.{column}.0'

@@ -12,27 +12,117 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Summarize how far the final attitudes are from the nominal one, and which parameters matter."""
+"""Judge requirements on the final states, and summarize the results of an ensemble."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+import operator
+import re
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.ensemble.bands import bands
-from rigid_body_ros.ensemble.effects import correlations, effects
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.ensemble.folder import Folder
-from rigid_body_ros.ensemble.histogram import histogram
-from rigid_body_ros.ensemble.percentiles import percentiles
-from rigid_body_ros.ensemble.requirements import PERCENTILES, Requirement
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
+from rigid_body_ros.ensemble.statistics import (
+    bands,
+    causes,
+    correlations,
+    distribution,
+    effects,
+    final,
+)
 from rigid_body_ros.report.text import lines
 
 #: Maximum number of parameters to list in the text.
 _PRINTED = 5
 #: An R^2 may be due to chance if it is smaller than this number divided by the number of runs.
 _CHANCE = 10.0
+#: The quantities that a requirement can limit, and their units.
+UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
+#: How many of the worst runs are reported.
+_WORST = 5
+_RELATIONS: dict[str, Callable[[Floats, float], NDArray[np.bool_]]] = {
+    '<': operator.lt, '<=': operator.le, '>': operator.gt, '>=': operator.ge}
+_EXPRESSION = re.compile(r'\s*(\w+)\s*(<=|>=|<|>)\s*(\S+)\s*')
+#: The probability of each tail of a confidence interval.
+_TAIL = 0.025
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """
+    A limit on a quantity at the end of a run.
+
+    Attributes
+    ----------
+    quantity : str
+        What is limited. 'rate' is the angular speed of the body, rad/s. 'angle' is the angle
+        between the space axes and the body axes, rad. 'angle_from_nominal' is the angle between
+        the body axes in this run and in the nominal run, rad.
+    relation : str
+        '<', '<=', '>' or '>='.
+    limit : float
+
+    """
+
+    quantity: str
+    relation: str
+    limit: float
+
+    @classmethod
+    def read(cls, text: str) -> Requirement:
+        """Parse a requirement such as 'rate < 0.05'; raise InputError if the text is invalid."""
+        found = _EXPRESSION.fullmatch(text)
+        try:
+            limit = float(found[3]) if found else math.nan
+        except ValueError:
+            limit = math.nan
+        if not found or found[1] not in UNITS or not math.isfinite(limit):
+            raise InputError(f'expected one of {", ".join(UNITS)}, then <, <=, > or >=, and a '
+                             f"number, such as 'rate < 0.05', found {quoted(text)}")
+        return cls(found[1], found[2], limit)
+
+    def __str__(self) -> str:
+        return f'{self.quantity} {self.relation} {self.limit:.12g}'
+
+    def judged(self, folder: Folder) -> dict[str, Any]:
+        """
+        Judge how well the runs of a complete folder meet the requirement.
+
+        Returns
+        -------
+        dict
+            The result as JSON types. 'met' is the number of runs that meet the requirement; failed
+            runs never meet it. 'share' is 'met' divided by the number of all runs, and
+            'interval_95' is the 95 % confidence interval of 'share'. 'percentiles' and 'histogram'
+            describe the quantity, and are empty if all runs failed. 'worst' lists the worst runs.
+
+        """
+        numbers = final(folder, self.quantity)
+        with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
+            met = int(_RELATIONS[self.relation](numbers, self.limit).sum())
+        values, bars = distribution(numbers)
+        return {'require': str(self), 'unit': UNITS[self.quantity], 'met': met,
+                'share': met / folder.runs, 'interval_95': interval(met, folder.runs),
+                'percentiles': values,
+                'histogram': bars and {'edges': bars['edges_rad'], 'runs': bars['runs']},
+                'worst': self._worst(numbers)}
+
+    def _worst(self, numbers: Floats) -> list[dict[str, Any]]:
+        """
+        Return the worst runs, beginning with the worst run.
+
+        Runs with equal numbers are in the order of their run numbers.
+        """
+        order = np.argsort(-numbers if self.relation in ('<', '<=') else numbers, kind='stable')
+        return [{'run': run, 'value': float(numbers[run])} for run in order[:_WORST].tolist()
+                if math.isfinite(numbers[run])]
 
 
 def summarized(ensemble: Ensemble, folder: Folder,
@@ -54,21 +144,27 @@ def summarized(ensemble: Ensemble, folder: Folder,
         required quantity.
 
     """
-    angles = folder.numbers(ANGLE, folder.runs)
-    angles = angles[np.isfinite(angles)]
-    results: dict[str, Any] = {'angle_from_nominal_rad': {}, 'histogram': {}}
-    if angles.size:
-        found = dict(zip((f'p{k}' for k in PERCENTILES),
-                         percentiles(angles, PERCENTILES).tolist()))
-        results = {'angle_from_nominal_rad': found, 'histogram': histogram(angles, found)}
-        if folder.times is not None:
-            results['bands'] = bands(folder, ensemble.nominal_motion, angles.size)
-    return {'runs': folder.runs, 'failed': folder.runs - angles.size,
-            'failures': folder.failures(), **results,
-            'rank_correlation': correlations(ensemble, folder),
-            **({'requirements': [{**one.judged(folder),
-                                  'effects': effects(ensemble, folder, one.quantity)}
-                                 for one in requirements]} if requirements else {})}
+    angles = folder.numbers(ANGLE)
+    succeeded = int(np.isfinite(angles).sum())
+    found, bars = distribution(angles)
+    results = {'runs': folder.runs, 'failed': folder.runs - succeeded,
+               'failures': causes(folder.messages()),
+               'angle_from_nominal_rad': found, 'histogram': bars}
+    if succeeded and folder.motions:
+        results['bands'] = bands(folder.motions, ensemble.nominal_motion, succeeded)
+    results['rank_correlation'] = correlations(ensemble, folder)
+    if requirements:
+        results['requirements'] = [{**one.judged(folder),
+                                    'effects': effects(ensemble, folder, one.quantity)}
+                                   for one in requirements]
+    return results
+
+
+def interval(met: int, runs: int) -> list[float]:
+    """Return the Clopper-Pearson 95 % confidence interval for a probability."""
+    from scipy.special import betaincinv  # slow to import
+    return [float(betaincinv(met, runs - met + 1, _TAIL)) if met else 0.0,
+            float(betaincinv(met + 1, runs - met, 1.0 - _TAIL)) if met < runs else 1.0]
 
 
 def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
