@@ -27,7 +27,7 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import propagate, scene
 from rigid_body_ros.commands import main
-from rigid_body_ros.ensemble import page, statistics, summary
+from rigid_body_ros.ensemble import statistics, summary
 from rigid_body_ros.ensemble.statistics import histogram, percentiles
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report import spread
@@ -174,7 +174,7 @@ def test_the_ten_strongest_correlations_are_drawn(drawn, tmp_path):
 def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, kind):
     found = results_of(np.linspace(0.0, 1.0, 900) ** (9 if kind == 'logx' else 1), failures={
         '<b>': 7}, rank_correlation={'a': 0.5, 'b': -0.75})
-    made = page.page(found, 'name', scene.load(arguments[1]), '', str)
+    made = summary.page(found, 'name', scene.load(arguments[1]), '', str)
     panel, = made.panels
     curves, = panel.curves
     assert panel.kind == kind

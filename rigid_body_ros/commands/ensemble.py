@@ -46,7 +46,6 @@ FINAL = 'final'
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.ensemble import driver, summary, worst
     from rigid_body_ros.ensemble.lock import opened
-    from rigid_body_ros.ensemble.page import page
     requirements = _requirements(options)
     with checked(options) as outputs:
         scene = load_scene(options)
@@ -62,7 +61,7 @@ def _run(options: argparse.Namespace) -> int:
             _draw(options, folder.picture, found)
             folder.finish({**identity, **found})
             replay = partial(worst.command, ensemble)
-            outputs.write_asked(page=lambda line: page(
+            outputs.write_asked(page=lambda line: summary.page(
                 found, _title(options), scene, line, partial(replay, folder.path.name)))
     outputs.show(summary.text_of(found, partial(replay, options.output)), 17,
                  [options.output, *outputs.names])

@@ -115,13 +115,14 @@ class Controller:
         if digest != self.digest:
             raise InputError(f'controller {self.name}: expected the source file that the command '
                              f'has ({self.digest}), found another ({digest})')
-        if not callable(_target(self.name, self.folder)):
+        _, target = _imported(self.name, self.folder)
+        if not callable(target):
             raise InputError(f'controller {self.name}: expected a function or a class, found '
-                             f'{quoted(_target(self.name, self.folder))}')
+                             f'{quoted(target)}')
 
     def begin(self) -> Law:
         """Return the control law for a run; raise ControllerError if the law cannot be created."""
-        target = _target(self.name, self.folder)
+        _, target = _imported(self.name, self.folder)
         if not inspect.isclass(target):
             return target
         law = self._called(target, 0.0)
@@ -318,17 +319,8 @@ def _copied(state: State) -> State:
 
 
 @lru_cache
-def _target(name: str, folder: str) -> Any:
-    module, _, function = name.partition(':')
-    try:
-        return getattr(_imported(name, folder), function)
-    except AttributeError:
-        raise InputError(f'controller {name}: expected a function {quoted(function)} in '
-                         f'{module}, found none') from None
-
-
-@lru_cache
-def _imported(name: str, folder: str) -> Any:
+def _imported(name: str, folder: str) -> tuple[Path, Any]:
+    """Import a controller, and return the source file of its module and the controller."""
     module, _, function = name.partition(':')
     if not (function.isidentifier() and all(map(str.isidentifier, module.split('.')))):
         raise InputError(f'controller: expected MODULE:FUNCTION, found {quoted(name)}')
@@ -336,21 +328,26 @@ def _imported(name: str, folder: str) -> Any:
         sys.path.insert(0, folder)
     try:
         with redirect_stdout(sys.stderr):  # standard output is reserved for results
-            return import_module(module)
+            imported = import_module(module)
     except BaseException as error:  # a module may raise anything, even SystemExit
         interrupts.check()
         raise InputError(f'controller {name}: cannot import {module}: '
                          f'{_described(error)}') from error
+    path = getattr(imported, '__file__', None)
+    if path is None:
+        raise InputError(f'controller {name}: expected a module with a source file, found one '
+                         'without')
+    if not hasattr(imported, function):
+        raise InputError(f'controller {name}: expected a function {quoted(function)} in '
+                         f'{module}, found none')
+    return Path(path), getattr(imported, function)
 
 
 def _digest(name: str, folder: str) -> str:
     """Return a hash of the source file of a controller."""
-    path = getattr(_imported(name, folder), '__file__', None)
-    if path is None:
-        raise InputError(f'controller {name}: expected a module with a source file, found one '
-                         'without')
+    path, _ = _imported(name, folder)
     try:
-        return f'sha256:{hashlib.sha256(Path(path).read_bytes()).hexdigest()}'
+        return f'sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}'
     except OSError as error:
         raise InputError(f'controller {name}: cannot read {path}: {reason(error)}') from error
 

@@ -111,23 +111,12 @@ def runs_of(block: Block) -> int:
 
 def threads(workers: int) -> Pool:
     """Return a pool of threads, which suits runs that release the global interpreter lock."""
-    def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
-        with Workers(workers) as found:
-            yield from found.results(partial(_block, ensemble), spans)
-    return blocks
+    return partial(_blocks, partial(Workers, workers))
 
 
 def processes(workers: int) -> Pool:
     """Return a pool of processes, which suits runs that hold the global interpreter lock."""
-    def died(span: Span, error: WorkerError) -> NoReturn:
-        raise InputError(f'cannot compute runs {span[0]} to {span[1] - 1}: {error}; run the same '
-                         'command again to compute what is missing') from error
-
-    def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
-        if spans:
-            with Processes(workers) as found:
-                yield from found.results(partial(_block, ensemble), spans, died)
-    return blocks
+    return partial(_blocks, partial(Processes, workers))
 
 
 def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
@@ -139,14 +128,26 @@ def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
 
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         if spans:
-            with connected(scheduler, note) as found:
-                yield from _joined(found.results(partial(_part, ensemble), _parts(spans, found),
-                                                 died))
+            with connected(scheduler, note) as workers:
+                yield from _joined(workers.results(
+                    partial(_part, ensemble), _parts(spans, workers), died))
     return blocks
 
 
 def _hash(data: bytes) -> str:
     return f'sha256:{hashlib.sha256(data).hexdigest()}'
+
+
+def _blocks(pool: Callable[[], Workers], ensemble: Ensemble, spans: list[Span]
+            ) -> Generator[Block]:
+    if spans:
+        with pool() as workers:
+            yield from workers.results(partial(_block, ensemble), spans, _died)
+
+
+def _died(span: Span, error: WorkerError) -> NoReturn:
+    raise InputError(f'cannot compute runs {span[0]} to {span[1] - 1}: {error}; run the same '
+                     'command again to compute what is missing') from error
 
 
 def _block(ensemble: Ensemble, span: Span) -> Block:

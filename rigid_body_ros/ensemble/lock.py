@@ -119,7 +119,9 @@ def _locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
         if is_locked:
             with files.reported(folder / NAME):
                 os.ftruncate(handle, 0)
-                os.write(handle, _description().encode())
+                since = datetime.now(timezone.utc).isoformat(' ', 'seconds')
+                os.write(handle, f'process {os.getpid()} on host {socket.gethostname()}\n'
+                                 f'since {since}\n'.encode())
         yield is_locked
     finally:
         os.close(handle)
@@ -141,11 +143,6 @@ def _lock(handle: int, folder: Path, note: Callable[[str], None]) -> bool:
              'to it')
         return False
     return True
-
-
-def _description() -> str:
-    since = datetime.now(timezone.utc).isoformat(' ', 'seconds')
-    return f'process {os.getpid()} on host {socket.gethostname()}\nsince {since}\n'
 
 
 def _check_kind(path: Path) -> None:

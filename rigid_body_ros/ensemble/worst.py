@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 import re
 import shlex
@@ -68,7 +67,7 @@ def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -
             part.write_text(f'# Run {run} of an ensemble.\n{text_of(scene, changed)}',
                             encoding='utf-8')
         with recording.Writer(path / f'{run}.mcap') as writer:
-            _Torques(writer, scene, later_ns).write(problem, topics)
+            _write(writer, problem, scene, topics, later_ns)
 
 
 def command(ensemble: Ensemble, path: str | Path, run: int) -> str:
@@ -108,45 +107,38 @@ def _later_ns(problem: Problem) -> int:
     return 1 - min(first_ns, 0) if first_ns < 0 or not problem.start.time_ns else 0
 
 
-@dataclass(frozen=True)
-class _Torques:
-    """A writer of torques that shifts all stamps by the same time."""
+def _write(writer: recording.Writer, problem: Problem, scene: Scene, topics: Sequence[str],
+           later_ns: int) -> None:
+    """
+    Write the torques of a problem, and any changes of the body, with all stamps shifted.
 
-    writer: recording.Writer
-    scene: Scene
-    later_ns: int
+    The torques on the body are written to `topics`, with one topic for each log.
+    """
+    # A replay needs at least one torque, so write a zero torque if the problem has none.
+    none = TorqueLog([problem.start.time_ns], np.zeros((1, 3)))
+    for topic, log in zip(topics, problem.logs or (none,)):
+        _write_log(writer, f'/{topic}', log, scene, later_ns)
+    if problem.wheels:
+        _write_log(writer, _WHEELS, problem.wheels, scene, later_ns)
+    if problem.named_wheels and problem.efforts:
+        kind = joint_commands(problem.named_wheels.names)
+        writer.add_topic(_COMMANDS, kind)
+        stamps_ns = problem.efforts.times_ns + later_ns
+        for stamp_ns, efforts in zip(stamps_ns.tolist(), problem.efforts.efforts):
+            writer.write(_COMMANDS, stamp_ns, kind.encode(stamp_ns, '', efforts))
+    if problem.changes:
+        writer.add_topic(_BODY, INERTIA)
+        stamps_ns = problem.changes.times_ns + later_ns
+        for stamp_ns, body in zip(stamps_ns.tolist(), problem.changes.bodies):
+            writer.write(_BODY, stamp_ns, inertia(stamp_ns, scene.body_frame, body.entries))
 
-    def write(self, problem: Problem, topics: list[str]) -> None:
-        """
-        Write the torques of a problem, and any changes of the body.
 
-        The torques on the body are written to `topics`, with one topic for each log.
-        """
-        # A replay needs at least one torque, so write a zero torque if the problem has none.
-        none = TorqueLog([problem.start.time_ns], np.zeros((1, 3)))
-        for topic, log in zip(topics, problem.logs or (none,)):
-            self._write_log(f'/{topic}', log)
-        if problem.wheels:
-            self._write_log(_WHEELS, problem.wheels)
-        if problem.named_wheels and problem.efforts:
-            kind = joint_commands(problem.named_wheels.names)
-            self.writer.add_topic(_COMMANDS, kind)
-            for stamp_ns, efforts in zip(problem.efforts.times_ns.tolist(),
-                                         problem.efforts.efforts):
-                stamp_ns += self.later_ns
-                self.writer.write(_COMMANDS, stamp_ns, kind.encode(stamp_ns, '', efforts))
-        if problem.changes:
-            self.writer.add_topic(_BODY, INERTIA)
-            for stamp_ns, body in zip(problem.changes.times_ns.tolist(), problem.changes.bodies):
-                stamp_ns += self.later_ns
-                self.writer.write(_BODY, stamp_ns,
-                                  inertia(stamp_ns, self.scene.body_frame, body.entries))
-
-    def _write_log(self, topic: str, log: TorqueLog) -> None:
-        self.writer.add_topic(topic, WRENCH)
-        wrenches = np.concatenate([np.zeros((len(log), 3)), log.torques], axis=1)
-        for in_space, frame in ((False, self.scene.body_frame), (True, self.scene.space_frame)):
-            rows = log.in_space == in_space
-            if rows.any():
-                self.writer.write_columns(log.times_ns[rows] + self.later_ns,
-                                          [Column(topic, frame, wrenches[rows])])
+def _write_log(writer: recording.Writer, topic: str, log: TorqueLog, scene: Scene,
+               later_ns: int) -> None:
+    writer.add_topic(topic, WRENCH)
+    wrenches = np.concatenate([np.zeros((len(log), 3)), log.torques], axis=1)
+    for in_space, frame in ((False, scene.body_frame), (True, scene.space_frame)):
+        rows = log.in_space == in_space
+        if rows.any():
+            writer.write_columns(log.times_ns[rows] + later_ns,
+                                 [Column(topic, frame, wrenches[rows])])
