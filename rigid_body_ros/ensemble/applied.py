@@ -82,7 +82,7 @@ class Applied:
 
     @classmethod
     def with_values(cls, problem: Problem, runs: NDArray[np.int64], values: Mapping[str, Floats],
-                    drawn: Mapping[str, Floats], of_fields: Sequence[str]) -> Applied:
+                    of_fields: Sequence[str]) -> Applied:
         """
         Return the parameters of some runs of a problem.
 
@@ -93,18 +93,17 @@ class Applied:
         runs : array of int, shape (n,)
             The run numbers.
         values : mapping
-            The value of each key of `columns`, shape (n,).
-        drawn : mapping
-            The numbers that vary the inertia and the attitude, shape (n, 3), by key.
+            The value of each key of `columns`, shape (n,). If the inertia or the attitude as a
+            whole varies, `values` also contains the numbers that were drawn for it, shape (n, 3).
         of_fields : list of str
             The keys of the values that replace those of the nominal fields.
 
         """
-        inertia = _relative_inertia(problem.body, drawn[INERTIA]) if INERTIA in drawn \
+        inertia = _relative_inertia(problem.body, values[INERTIA]) if INERTIA in values \
             else _tensors('inertia.i', values)
         attitude = _vectors(ATTITUDE, values, 'xyzw')
-        if ATTITUDE in drawn:
-            attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
+        if ATTITUDE in values:
+            attitude = so3.multiply(attitude, so3.exp(values[ATTITUDE]))
         starts = States(np.full(len(runs), problem.start.time_ns), attitude,
                         _vectors('initial_angular_velocity', values),
                         _vectors('initial_rotor_momentum', values))

@@ -106,21 +106,21 @@ def draws(dispersions: Sequence[Dispersion], seed: int,
     return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 
 
-def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
-              drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
+def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float], seed: int,
+              runs: NDArray[np.int64]) -> dict[str, Floats]:
     """
-    Return the values of each key in `count` runs, shape (count,).
+    Return the values of each key in the given runs, shape (n,).
 
-    The values are dispersed if the key varies. Otherwise, all of them equal the nominal value.
+    The values are dispersed if the key varies. Otherwise, all of them equal the nominal value. For
+    keys without a nominal value, such as the inertia, the result contains the drawn numbers.
     """
-    values = {name: np.full(count, value) for name, value in nominal.items()}
+    drawn = draws(dispersions, seed, runs)
+    values = {**{key: np.full(len(runs), value) for key, value in nominal.items()}, **drawn}
     for one in dispersions:
-        if one.key in values:
-            draw = drawn[one.key][:, 0]
-            if one.relative:
-                values[one.key] *= 1.0 + draw
-            else:
-                values[one.key] = draw + (one.kind == 'normal') * values[one.key]
+        if one.key in nominal:
+            draw, value = drawn[one.key][:, 0], nominal[one.key]
+            values[one.key] = value * (1.0 + draw) if one.relative \
+                else draw + (one.kind == 'normal') * value
     return values
 
 

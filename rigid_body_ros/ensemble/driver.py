@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -24,10 +24,8 @@ import hashlib
 from importlib.metadata import version
 import json
 import math
-from operator import itemgetter
 from typing import Any, NoReturn, TYPE_CHECKING
 
-import numpy as np
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
 from rigid_body_ros.propagation import Problem
@@ -44,11 +42,9 @@ if TYPE_CHECKING:  # never imported at run time, so that workers need neither Pa
 Block = tuple[int, int, Columns]
 #: A function that computes blocks of an ensemble, and yields each block once it is complete.
 Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
-#: A part of a block: the span of the block, and the span of the part.
-Part = tuple[Span, Span]
 
-#: Maximum number of parts into which a block is divided, so that several workers can share a block
-#: that takes minutes. Dask spends about 20 ms of overhead on each part.
+#: Maximum number of parts into which a block is divided for a cluster, whose workers would
+#: otherwise wait for the last blocks. Dask spends about 20 ms of overhead on each part.
 _PARTS = 8
 #: Maximum number of runs in a block if there is a controller, because a run with a controller
 #: takes about a second.
@@ -121,16 +117,15 @@ def processes(workers: int) -> Pool:
 
 def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
     """Return a pool of Dask workers. The arguments are the same as for `connected`."""
-    def died(part: Part, error: WorkerError) -> NoReturn:
-        first, stop = part[1]
-        raise InputError(f'{scheduler}: cannot compute runs {first} to {stop - 1}: {error}; their '
-                         'logs may have the reason') from error
+    def died(span: Span, error: WorkerError) -> NoReturn:
+        raise InputError(f'{scheduler}: cannot compute runs {span[0]} to {span[1] - 1}: {error}; '
+                         'their logs may have the reason') from error
 
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         if spans:
             with connected(scheduler, note) as workers:
-                yield from _joined(workers.results(
-                    partial(_part, ensemble), _parts(spans, workers), died))
+                yield from workers.results(partial(_block, ensemble), _divided(spans, workers),
+                                           died)
     return blocks
 
 
@@ -154,31 +149,14 @@ def _block(ensemble: Ensemble, span: Span) -> Block:
     return *span, ensemble.rows(*span)
 
 
-def _part(ensemble: Ensemble, part: Part) -> tuple[Span, Block]:
-    return part[0], _block(ensemble, part[1])
-
-
-def _parts(spans: list[Span], workers: Workers) -> Iterator[Part]:
+def _divided(spans: list[Span], workers: Workers) -> Iterator[Span]:
     """
-    Divide blocks into parts for the workers, and generate these parts.
+    Divide blocks into smaller ones, so that all workers have something to compute.
 
     A block stays in one piece unless there are fewer remaining blocks than the workers can accept.
     """
-    for left, span in zip(range(len(spans), 0, -1), spans):
+    for left, (first, stop) in zip(range(len(spans), 0, -1), spans):
         parts = min(math.ceil(workers.ahead() / left), _PARTS)
-        size = math.ceil((span[1] - span[0]) / parts)
-        for first in range(*span, size):
-            yield span, (first, min(first + size, span[1]))
-
-
-def _joined(parts: Iterable[tuple[Span, Block]]) -> Iterator[Block]:
-    """Join parts into blocks, and generate each block as soon as all of its parts are complete."""
-    waiting: dict[Span, list[Block]] = {}
-    for span, part in parts:
-        found = waiting.setdefault(span, [])
-        found.append(part)
-        if sum(map(runs_of, found)) == span[1] - span[0]:
-            found.sort(key=itemgetter(0))
-            yield *span, {name: np.concatenate([columns[name] for *_, columns in found])
-                          for name in part[2]}
-            del waiting[span]
+        size = math.ceil((stop - first) / parts)
+        for begin in range(first, stop, size):
+            yield begin, min(begin + size, stop)

@@ -45,7 +45,8 @@ _NOT_IN_MOTION = re.compile(r'((mount|gyro_bias|gyro_scale)\.[xyz]|clock_offset|
 _WEIGHT = re.compile(r'^weight(\.[xyz])$')
 #: Eigenvalues and pivots of a correlation matrix below this limit are taken to be rounding errors.
 _ROUNDING = 1e-12
-_KINDS = {bool: 'true or false', dict: 'names and values', float: 'a number', list: 'a list'}
+_KINDS = {bool: 'true or false', dict: 'names and values', float: 'a number', list: 'a list',
+          str: 'a text'}
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,39 +136,50 @@ def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> F
     """
     data = read_json(path, 'estimates')
     try:
-        return _fitted(data, units_with(fields), force)
+        return _fitted(data, {**units_with(fields), **dict.fromkeys(_ROTATION, 'rad')}, force)
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
 
 
-def _fitted(data: Any, known: Mapping[str, str], force: bool) -> Fitted:
+def _fitted(data: Any, units: Mapping[str, str], force: bool) -> Fitted:
     if not isinstance(data, dict) or 'estimates' not in data:
         raise InputError('expected a JSON file of attitude_identify, found another')
     if not _typed(data.get('converged'), bool, 'converged'):
         raise InputError('expected a fit that converged, found one that did not')
-    level = _typed(_typed(data.get('verdict'), dict, 'verdict').get('level'), str, 'verdict.level')
-    if level == 'rejected' and not force:
+    verdict = _typed(data.get('verdict'), dict, 'verdict')
+    if _typed(verdict.get('level'), str, 'verdict.level') == 'rejected' and not force:
         raise InputError('expected a fit that explains the measurements, found one that is '
                          'rejected (--force takes it)')
+    estimates, covariance = _read(data, units)
+    ignored = tuple(filter(_NOT_IN_MOTION.fullmatch, estimates))
+    varied = {_WEIGHT.sub(rf'weight.{MOMENT}\1', name): value
+              for name, value in estimates.items() if name not in ignored}
+    _check_estimates(varied, units)
+    rows = [name not in ignored for name in estimates]
+    covariance = covariance[np.ix_(rows, rows)]
+    _check_covariance([*varied], covariance)
+    return Fitted(varied, _guess(data), covariance, ignored)
+
+
+def _read(data: Mapping[str, Any], units: Mapping[str, str]) -> tuple[dict[str, float], Floats]:
+    """Return all estimates and their covariance; raise InputError for an incorrect unit."""
     estimates, covariance = (_typed(data.get(key), dict, key) for key in ('estimates',
                                                                           'covariance'))
-    names, units, rows = (_list(covariance.get(key), len(estimates), f'covariance.{key}')
-                          for key in ('names', 'units', 'matrix'))
+    names, units_again, rows = (_list(covariance.get(key), len(estimates), f'covariance.{key}')
+                                for key in ('names', 'units', 'matrix'))
     if names != [*estimates]:
         raise InputError('covariance.names: expected the names of the estimates in their order, '
                          f'found {quoted(names)}')
-    values = {name: _value(name, one, unit, known)
-              for (name, one), unit in zip(estimates.items(), units)}
-    matrix = np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
-                       for k, row in enumerate(rows)])
-    of_varied = [k for k, name in enumerate(names) if not _NOT_IN_MOTION.fullmatch(name)]
-    varied = [_WEIGHT.sub(rf'weight.{MOMENT}\1', names[k]) for k in of_varied]
-    found = dict(zip(varied, (values[names[k]] for k in of_varied)))
-    _check_names(varied, found, (*known, *_ROTATION))
-    matrix = matrix[np.ix_(of_varied, of_varied)]
-    _check_covariance(varied, matrix)
-    return Fitted(found, _guess(data), matrix,
-                  tuple(name for k, name in enumerate(names) if k not in of_varied))
+    values = {}
+    for (name, estimate), unit_again in zip(estimates.items(), units_again):
+        unit = _typed(estimate, dict, f'estimates: {name}').get('unit')
+        for written, where in ((unit, 'estimates'), (unit_again, 'covariance.units')):
+            if written != units.get(name, written):
+                raise InputError(f'{name}: expected the unit {quoted(units[name])}, found '
+                                 f'{quoted(written)} in {where}')
+        values[name] = _typed(estimate.get('value'), float, f'estimates: {name}: value')
+    return values, np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
+                             for k, row in enumerate(rows)])
 
 
 def _typed(value: Any, kind: type, where: str) -> Any:
@@ -178,8 +190,8 @@ def _typed(value: Any, kind: type, where: str) -> Any:
     """
     value = float(value) if type(value) is int and kind is float else value
     if not isinstance(value, kind):
-        found = 'none' if value is None else quoted(value)
-        raise InputError(f'{shortened(where, 100)}: expected {_KINDS[kind]}, found {found}')
+        raise InputError(f'{shortened(where, 100)}: expected {_KINDS[kind]}, found '
+                         f'{"none" if value is None else quoted(value)}')
     return value
 
 
@@ -196,17 +208,6 @@ def _numbers(value: Any, length: int, where: str) -> list[float]:
             for one in _list(value, length, where)]
 
 
-def _value(name: str, estimate: Any, unit: Any, known: Mapping[str, str]) -> float:
-    """Return the value of an estimate; raise InputError if the file gives an incorrect unit."""
-    given = _typed(estimate, dict, f'estimates: {name}')
-    expected = 'rad' if name in _ROTATION else known.get(name)
-    for found, where in ((given.get('unit'), 'estimates'), (unit, 'covariance.units')):
-        if expected is not None and found != expected:
-            raise InputError(f'{name}: expected the unit {quoted(expected)}, found '
-                             f'{quoted(found)} in {where}')
-    return float(_typed(given.get('value'), float, f'estimates: {name}: value'))
-
-
 def _guess(data: Mapping[str, Any]) -> Floats:
     key = 'guess_attitude_xyzw'
     quaternion = _numbers(data.get(key), 4, key)
@@ -216,32 +217,30 @@ def _guess(data: Mapping[str, Any]) -> Floats:
         raise InputError(f'{key}: {reason(error)}') from error
 
 
-def _check_names(names: Sequence[str], values: Mapping[str, float],
-                 known: Collection[str]) -> None:
-    if not names:
+def _check_estimates(estimates: Mapping[str, float], known: Collection[str]) -> None:
+    if not estimates:
         raise InputError('expected estimates of inertia, start, torque or damping, found none')
-    for name in names:
+    for name, value in estimates.items():
         if name not in known:
             close = resembled(name, known)
             raise InputError(f'{name}: expected an estimate that can vary, found another'
                              + (f'; did you mean {close}?' if close else ''))
-        if not math.isfinite(values[name]):
-            raise InputError(f'{name}: expected a finite value, found {values[name]}')
-    if 0 < len({*_ROTATION} & {*names}) < 3:
+        if not math.isfinite(value):
+            raise InputError(f'{name}: expected a finite value, found {value}')
+    if 0 < len({*_ROTATION} & {*estimates}) < 3:
         raise InputError(f'{ATTITUDE}: expected three components, found fewer')
 
 
 def _check_covariance(names: Sequence[str], covariance: Floats) -> None:
-    for name, row in zip(names, covariance):
+    for name, row, variance in zip(names, covariance, np.diag(covariance).tolist()):
         if np.isnan(row).all():
             raise InputError(f'{name}: expected an estimate that the recording determines, found '
                              'one that it does not')
-    if not np.isfinite(covariance).all():
-        raise InputError('covariance: expected finite numbers, found others')
-    for name, variance in zip(names, np.diag(covariance).tolist()):
         if variance < 0.0:
             raise InputError(f'covariance: {name}: expected a variance of at least 0, found '
                              f'{quoted(variance)}')
+    if not np.isfinite(covariance).all():
+        raise InputError('covariance: expected finite numbers, found others')
     with np.errstate(over='ignore'):
         _, correlation = _scaled(covariance)
     no_spread = covariance[np.diag(covariance) == 0.0]

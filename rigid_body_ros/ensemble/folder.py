@@ -182,9 +182,10 @@ class Folder:
             twice.
 
         """
-        for run, _ in self._gaps():
+        if gaps := self._gaps():
             raise InputError(f'{self.path}: expected each of {self.runs} runs once, found run '
-                             f'{run} missing or twice; the same command computes what is missing')
+                             f'{gaps[0][0]} missing or twice; the same command computes what is '
+                             'missing')
         with files.atomic_output(self.table, '.parquet') as path, \
                 parquet.ParquetWriter(path, self._schema, use_dictionary=_REPEATED) as writer:
             for group in self._groups():

@@ -69,9 +69,7 @@ def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Ite
     if not (Path(path) / NAME).exists():
         _check_kind(Path(path))
     try:
-        with _locked(Path(path), note) as is_locked:
-            if is_locked:
-                _remove_parts(Path(path))
+        with _locked(Path(path), note):
             _check_kind(Path(path))
             folder = Folder(path, *ensemble)
             if folder.misfits:
@@ -84,13 +82,13 @@ def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Ite
 
 
 @contextmanager
-def _locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
+def _locked(folder: Path, note: Callable[[str], None]) -> Iterator[None]:
     """
-    Lock a folder until the context ends.
+    Lock a folder until the context ends, and remove unfinished files from it.
 
     If the process dies, the operating system releases the lock. If the file system does not
-    support locks, the folder is used without a lock. Changes that another command makes are then
-    detected only when the blocks are joined.
+    support locks, the folder is used without a lock, and unfinished files remain. Changes that
+    another command makes are then detected only when the blocks are joined.
 
     Parameters
     ----------
@@ -98,11 +96,6 @@ def _locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
         The folder; it is created if it does not exist.
     note : function
         A function that shows a line of text to the user.
-
-    Yields
-    ------
-    bool
-        Whether the folder is locked. False if the file system does not support locks.
 
     Raises
     ------
@@ -115,14 +108,14 @@ def _locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
         handle = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | getattr(os, 'O_NOFOLLOW', 0),
                          0o666)
     try:
-        is_locked = _lock(handle, folder, note)
-        if is_locked:
+        if _lock(handle, folder, note):
             with files.reported(folder / NAME):
                 os.ftruncate(handle, 0)
                 since = datetime.now(timezone.utc).isoformat(' ', 'seconds')
                 os.write(handle, f'process {os.getpid()} on host {socket.gethostname()}\n'
                                  f'since {since}\n'.encode())
-        yield is_locked
+            _remove_parts(folder)
+        yield
     finally:
         os.close(handle)
 

@@ -16,7 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 import math
@@ -29,14 +30,7 @@ from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.ensemble.applied import Applied, components, Torques
 from rigid_body_ros.ensemble.controller import closed_loop, Controller
-from rigid_body_ros.ensemble.dispersions import (
-    dispersed,
-    Dispersion,
-    draws,
-    INERTIA,
-    NOISE,
-    units_with,
-)
+from rigid_body_ros.ensemble.dispersions import dispersed, Dispersion, INERTIA, NOISE, units_with
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
@@ -171,7 +165,7 @@ class Ensemble:
         """
         _, first = self._nominal
         if self.controller:
-            _, again = self._undispersed.solved(self._applied_without, 0)
+            _, again = replace(self)._nominal  # the copy computes the motion again
             self.controller.check_same(first, again)
 
     def replayed(self, run: int) -> tuple[Problem, dict[str, float]]:
@@ -187,7 +181,9 @@ class Ensemble:
     @property
     def times(self) -> Floats | None:
         """Return the times at which states are kept, in seconds since the start."""
-        return None if self.times_ns is None else (self.times_ns - self._start_ns) / 1e9
+        if self.times_ns is None:
+            return None
+        return (self.times_ns - self.problem.start.time_ns) / 1e9
 
     @cached_property
     def columns(self) -> dict[str, str]:
@@ -232,15 +228,10 @@ class Ensemble:
 
         The result contains a message for each run whose body or start is impossible.
         """
-        drawn = draws(self.dispersions, self.seed, runs)
-        values = dispersed(self.dispersions, self.nominal, drawn, len(runs))
+        values = dispersed(self.dispersions, self.nominal, self.seed, runs)
         if self.fitted:
             values.update(self.fitted.draw(self.seed, runs))
-        return self._acting(runs, values, drawn)
-
-    @property
-    def _undispersed(self) -> Ensemble:
-        return replace(self, dispersions=())
+        return Applied.with_values(self.problem, runs, values, self._of_fields)
 
     @cached_property
     def _nominal(self) -> tuple[Floats, Problem]:
@@ -249,21 +240,14 @@ class Ensemble:
 
         The problem includes the torques of the controller.
         """
-        return self._undispersed.solved(self._applied_without, 0)
+        return replace(self, dispersions=()).solved(self._applied_without, 0)
 
     @cached_property
     def _applied_without(self) -> Applied:
         """Return the parameters of a run without any dispersion."""
-        values = {name: np.array([value]) for name, value in self.nominal.items()}
-        return self._acting(np.zeros(1, np.int64), values, {})
-
-    def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
-                drawn: Mapping[str, Floats]) -> Applied:
-        return Applied.with_values(self.problem, runs, values, drawn, self._of_fields)
-
-    @property
-    def _start_ns(self) -> int:
-        return self.problem.start.time_ns
+        run = np.zeros(1, np.int64)
+        values = dispersed((), self.nominal, self.seed, run)
+        return Applied.with_values(self.problem, run, values, self._of_fields)
 
     @property
     def _at(self) -> NDArray[np.int64]:
@@ -296,7 +280,7 @@ class Ensemble:
     def _at_once(self) -> int:
         """Return how many runs to compute together in one call."""
         longest = self.problem.options.max_step or math.inf
-        steps = (self.end_ns - self._start_ns) / 1e9 / longest
+        steps = (self.end_ns - self.problem.start.time_ns) / 1e9 / longest
         steps += sum(map(len, self.problem.sources))
         limit = _SAMPLES if self._have_own_logs else _STEPS
         runs = int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
@@ -353,13 +337,11 @@ class Ensemble:
         return Reach(self.problem, self.end_ns, self.torques.noise)
 
     def _computed(self, applied: Applied) -> _Found:
-        if self.controller or self.problem.changes or self.problem.named_wheels \
-                or self.problem.actuators:
-            return self._one_by_one(applied)
-        try:
-            return self._together(applied)
-        except ValueError:  # compute the runs one by one to find out which of them fail, and why
-            return self._one_by_one(applied)
+        if not (self.controller or self.problem.changes or self.problem.named_wheels
+                or self.problem.actuators):
+            with suppress(ValueError):  # otherwise, find out which of the runs fail, and why
+                return self._together(applied)
+        return self._one_by_one(applied)
 
     def _together(self, applied: Applied) -> _Found:
         count = len(applied.runs)

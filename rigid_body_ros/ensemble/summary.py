@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
 import operator
@@ -27,16 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.ensemble import statistics
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
-from rigid_body_ros.ensemble.statistics import (
-    bands,
-    causes,
-    correlations,
-    distribution,
-    effects,
-    final,
-)
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Markup, Page, table
 from rigid_body_ros.report.style import MARKED
@@ -90,14 +84,11 @@ class Requirement:
     def read(cls, text: str) -> Requirement:
         """Parse a requirement such as 'rate < 0.05'; raise InputError if the text is invalid."""
         found = _EXPRESSION.fullmatch(text)
-        try:
-            limit = float(found[3]) if found else math.nan
-        except ValueError:
-            limit = math.nan
-        if not found or found[1] not in UNITS or not math.isfinite(limit):
-            raise InputError(f'expected one of {", ".join(UNITS)}, then <, <=, > or >=, and a '
-                             f"number, such as 'rate < 0.05', found {quoted(text)}")
-        return cls(found[1], found[2], limit)
+        with suppress(ValueError):
+            if found and found[1] in UNITS and math.isfinite(limit := float(found[3])):
+                return cls(found[1], found[2], limit)
+        raise InputError(f'expected one of {", ".join(UNITS)}, then <, <=, > or >=, and a '
+                         f"number, such as 'rate < 0.05', found {quoted(text)}")
 
     def __str__(self) -> str:
         return f'{self.quantity} {self.relation} {self.limit:.12g}'
@@ -115,10 +106,10 @@ class Requirement:
             describe the quantity, and are empty if all runs failed. 'worst' lists the worst runs.
 
         """
-        numbers = final(folder, self.quantity)
+        numbers = statistics.final(folder, self.quantity)
         with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
             met = int(_RELATIONS[self.relation](numbers, self.limit).sum())
-        values, bars = distribution(numbers)
+        values, bars = statistics.distribution(numbers)
         return {'require': str(self), 'unit': UNITS[self.quantity], 'met': met,
                 'share': met / folder.runs, 'interval_95': interval(met, folder.runs),
                 'percentiles': values,
@@ -157,17 +148,17 @@ def summarized(ensemble: Ensemble, folder: Folder,
     """
     angles = folder.numbers(ANGLE)
     succeeded = int(np.isfinite(angles).sum())
-    found, bars = distribution(angles)
+    found, bars = statistics.distribution(angles)
     results = {'runs': folder.runs, 'failed': folder.runs - succeeded,
-               'failures': causes(folder.messages()),
+               'failures': statistics.causes(folder.messages()),
                'angle_from_nominal_rad': found, 'histogram': bars}
     if succeeded and folder.motions:
-        results['bands'] = bands(folder.motions, ensemble.nominal_motion, succeeded)
-    results['rank_correlation'] = correlations(ensemble, folder)
+        results['bands'] = statistics.bands(folder.motions, ensemble.nominal_motion, succeeded)
+    results['rank_correlation'] = statistics.correlations(ensemble, folder)
     if requirements:
-        results['requirements'] = [{**one.judged(folder),
-                                    'effects': effects(ensemble, folder, one.quantity)}
-                                   for one in requirements]
+        results['requirements'] = [
+            {**one.judged(folder), 'effects': statistics.effects(ensemble, folder, one.quantity)}
+            for one in requirements]
     return results
 
 
@@ -190,11 +181,11 @@ def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
         A function that takes a run number and returns the command that recomputes this run.
 
     """
-    depends = [f'{name} (rank correlation {value:.2f})' for name, value in ranked(found)]
-    if found.get('requirements'):  # the rows of each requirement list the effects instead
-        depends = []
-    shown = [*rows(found), *_named('depends on', depends)]
-    for one in found.get('requirements', ()):
+    shown, requirements = rows(found), found.get('requirements', ())
+    if not requirements:  # otherwise, the rows of each requirement list the effects
+        shown += _named('depends on', [f'{name} (rank correlation {value:.2f})'
+                                       for name, value in ranked(found)])
+    for one in requirements:
         shown += required(one) + _named('worst', [
             f'run {worst["run"]}, {worst["value"]:.3g} {one["unit"]}: {replay(worst["run"])}'
             for worst in one['worst']])
@@ -210,10 +201,8 @@ def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     quantity, unit = found['require'].split()[0], found['unit']
     facts = [('required', f'{found["require"]} {unit}: met by {100.0 * found["share"]:.3g} % of '
               f'the runs (95 % interval {low} % to {high} %)')]
-    values = found['percentiles']
-    if values:
-        facts.append(('', f'{quantity} at the end: median {values["p50"]:.3g} {unit}, 95 % below '
-                      f'{values["p95"]:.3g} {unit}, largest {values["p100"]:.3g} {unit}'))
+    if found['percentiles']:
+        facts.append(('', f'{quantity} at the end: {_spread(found["percentiles"], unit)}'))
     return facts
 
 
@@ -226,11 +215,14 @@ def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return rows of the form (name, text) on the number of runs, the failures and the angles."""
     facts = [('runs', str(found['runs'])),
              *(('failed', f'{count}: {cause}') for cause, count in found['failures'].items())]
-    angles = found['angle_from_nominal_rad']
-    if angles:
-        facts.append(('from nominal end', f'median {angles["p50"]:.3g} rad, 95 % below '
-                      f'{angles["p95"]:.3g} rad, largest {angles["p100"]:.3g} rad'))
+    if angles := found['angle_from_nominal_rad']:
+        facts.append(('from nominal end', _spread(angles, 'rad')))
     return facts
+
+
+def _spread(percentiles: Mapping[str, float], unit: str) -> str:
+    median, most, largest = (f'{percentiles[name]:.3g} {unit}' for name in ('p50', 'p95', 'p100'))
+    return f'median {median}, 95 % below {most}, largest {largest}'
 
 
 def ranked(found: Mapping[str, Any]) -> list[tuple[str, float]]:
