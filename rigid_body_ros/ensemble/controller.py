@@ -23,7 +23,7 @@ the motion that `propagate` computes from the same torques.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 import hashlib
@@ -100,9 +100,7 @@ class Controller:
 
         """
         folder = str(Path.cwd())
-        found = cls(name, folder, _digest(name, folder), step_ns, actuator)
-        found.check()
-        return found
+        return cls(name, folder, _digest(name, folder), step_ns, actuator)
 
     def check(self) -> None:
         """
@@ -115,10 +113,6 @@ class Controller:
         if digest != self.digest:
             raise InputError(f'controller {self.name}: expected the source file that the command '
                              f'has ({self.digest}), found another ({digest})')
-        _, target = _imported(self.name, self.folder)
-        if not callable(target):
-            raise InputError(f'controller {self.name}: expected a function or a class, found '
-                             f'{quoted(target)}')
 
     def begin(self) -> Law:
         """Return the control law for a run; raise ControllerError if the law cannot be created."""
@@ -143,15 +137,13 @@ class Controller:
             A signal was received.
 
         """
-        found = self._called(law, seconds, state, seconds)
-        try:
-            torque = np.array(found, float)
-        except (TypeError, ValueError):
-            torque = np.empty(0)
-        if torque.shape != (3,) or not all(map(math.isfinite, torque.tolist())):
-            raise ControllerError(f'{seconds:.9g} s: controller {self.name}: expected a torque of '
-                                  f'three finite numbers (N m), found {quoted(found)}')
-        return torque
+        returned = self._called(law, seconds, state, seconds)
+        with suppress(TypeError, ValueError):
+            torque = np.array(returned, float)
+            if torque.shape == (3,) and all(map(math.isfinite, torque.tolist())):
+                return torque
+        raise ControllerError(f'{seconds:.9g} s: controller {self.name}: expected a torque of '
+                              f'three finite numbers (N m), found {quoted(returned)}')
 
     def check_same(self, first: Problem, again: Problem) -> None:
         """Raise ControllerError if the torques of a run differ when the run is computed again."""
@@ -340,7 +332,11 @@ def _imported(name: str, folder: str) -> tuple[Path, Any]:
     if not hasattr(imported, function):
         raise InputError(f'controller {name}: expected a function {quoted(function)} in '
                          f'{module}, found none')
-    return Path(path), getattr(imported, function)
+    target = getattr(imported, function)
+    if not callable(target):
+        raise InputError(f'controller {name}: expected a function or a class, found '
+                         f'{quoted(target)}')
+    return Path(path), target
 
 
 def _digest(name: str, folder: str) -> str:

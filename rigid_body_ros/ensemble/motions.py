@@ -184,9 +184,8 @@ class Motions:
 
     def _remove_damaged(self, row: int, column: int) -> None:
         """Remove a chunk if it cannot be read."""
-        runs, times = self._shape
         try:
-            self._array[row * runs:(row + 1) * runs, column * times:(column + 1) * times]
+            self._array.blocks[row, column]
         except (RuntimeError, ValueError):
             self._file(row, column).unlink()
 
