@@ -182,46 +182,42 @@ def _angles(motions: Motions, nominal: Floats, rows: NDArray[np.int64], runs: in
     return angles
 
 
-def final(folder: Folder, quantity: str, stop: int | None = None) -> Floats:
-    """
-    Return the final value of a quantity in each run or, if given, each run before `stop`.
-
-    The values of failed runs are NaN.
-    """
+def final(folder: Folder, quantity: str) -> Floats:
+    """Return the final value of a quantity in each run. The values of failed runs are NaN."""
     def columns(name: str, axes: str) -> Floats:
-        return np.stack([folder.numbers(f'{name}.{axis}', stop) for axis in axes], axis=-1)
+        return np.stack([folder.numbers(f'{name}.{axis}') for axis in axes], axis=-1)
     if quantity == ANGLE:
-        return folder.numbers(ANGLE, stop)
+        return folder.numbers(ANGLE)
     if quantity == 'rate':
         return np.asarray(np.sqrt((columns('angular_velocity', 'xyz') ** 2).sum(axis=-1)))
     with np.errstate(invalid='ignore'):
         return np.asarray(so3.angle_between(columns('attitude', 'xyzw'), [0.0, 0.0, 0.0, 1.0]))
 
 
-def correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:
+def correlations(ensemble: Ensemble, folder: Folder, angles: Floats) -> dict[str, float]:
     """
     Return the rank correlation between the deviation of each parameter and the final angle.
 
-    The final angle is the angle between the final attitude and the nominal final attitude. This
-    angle is correlated with the absolute deviation of the parameter from its nominal value.
+    The final angle, in `angles` for each run, is the angle between the final attitude and the
+    nominal final attitude. This angle is correlated with the absolute deviation of the parameter
+    from its nominal value.
     """
     from scipy.stats import spearmanr  # slow to import
-    angles = folder.numbers(ANGLE, _SAMPLE)
     return {name: float(spearmanr(*columns)[0])
             for name, *columns in _varied(ensemble, folder, angles, np.abs)}
 
 
-def effects(ensemble: Ensemble, folder: Folder, quantity: str) -> dict[str, float]:
+def effects(ensemble: Ensemble, folder: Folder, numbers: Floats) -> dict[str, float]:
     """
     Return the fraction of the variance of a quantity that each parameter explains.
 
-    The fraction is the adjusted R^2 of a quadratic in the parameter, fitted to the ranks of the
-    quantity. The fraction shows effects that change sign with the deviation, such as the effect of
-    a gain on a final rate. The fraction also shows effects that depend only on the size of the
-    deviation, such as the effect of an initial rate that varies about zero. A rank correlation
-    with the deviation would miss effects of this second kind.
+    `numbers` contains the quantity in each run. The fraction is the adjusted R^2 of a quadratic in
+    the parameter, fitted to the ranks of the quantity. The fraction shows effects that change sign
+    with the deviation, such as the effect of a gain on a final rate. The fraction also shows
+    effects that depend only on the size of the deviation, such as the effect of an initial rate
+    that varies about zero. A rank correlation with the deviation would miss effects of this second
+    kind.
     """
-    numbers = final(folder, quantity, _SAMPLE)
     return {name: _explained(*columns)
             for name, *columns in _varied(ensemble, folder, numbers, np.asarray)}
 
@@ -253,6 +249,7 @@ def _varied(ensemble: Ensemble, folder: Folder, numbers: Floats,
 
     Both arrays have one element for each of the first runs that did not fail.
     """
+    numbers = numbers[:_SAMPLE]
     for name, deviation in _deviations(ensemble, folder):
         known = np.isfinite(numbers) & np.isfinite(deviation)
         columns = measure(deviation[known]), numbers[known]

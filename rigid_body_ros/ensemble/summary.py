@@ -93,7 +93,7 @@ class Requirement:
     def __str__(self) -> str:
         return f'{self.quantity} {self.relation} {self.limit:.12g}'
 
-    def judged(self, folder: Folder) -> dict[str, Any]:
+    def judged(self, ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
         """
         Judge how well the runs of a complete folder meet the requirement.
 
@@ -104,6 +104,7 @@ class Requirement:
             runs never meet it. 'share' is 'met' divided by the number of all runs, and
             'interval_95' is the 95 % confidence interval of 'share'. 'percentiles' and 'histogram'
             describe the quantity, and are empty if all runs failed. 'worst' lists the worst runs.
+            'effects' says how much each parameter affects the quantity.
 
         """
         numbers = statistics.final(folder, self.quantity)
@@ -114,7 +115,8 @@ class Requirement:
                 'share': met / folder.runs, 'interval_95': interval(met, folder.runs),
                 'percentiles': values,
                 'histogram': bars and {'edges': bars['edges_rad'], 'runs': bars['runs']},
-                'worst': self._worst(numbers)}
+                'worst': self._worst(numbers),
+                'effects': statistics.effects(ensemble, folder, numbers)}
 
     def _worst(self, numbers: Floats) -> list[dict[str, Any]]:
         """
@@ -141,9 +143,8 @@ def summarized(ensemble: Ensemble, folder: Folder,
         this angle. Both are empty if all runs failed. 'rank_correlation' contains the correlation
         between this angle and the distance of each dispersed parameter from its nominal value.
         'bands' is present if the folder keeps states and at least one run did not fail.
-        'requirements' is present if there are requirements. For each requirement, this entry
-        describes how well the runs meet the requirement, and how much each parameter affects the
-        required quantity.
+        'requirements' is present if there are requirements, and contains the result of
+        `Requirement.judged` for each of them.
 
     """
     angles = folder.numbers(ANGLE)
@@ -154,11 +155,9 @@ def summarized(ensemble: Ensemble, folder: Folder,
                'angle_from_nominal_rad': found, 'histogram': bars}
     if succeeded and folder.motions:
         results['bands'] = statistics.bands(folder.motions, ensemble.nominal_motion, succeeded)
-    results['rank_correlation'] = statistics.correlations(ensemble, folder)
+    results['rank_correlation'] = statistics.correlations(ensemble, folder, angles)
     if requirements:
-        results['requirements'] = [
-            {**one.judged(folder), 'effects': statistics.effects(ensemble, folder, one.quantity)}
-            for one in requirements]
+        results['requirements'] = [one.judged(ensemble, folder) for one in requirements]
     return results
 
 
