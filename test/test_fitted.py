@@ -143,6 +143,7 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
     ({'converged': 1}, 'converged: expected true or false, found 1'),
     ({'converged': False}, 'expected a fit that converged'),
     ({'verdict': None}, 'verdict: expected '),
+    ({'verdict': {'level': 3}}, 'verdict.level: expected a text, found 3'),
     ({'verdict': {'level': 'rejected'}}, 'found one that is rejected (--force takes it)'),
     ({'names': ('mass', *NAMES[1:])}, 'mass: expected an estimate that can vary'),
     ({'names': ('torque_bais.x', *NAMES[1:])}, 'did you mean torque_bias.x?'),
