@@ -19,7 +19,7 @@ import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody
 from rigid_body_ros.kernels import body_layout, layout, motion_layout, state_layout
 from rigid_body_ros.propagation import Options, Problem
-from rigid_body_ros.propagation.solvers import RECORDS
+from rigid_body_ros.propagation.options import RECORDS
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.propagation.solvers import solver_named
+from rigid_body_ros.propagation.options import solver_named
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))

@@ -44,9 +44,8 @@ _FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rigid_body_ros.comparison import plot
-    from rigid_body_ros.comparison.outputs import write
-    from rigid_body_ros.comparison.page import page
+    from rigid_body_ros.comparison.page import draw, page
+    from rigid_body_ros.comparison.recorded import write
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
@@ -65,7 +64,7 @@ def _run(options: argparse.Namespace) -> int:
                 write(options.output, comparison, scene.body_frame)
         outputs.write_asked(
             data=lambda: {**comparison.as_dict(), 'verdict': verdict and verdict.as_dict()},
-            draw=lambda path: plot.draw(path, comparison, name),
+            draw=lambda path: draw(path, comparison, name),
             page=lambda line: page(comparison, name, scene, line, options.degrees, facts))
     shown = [lines([f'{title:17}{text}']) for title, text in facts]
     outputs.show('\n'.join([*shown, comparison.text(options.degrees)]), 17)

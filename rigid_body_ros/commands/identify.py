@@ -85,15 +85,14 @@ def _identified(options: argparse.Namespace,
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
            first: Experiment, scene: Scene, is_good: bool) -> list[str]:
     """Write the outputs, and return the names of the files; write the scene only if `is_good`."""
-    from rigid_body_ros.identification import plot
-    from rigid_body_ros.identification.page import page
+    from rigid_body_ros.identification.page import draw, page
     from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
     name = Path(options.recording[0]).name
     if options.output and is_good:
         fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
         outputs.write_text(options.output, fitted(scene, found))
     outputs.write_asked(
-        data=found.as_dict, draw=lambda path: plot.draw(path, found, first, name),
+        data=found.as_dict, draw=lambda path: draw(path, found, first, name),
         page=lambda line: page(found, first, name, scene, line, options.degrees))
     return [each for each in outputs.names if is_good or each != options.output]
 

@@ -25,8 +25,8 @@ predicted at all. Errors after this time say nothing about the model.
 `sensor_faults` and `torque_faults`, removes the effect of the fault, and checks whether the errors
 that remain look like noise. `channels` describes the errors and their noise.
 
-The command `attitude_compare` reads recordings with `recorded` and writes recordings with
-`outputs`. The text that it prints comes from `result`.
+The command `attitude_compare` reads and writes recordings with `recorded`. The text that it prints
+comes from `result`, and the page and the picture from `page`.
 """
 
 from rigid_body_ros.comparison.align import ALIGNMENTS

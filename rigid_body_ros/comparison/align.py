@@ -32,7 +32,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime import interrupts
-from rigid_body_ros.sensing.rates import measured_rates
+from rigid_body_ros.sensing.residual_torque import measured_rates
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
 #: The names of the alignments that can be fitted.

@@ -24,7 +24,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.motion import inside, Motion
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.rates import measured_rates
+from rigid_body_ros.sensing.residual_torque import measured_rates
 
 #: The largest clock offset that the search can find, s.
 LARGEST_OFFSET = 10.0

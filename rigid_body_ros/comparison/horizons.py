@@ -29,7 +29,7 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.alarms import Judgement
-from rigid_body_ros.sensing.rates import measured_rates
+from rigid_body_ros.sensing.residual_torque import measured_rates
 
 #: The state at a restart is estimated from at most this many samples.
 _SAMPLES = 11

@@ -12,11 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the HTML page that shows a comparison."""
+"""Assemble the HTML page that shows a comparison, and draw its errors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ from rigid_body_ros.report.panels import (
     overlay_panel,
     torque_panels,
 )
+from rigid_body_ros.report.style import FIELDS
 from rigid_body_ros.report.text import scaled
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.torque_panels import residual_panels
@@ -173,3 +175,43 @@ def _body(problem: Problem, aligned: Sequence[Measured],
             return {**body, 'ghost': moving_body.ghost(int(stamps_ns[0]), sensor.stamps_ns,
                                                        sensor.attitude)}
     return body
+
+
+def draw(path: str | Path, comparison: Comparison, name: str) -> None:
+    """
+    Draw the errors of a comparison over time into a PNG file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG file, with any suffix. An existing file is overwritten.
+    comparison : Comparison
+        The comparison. For each quantity, the figure shows the errors of the first sensor that
+        measures it.
+    name : str
+        Name of the recording, for the title.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+
+    """
+    from rigid_body_ros.report import figures  # matplotlib is slow to import
+    panels = [figures.Series(label, unit, errors.times_ns, getattr(errors, attribute))
+              for label, unit, attribute in QUANTITIES
+              for errors in comparison.of(attribute)[:1]]
+    torque = comparison.residual_torque
+    motion, others = comparison.motion, list[figures.Series]()
+    logs, timeout_ns = (motion.logs, motion.options.timeout_ns) \
+        if isinstance(motion, Problem) else ((), 0)
+    if isinstance(motion, Problem) and motion.fields:
+        times_ns = panels[0].times_ns
+        others.append(figures.Series(FIELDS, 'N m', times_ns, motion.field_torque(
+            times_ns, motion.propagate(at=times_ns).attitude)))
+    if torque:
+        others.append(figures.Series('residual torque', 'N m', torque.times_ns, torque.torques))
+    horizons = {horizon.seconds: np.percentile(horizon.angles, [50.0, 95.0])
+                for horizon in comparison.horizons if len(horizon.angles)}
+    topics = ', '.join(errors.topic for errors in comparison.errors)
+    figures.errors(path, panels, others, logs, horizons, f'{name}: {topics}', timeout_ns)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+import json
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +28,22 @@ from rigid_body_ros.comparison.align import align as aligned_by
 from rigid_body_ros.comparison.align import CLOCK
 from rigid_body_ros.comparison.coarse import LARGEST_OFFSET
 from rigid_body_ros.comparison.comparison import compare_motion
+from rigid_body_ros.comparison.errors import Errors
 from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
+from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, Writer, writer_of
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.monitor import is_checked, monitored, settings_of
+
+#: The topics of `write`.
+ATTITUDE_ERROR, RATE_ERROR = '/error/rotation_vector', '/error/angular_velocity'
+RESIDUAL_TORQUE = '/residual_torque'
 
 
 def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,
@@ -134,3 +141,49 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
         raise InputError(f'{path}: {motion.topic}: expected a motion with attitude and angular '
                          'velocity, found one of them')
     return Recorded(motion)
+
+
+def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
+    """
+    Write the errors and the residual torque of a comparison to a recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording to write: an MCAP file if the name ends in .mcap, otherwise a new rosbag2
+        folder.
+    comparison : Comparison
+        The comparison. Messages are stamped with the clock of the motion, and all sensors share
+        the same error topics.
+    body_frame : str
+        The frame_id of all messages.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be written.
+
+    """
+    with writer_of(path) as writer:
+        for topic in (ATTITUDE_ERROR, RATE_ERROR):
+            writer.add_topic(topic, messages.VECTOR3)
+        writer.add_topic(RESIDUAL_TORQUE, messages.WRENCH)
+        writer.add_metadata(NAME, {'fingerprint': json.dumps(fingerprint()),
+                                   'alignment': json.dumps(comparison.alignment.as_dict()),
+                                   'alignments': json.dumps({
+                                       sensor.topic: one.of_sensor() for one, sensor in zip(
+                                           comparison.alignments, comparison.measured)})})
+        for errors in comparison.errors:
+            _write_errors(writer, errors, body_frame)
+        if comparison.residual_torque:
+            torques = comparison.residual_torque.torques
+            values = np.hstack([np.zeros_like(torques), torques])
+            writer.write_columns(comparison.residual_torque.times_ns,
+                                 [Column(RESIDUAL_TORQUE, body_frame, values)])
+
+
+def _write_errors(writer: Writer, errors: Errors, body_frame: str) -> None:
+    columns = [Column(topic, body_frame, values) for topic, values in
+               ((ATTITUDE_ERROR, errors.rotation_vectors), (RATE_ERROR, errors.rates))
+               if values is not None]
+    writer.write_columns(errors.times_ns, columns)

@@ -38,8 +38,7 @@ from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.noise import ALARM
-from rigid_body_ros.sensing.rates import measured_rates
-from rigid_body_ros.sensing.residual_torque import ResidualTorque
+from rigid_body_ros.sensing.residual_torque import measured_rates, ResidualTorque
 
 #: `_BATCH` is the number of windows in a batch. The median of each batch is compared with the
 #: noise. `_FEWEST` is the minimum number of windows for the search.

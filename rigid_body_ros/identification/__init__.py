@@ -31,8 +31,8 @@ After the fit, the model is judged. `evidence` linearizes the fit at its solutio
 runs statistical tests on the remaining errors. `suspects` tries out parameters that were not
 estimated. `verdict` decides whether the model explains the measurements.
 
-The command `attitude_identify` uses `recorded` to read and write files, and uses `result`, `page`
-and `plot` to report the result.
+The command `attitude_identify` uses `recorded` to read and write files, and uses `result` and
+`page` to report the result.
 """
 
 from rigid_body_ros.identification.estimation import identify

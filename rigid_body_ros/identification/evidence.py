@@ -29,11 +29,11 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.identifiability import triangle
 from rigid_body_ros.identification.parameters import Parameters
 from rigid_body_ros.identification.problem import LeastSquares, Weights
 from rigid_body_ros.identification.residuals import ahead_of, Residuals
 from rigid_body_ros.identification.solve import Solution, states_at
-from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.sensing.noise import Noise, noise_of
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.engine import kernels
 from rigid_body_ros.identification.names import field_of, LONGEST_DELAY
 from rigid_body_ros.scene.fields import MOMENT
 
@@ -178,3 +179,23 @@ def _reason(names: Sequence[str], values: Floats, vector: Floats) -> str:
 
 def _chosen(names: Sequence[str], prefix: str) -> NDArray[np.bool_]:
     return np.array([name.split('.')[0] == prefix for name in names], bool)
+
+
+def triangle(columns: Floats) -> Floats:
+    """
+    Return the triangular factor of the QR decomposition of a matrix.
+
+    Parameters
+    ----------
+    columns : array, shape (n, m)
+        The transpose of the matrix. This array is overwritten.
+
+    Returns
+    -------
+    array, shape (n, n)
+        An upper triangular matrix. Some rows are zero if m is less than n.
+
+    """
+    result = np.zeros((len(columns), len(columns)))
+    kernels.fill_triangle(columns, result)
+    return result

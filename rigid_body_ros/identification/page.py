@@ -12,12 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the page that reports an identification."""
+"""Assemble the page that reports an identification, and plot its errors and torques."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -177,3 +178,37 @@ def _body(fit: Identification) -> dict[str, Any]:
     ghosts = [one for one in fit.aligned if one.attitude is not None]
     return body if not ghosts else {**body, 'ghost': moving_body.ghost(
         int(stamps_ns[0]), ghosts[0].stamps_ns, ghosts[0].values)}
+
+
+def draw(path: str | Path, fit: Identification, experiment: Experiment, name: str) -> None:
+    """
+    Plot the errors and torques of the first recording over time, and save the plot as a PNG file.
+
+    Outliers are left out. Each error plot shows the fitted samples, followed by the samples held
+    back for validation.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG file. The name can have any suffix. An existing file is overwritten.
+    fit : Identification
+        The result.
+    experiment : Experiment
+        The first recording.
+    name : str
+        Name of the first recording, used in the title.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+
+    """
+    from rigid_body_ros.report import figures  # matplotlib is slow to load
+    panels = []
+    for parts in fit.first_errors():
+        quantity, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
+        panels.append(figures.Series(f'{figures.literal(parts[0].topic)}:\n{quantity} error', unit,
+                                     np.concatenate([part.kept_ns for part in parts]),
+                                     np.concatenate([part.kept for part in parts])))
+    figures.errors(path, panels, (), experiment.logs, {}, name)

@@ -35,7 +35,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.node.robot_description import with_robot_description
-from rigid_body_ros.propagation.solvers import solver_named
+from rigid_body_ros.propagation.options import solver_named
 from rigid_body_ros.runtime.parameters import checked as checked_value
 from rigid_body_ros.runtime.parameters import Parameter as SceneParameter
 from rigid_body_ros.runtime.parameters import resembled

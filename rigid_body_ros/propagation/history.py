@@ -31,8 +31,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial, Wheels
 from rigid_body_ros.propagation.acting import ActingSamples
 from rigid_body_ros.propagation.change import Active, Change, Commands, no_commands
-from rigid_body_ros.propagation.friction import friction_of
-from rigid_body_ros.propagation.lags import Lagging
+from rigid_body_ros.propagation.lags import friction_of, Lagging
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.segment import (

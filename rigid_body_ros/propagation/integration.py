@@ -28,10 +28,10 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial
-from rigid_body_ros.propagation.friction import with_momenta
+from rigid_body_ros.propagation.lags import with_momenta
 from rigid_body_ros.propagation.models import SolverUsage
+from rigid_body_ros.propagation.options import checked_times
 from rigid_body_ros.propagation.origin import origin_of
-from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.timeline import NO_OTHERS, OtherTorques, Timeline
 from rigid_body_ros.propagation.trajectory import joined, Trajectory
 from rigid_body_ros.propagation.wheels import in_force, WheelTimeline

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The torques of actuators that follow their commands with a lag."""
+"""The torques of actuators with a lag, and the terms of wheels with friction."""
 
 from __future__ import annotations
 
@@ -22,10 +22,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import CommandChanges, FIELDS, kernels, Lags, LagTerms
+from rigid_body_ros.engine import (
+    CommandChanges,
+    FIELDS,
+    Friction,
+    FrictionTerms,
+    kernels,
+    Lags,
+    LagTerms,
+    Rows,
+)
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, time_constants
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.wheels import Wheels
 
 _NO_FIELDS = np.zeros(1, FIELDS)
 _NO_FIELDS.flags.writeable = False
@@ -220,3 +230,35 @@ def _marks(changes: Changes) -> NDArray[np.int64]:
     """Return the times at which lags end, ns, leaving out lags that the next change cuts short."""
     over_ns = changes.times_ns + changes.actuator.expiry_ns
     return over_ns[np.append(over_ns[:-1] < changes.times_ns[1:], True)[:len(over_ns)]]
+
+
+def friction_of(wheels: Wheels, efforts: Floats) -> Friction:
+    """
+    Pack wheels with friction into a record that has room for one output.
+
+    `efforts`, N m, has one row for each row of the record and one column for each wheel.
+    """
+    padded = wheels.padded(efforts)
+    return Friction(padded, wheels.constants, np.empty((1, padded.shape[1])))
+
+
+def with_momenta(rows: Rows, count: int) -> tuple[Rows, Floats]:
+    """Add to rows an array for the wheel momenta at `count` outputs; return rows and array."""
+    terms = rows.terms
+    assert terms
+    assert terms.friction
+    momenta = np.empty((count, terms.friction.efforts.shape[1]))
+    friction = terms.friction._replace(momenta=momenta)
+    return rows._replace(terms=terms._replace(friction=friction)), momenta
+
+
+def friction_key(friction: Friction, row: int = 0) -> Floats:
+    """Return an array of all numbers that determine the friction in a row, for use as a key."""
+    return np.concatenate([friction.efforts[row], friction.wheels])
+
+
+def friction_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
+                   lags: Lags | None, friction: Friction) -> FrictionTerms:
+    """Return the terms for rows with friction, including fields and lags if there are any."""
+    lags = lags or Lags(np.zeros((len(friction.efforts), 0, 2, 3)), np.empty(0))
+    return FrictionTerms(*lag_terms(momentum, motors, space, fields, lags)[:5], friction)

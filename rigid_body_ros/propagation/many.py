@@ -47,9 +47,8 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.mechanics.wheels import Wheel
-from rigid_body_ros.propagation.options import Options, validated
+from rigid_body_ros.propagation.options import checked_times, Options, validated
 from rigid_body_ros.propagation.problem import Problem
-from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.timeline import OtherTorques, Timeline
 
 #: If a kernel call takes less than this time, s, the next call computes twice as many runs. Python

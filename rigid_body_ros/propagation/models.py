@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.propagation.options import Options
-from rigid_body_ros.propagation.solvers import AUTO, EXACT, LONG_COAST, TAYLOR
+from rigid_body_ros.propagation.options import AUTO, EXACT, LONG_COAST, Options, TAYLOR
 from rigid_body_ros.propagation.timeline import Timeline
 from rigid_body_ros.propagation.wheels import WheelTimeline
 

@@ -19,19 +19,62 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import duration_ns, LONGEST
+from rigid_body_ros.common.times import duration_ns, instants, LONGEST, NEVER_NS
+from rigid_body_ros.engine import CLASSICAL, kernels, layout
 from rigid_body_ros.engine import FASTEST as FASTEST
-from rigid_body_ros.engine import kernels, layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation.solvers import AUTO, Solver, solver_named
 
 TOLERANCES = (1e-15, 1.0)
+
+#: `auto` uses the closed form if the body turns by more than this angle, rad, in a coast. Up to
+#: this angle, the Taylor series is as accurate as the closed form, and faster.
+LONG_COAST = 16.0
+
+
+class Solver(NamedTuple):
+    """What the loop, the options and the documentation need to know about a solver."""
+
+    name: str
+    #: The number that identifies the solver in the kernels.
+    code: int
+    #: Order of convergence of a solver with fixed steps. None if a tolerance bounds the truncation
+    #: error instead.
+    order: int | None = None
+    #: Whether every step is `max_step` long.
+    fixed_step: bool = False
+    takes_torque: bool = True
+    #: Whether the solver handles rotors and damping, whose terms are linear in the angular
+    #: velocity.
+    takes_linear_terms: bool = True
+    #: A coast in which the body turns by more than this angle, rad, is computed in closed form. If
+    #: the angle is negative, every coast is computed in closed form.
+    closed_form_beyond: float = math.inf
+
+
+AUTO = Solver('auto', layout.AUTO, closed_form_beyond=LONG_COAST)
+TAYLOR = Solver('taylor', layout.TAYLOR)
+EXACT = Solver('exact', layout.EXACT, takes_torque=False, takes_linear_terms=False,
+               closed_form_beyond=-1.0)
+RK4 = Solver('rk4', layout.RK4, order=CLASSICAL.order, fixed_step=True)
+STRANG = Solver('strang', layout.STRANG, order=2, fixed_step=True, takes_linear_terms=False)
+EXPLICIT_EULER = Solver('explicit_euler', layout.EXPLICIT_EULER, order=1, fixed_step=True)
+RECORDS = (AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER)
+#: The names of the solvers.
+SOLVERS = tuple(solver.name for solver in RECORDS)
+
+
+def solver_named(name: str) -> Solver:
+    """Return the record of a solver, or raise ValueError."""
+    if name not in SOLVERS:
+        raise ValueError(f'solver: expected one of {", ".join(SOLVERS)}, found {name!r}')
+    return RECORDS[SOLVERS.index(name)]
 
 
 @dataclass(frozen=True)
@@ -154,3 +197,21 @@ def validated(*values: Any) -> Options:
 @lru_cache
 def _cached_options(*values: Any) -> Options:
     return Options(*values)  # cached, because validation takes a tenth of the time of a short run
+
+
+def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
+    """Return the times, whether the times ascend, and the latest time, or raise ValueError."""
+    times = instants(at, 'at')
+    if times.size > 1:
+        ascends, first_ns, last_ns = kernels.extent(times)
+    else:  # calling a kernel here would double the time that this function takes
+        ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
+    if first_ns < start_ns:
+        raise ValueError(f'at: expected no time before the start ({start_ns} ns), '
+                         f'found {first_ns} ns')
+    if last_ns == NEVER_NS:
+        raise ValueError(f'at: expected times before {NEVER_NS} ns, found {last_ns} ns')
+    if last_ns - start_ns >= NEVER_NS:
+        raise ValueError(f'at: expected times within 292 years of the start ({start_ns} ns), '
+                         f'found {last_ns} ns')
+    return times, ascends, int(last_ns)  # kernels that run as Python return numpy integers

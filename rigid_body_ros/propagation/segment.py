@@ -38,8 +38,7 @@ from rigid_body_ros.engine import (
 )
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation.friction import friction_key, friction_terms
-from rigid_body_ros.propagation.lags import lag_terms, Lagging
+from rigid_body_ros.propagation.lags import friction_key, friction_terms, lag_terms, Lagging
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.summation import added

@@ -26,8 +26,13 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import FieldTerms, kernels, layout, Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import summation
-from rigid_body_ros.propagation.friction import friction_key, friction_of, friction_terms
-from rigid_body_ros.propagation.lags import lag_terms, LaggingSources
+from rigid_body_ros.propagation.lags import (
+    friction_key,
+    friction_of,
+    friction_terms,
+    lag_terms,
+    LaggingSources,
+)
 
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.wheels import WheelTimeline

@@ -37,7 +37,6 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.rates import measured_rates
 
 #: Length of a window, s, and minimum number of samples in it. If the samples of a window span more
 #: than twice the usual time, the window contains a gap and is skipped.
@@ -324,3 +323,27 @@ def _slopes(seconds: Floats, values: Floats, half: int) -> Slopes:
         deviations.append(np.sqrt(np.sum(left ** 2, axis=2) / (size - 2) / spread))
     empty: Sequence[Floats] = [np.empty((0, values.shape[1]))]
     return Slopes(rows, np.concatenate([*empty, *slopes]), np.concatenate([*empty, *deviations]))
+
+
+def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
+    """
+    Return the angular velocities of a sensor.
+
+    If the sensor does not measure angular velocities, they are computed from its attitudes.
+
+    Each computed value is the mean angular velocity between two adjacent samples, and its time is
+    halfway between their stamps.
+
+    Returns
+    -------
+    times_ns : array of int64, shape (n,) or (n - 1,)
+    rates : array, shape (n, 3) or (n - 1, 3), rad/s, body axes
+
+    """
+    stamps_ns, attitude = sensor.stamps_ns, sensor.attitude
+    if sensor.angular_velocity is not None:
+        return stamps_ns, sensor.angular_velocity
+    assert attitude is not None
+    spans = np.diff(stamps_ns)
+    turned = so3.log(so3.multiply(so3.conjugate(attitude[:-1]), attitude[1:]))
+    return stamps_ns[:-1] + spans // 2, turned / (1e-9 * spans)[:, None]

@@ -24,7 +24,7 @@ import time
 import numpy as np
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem, Trajectory
-from rigid_body_ros.propagation.solvers import RECORDS
+from rigid_body_ros.propagation.options import RECORDS
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.tradeoff.choices import Error, Measurement, OnWhole, recommend, Setting
 from rigid_body_ros.tradeoff.interpolation import final_differences, interpolation_errors
