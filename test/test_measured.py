@@ -41,6 +41,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import read_measured
 from rigid_body_ros.comparison.recorded import compare_recording
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.scene import load
 from scipy.spatial.transform import Rotation
@@ -121,6 +122,56 @@ def test_messages_without_a_finite_value_are_rejected(tmp_path, measured):
     bad.attitude[3], bad.attitude[4], bad.angular_velocity[7] = 0.0, np.nan, np.inf
     found = read_measured(only(tmp_path, 'Imu', bad), '/it')
     assert (len(found), found.account.rejected) == (97, 3)
+
+
+@pytest.mark.parametrize(('name', 'value'), [
+    ('attitude', 0.0), ('attitude', np.nan), ('angular_velocity', np.inf)])
+def test_a_quantity_that_is_never_usable_is_left_out_with_a_note(tmp_path, measured, name, value):
+    bad = measured.rows(np.arange(100))
+    getattr(bad, name)[:] = value
+    found = read_measured(only(tmp_path, 'Imu', bad), '/it')
+    assert getattr(found, name) is None
+    assert found.account.notes == [
+        f'the {name.replace("_", " ")} is not used: expected finite values, of a possible size, '
+        'found none in 100 messages']
+
+
+def test_a_small_step_back_is_a_fault_because_the_samples_before_and_after_do_not_fit():
+    stamps, account = np.arange(1000) * SECOND, Account()
+    stamps[500:] -= 5 * SECOND // 2
+    account.add(stamps)
+    fault, = account.faults
+    assert fault.startswith('the stamps go back by 2.5 s at sample 501: was the clock set')
+    late, account = np.arange(1000), Account()
+    late[[500, 501]] = late[[501, 500]]
+    account.add(late * SECOND)
+    assert account.faults == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seconds', [30, 10 ** 8])
+def test_a_clock_that_jumps_ahead_is_named(run, tmp_path, measured, monkeypatch, seconds):
+    monkeypatch.setattr('rigid_body_ros.recording.gaps._PATIENCE', 1e-9)
+    motion, sensor = truth(), measured.rows(slice(None, None, 10))
+    times, stamps = motion.torque_times.copy(), sensor.stamps_ns.copy()
+    for each in (times, stamps):
+        each[len(each) // 2:] += seconds * SECOND
+    path = write(tmp_path / 'jump.mcap',
+                 torque=torque_messages(replace(motion, torque_times=times)),
+                 imu=messages_of('Imu', replace(sensor, stamps_ns=stamps)))
+    status, shown, error = run(path=path)
+    if seconds > 30:
+        assert (status, shown) == (2, '')
+        assert error.startswith(f'attitude_compare: error: {path}: the torque [')
+        assert 'expected at most 1e+10 steps' in error
+        return
+    assert status == 0
+    assert 'likely cause' not in shown
+    announced, warning = error.splitlines()
+    assert announced.startswith(f'{path}: computing the motion takes about 0:00:0')
+    assert warning.startswith(
+        f'attitude_compare: warning: {path}: torques: a torque acts for 30.05 s until the next '
+        'one, from 9.95 s after the start')
 
 
 @pytest.mark.slow

@@ -31,8 +31,9 @@ from rigid_body_ros import messages, propagate, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.recording import gaps
 from rigid_body_ros.recording.measurements import read_measured
-from rigid_body_ros.replay import gaps, replay
+from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import energy_balance
 from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
@@ -777,7 +778,7 @@ def test_damping_limits_the_turns_over_a_gap(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_long_computation_is_announced(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.replay.gaps._PATIENCE', 0.01)
+    monkeypatch.setattr('rigid_body_ros.recording.gaps._PATIENCE', 0.01)
     arguments = stopped_clock(tmp_path / 'gap.csv', 200.0)
     assert main.attitude_replay(arguments) == 0
     assert capsys.readouterr().err == (

@@ -29,9 +29,9 @@ from rigid_body_ros import messages, propagate, recording, scene, State, TorqueL
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
+from rigid_body_ros.recording.gaps import computing_time
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import drift
-from rigid_body_ros.replay.gaps import computing_time
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.report import figures
 

@@ -229,9 +229,10 @@ def add_scheduler(parser: argparse._ActionsContainer) -> None:
 
 def _columns(text: str) -> dict[str, str]:
     pairs = [part.rpartition('=') for part in text.split(',')]
-    if not all(name and column for name, _, column in pairs):
-        raise argparse.ArgumentTypeError(f'expected NAME=COLUMN,..., found {text!r}')
-    return {name.strip(): column.strip() for name, _, column in pairs}
+    columns = {name.strip(): column.strip() for name, _, column in pairs}
+    if len(columns) < len(pairs) or not all(map(all, columns.items())):
+        raise argparse.ArgumentTypeError(f'expected NAME=COLUMN,..., each once, found {text!r}')
+    return columns
 
 
 def within(low: float, high: float, what: str = 'a number',

@@ -32,6 +32,8 @@ UNIT = 1e-2
 #: A step back of the stamps is a change of the clock, not a sample that arrived late, unless the
 #: stamps make up for more than this fraction of the step.
 _MADE_UP = 0.5
+#: At least this many stamps before and after a step decide what it is.
+_AROUND = 64
 _Stamps = NDArray[np.int64]
 
 
@@ -65,8 +67,7 @@ class Account:
     steps: list[tuple[int, int]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _others: list[str] = field(default_factory=list, repr=False)
-    #: The previous block of stamps, the latest stamp, how many stamps are not later than it, and
-    #: the number of the first repeated sample.
+    #: The last stamps, the latest stamp, and how many stamps are not later than it.
     _held: _Stamps = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
     _latest_ns: int = field(default=-2 ** 63, repr=False)
     _not_later: int = field(default=0, repr=False)
@@ -88,29 +89,35 @@ class Account:
         self.rejected += rejected
         is_open = self.steps and self.steps[-1][0] > earlier
         if not is_open and _ascends(self._latest_ns, stamps_ns):  # as nearly always
-            self._held = stamps_ns
+            self._held = stamps_ns if len(stamps_ns) >= 2 * _AROUND else \
+                np.concatenate([self._held, stamps_ns])[-2 * _AROUND:]
             self._latest_ns = int(stamps_ns[-1]) if len(stamps_ns) else self._latest_ns
             return
         stamps = np.concatenate([self._held, stamps_ns])
         # Whether a stamp steps back or only arrives late, the next block may decide.
-        self.steps = [step for step in self.steps if step[0] <= earlier] + [
-            (earlier + row + 1, size_ns) for row, size_ns in _steps_back(stamps)]
+        decided = len(self._held) // 2
+        self.steps = [step for step in self.steps if step[0] <= earlier + decided + 1] + [
+            (earlier + row + 1, size_ns) for row, size_ns in _steps_back(stamps) if row > decided]
         latest = np.maximum.accumulate(np.append(self._latest_ns, stamps_ns))
         self._not_later += int(np.sum(stamps_ns <= latest[:-1]))
         repeated = _repeated(stamps)
         if repeated.size and not self._first_repeated:
             self._first_repeated = earlier + int(repeated.min()) + 1
         self.replaced += len(repeated) - len(_repeated(self._held))
-        self._held, self._latest_ns = stamps_ns, int(latest[-1])
+        self._held, self._latest_ns = stamps[-2 * max(len(stamps_ns), _AROUND):], int(latest[-1])
 
     def check_norms(self, norms: Floats) -> None:
         """Name quaternions whose norms, shape (n,), are not 1."""
         wrong = norms[np.abs(norms - 1.0) > UNIT]
         if len(wrong) > _LOST * len(norms):
-            self._others.append(
+            self.doubt(
                 f'{len(wrong)} of {len(norms)} quaternions do not have norm 1; the worst has norm '
                 f'{wrong[np.argmax(np.abs(wrong - 1.0))]:.6g}: they are normalised, but are they '
                 'rotations?')
+
+    def doubt(self, text: str) -> None:
+        """Add a warning that the samples are doubtful."""
+        self._others.append(text)
 
     def note(self, text: str) -> None:
         """Add a note, once."""
@@ -130,10 +137,11 @@ class Account:
                          'finite values, of a possible size')
         repeated = f'{self.replaced} of {self.samples} samples have the same stamp as a later ' \
                    f'one, which replaces them; the first is sample {self._first_repeated}'
-        if self.steps:  # until the stamps have caught up, samples of two times are mixed
+        if self.steps:  # samples of two times are mixed, or those before and after do not fit
             number, size_ns = self.steps[0]
+            apart = max(min(step, self.samples - step) for step, _ in self.steps)
             more = f', and {len(self.steps) - 1} more times' if len(self.steps) > 1 else ''
-            lost, text = self._not_later, (
+            lost, text = max(self._not_later, apart), (
                 f'the stamps go back by {size_ns * 1e-9:.6g} s at sample {number}{more}: was the '
                 f'clock set, or do two publishers use the topic?{self.advice}'
                 + f' {repeated}' * bool(self.replaced))
@@ -189,6 +197,6 @@ def _steps_back(stamps_ns: _Stamps) -> list[tuple[int, int]]:
     around = np.minimum(sizes / period, len(stamps_ns)).astype(np.intp) + 3
     first = np.maximum(back - 1 - around, 0)
     last = np.minimum(back + around, len(stamps_ns) - 1)
-    passed = stamps_ns[last] - stamps_ns[first]
+    passed = np.maximum(stamps_ns[last - 1], stamps_ns[last]) - stamps_ns[first]
     is_step = passed < (last - first) * period - _MADE_UP * sizes
     return [*zip(back[is_step].tolist(), (sizes[is_step] + round(period)).tolist())]

@@ -131,8 +131,22 @@ def _found(heading: Sequence[str], groups: Sequence[tuple[str, ...]], context: s
 
 
 def apply(chosen: Mapping[str, str], groups: Sequence[tuple[str, ...]]) -> bool:
-    """Return whether chosen columns contain any of the quantities that a table should contain."""
-    return any(_meaning(name, groups, '')[0] in group for name in chosen for group in groups)
+    """
+    Return whether chosen columns contain any of the quantities that a table should contain.
+
+    Raise InputError if a name in `chosen` is not that of a time or a quantity.
+    """
+    return not {*map(_quantity, chosen)}.isdisjoint([name for group in groups for name in group])
+
+
+def _quantity(text: str) -> str:
+    """Return the name of a quantity, without its unit; raise InputError if it is not known."""
+    for groups in ([TORQUE], [ATTITUDE, RATES]):
+        with suppress(InputError):
+            if name := _meaning(text, groups, '')[0]:
+                return name
+    raise InputError(f'--columns: {_OF_MOTION}, or tx ty tz (N m, mN m, uN m, kN m), found '
+                     f'{quoted(text)}')
 
 
 def _chosen(heading: Sequence[str], chosen: Mapping[str, str]) -> Iterator[tuple[int, str]]:

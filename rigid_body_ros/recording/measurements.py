@@ -142,10 +142,10 @@ def read_measured(path: str | Path, topic: str | None = None, **options: Any) ->
     Raises
     ------
     InputError
-        The recording cannot be read; the topic is missing, ambiguous or of an unsupported type;
-        the messages have several pairs of frames, or none has the requested pair; attitudes and
-        angular velocities are in different messages; or the topic contains fewer than four usable
-        messages with different stamps.
+        The recording cannot be read; the topic is missing, ambiguous or of an unsupported type, or
+        lacks the chosen quantity; the messages have several pairs of frames, or none has the
+        requested pair; attitudes and angular velocities are in different messages; or the topic
+        contains fewer than four usable messages with different stamps.
 
     """
     sensors = _read(path, topic, MeasuredOptions(**options))
@@ -204,17 +204,21 @@ def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[
     frames = ''
     if topic:
         recorded, kind = _messages(file, topic, options)
-        found = of_messages(recorded, kind)
+        # First, because only an attitude that is measured can convert rates in space axes.
+        found = of_messages(recorded, kind).without_unmeasured()
         frames = _other_frames(where, recorded, kind, options)
         found = in_body_axes(where, found, recorded, kind, options)
     else:
-        found = of_table(file, options.columns)
+        found = of_table(file, options.columns).without_unmeasured()
     if quantity:
+        if not found.given[:, QUANTITIES.index(quantity)].any():
+            raise InputError('; '.join([f'{where}:{quantity}: expected samples of this quantity, '
+                                        'found none', *found.notes]))
         found = found.without({*QUANTITIES} - {quantity})
     label = f'{label}:{quantity}'.rstrip(':')
     has_log_times = bool(topic) and options.time_source == 'header'
     return [replace(sensor, frames=frames) for sensor
-            in found.without_constants().sensors(where, label, has_log_times)]
+            in found.sensors(where, label, has_log_times)]
 
 
 def _messages(path: str | Path, topic: str,
@@ -281,11 +285,13 @@ def in_body_axes(where: str, found: MeasuredSamples, recorded: Messages, kind: M
         axes = [(name, recorded.frames == code) for code, name in enumerate(recorded.names)
                 if kind in _OF_SENSOR]
     for name, rows in axes:
-        frame, is_odometry = name.removeprefix('/'), kind is messages.ODOMETRY
+        frame = name.removeprefix('/')
+        is_space = frame == options.space_frame or (
+            kind is messages.ODOMETRY and frame == parent.removeprefix('/'))
         if frame in ('', options.body_frame):
             continue
         has_attitude, has_rates = found.usable[rows].any(axis=0).tolist()
-        if has_rates and (frame == options.space_frame or (is_odometry and name == parent)):
+        if has_rates and is_space:
             if not has_attitude:
                 number = recorded.before + int(np.argmax(rows)) + 1
                 raise InputError(f'{where}: message {number}: frame_id: expected an angular '

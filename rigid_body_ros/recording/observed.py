@@ -20,12 +20,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Topics
 from rigid_body_ros.recording.account import Account
+from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import MeasuredOptions, read_all
 from rigid_body_ros.recording.ulog_file import flight, is_ulog
@@ -165,7 +167,8 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
     ------
     InputError
         The recording cannot be read or does not fit the scene, torques and measurements do not
-        overlap in time, or `reading.start` is positive for the log of a node.
+        overlap in time, a torque acts for so long that the computation would practically never
+        end, or `reading.start` is positive for the log of a node.
 
     """
     sensors, later_ns, account = reading.sensors(path, scene), list[int](), None
@@ -194,7 +197,28 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
         measurements.sensors[0].account.note(
             f'only the flight is used, from {start:.6g} s to {start + until:.6g} s after the '
             'first sample (vehicle_land_detected); --from and --until choose another part')
+    elif account:
+        _check_gaps(path, problem, measurements, scene, account)
     return problem, measurements
+
+
+def _check_gaps(path: str | Path, problem: Problem, measurements: Measurements, scene: Scene,
+                account: Account) -> None:
+    """Warn about torques that act for much longer than usual; announce a long computing time."""
+    last_ns = max(int(sensor.stamps_ns[-1]) for sensor in measurements.sensors)
+    begin_ns = problem.start.time_ns
+    span_ns = begin_ns, max(begin_ns, min(last_ns, measurements.end_ns))
+    speed = float(np.linalg.norm(problem.start.angular_velocity))
+    for log in problem.logs:
+        gaps = Gaps(*span_ns, scene.timeout_ns)
+        gaps.add(log)
+        if gaps.warning:
+            account.doubt(gaps.warning)
+    try:
+        announce(str(path), max((computing_time(log, span_ns, speed, scene)
+                                 for log in problem.logs), default=0.0))
+    except ValueError as error:
+        raise InputError(f'{path}: {error}') from error
 
 
 def _check_overlap(path: str | Path, problem: Problem, measurements: Measurements,

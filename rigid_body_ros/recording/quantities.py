@@ -125,8 +125,17 @@ class MeasuredSamples:
         return replace(self, attitude=attitude, rates=rates, covariances=(first, second),
                        notes=(*self.notes, note))
 
-    def without_constants(self) -> MeasuredSamples:
-        """Drop a quantity that never changes, if the other one says that the body turns."""
+    def without_unmeasured(self) -> MeasuredSamples:
+        """
+        Drop one of two quantities, with a note, if it is not measured.
+
+        It is never usable, or it never changes although the other one says that the body turns.
+        """
+        for name, given, usable in zip(QUANTITIES, self.given.T, self.usable.T):
+            if given.any() and not usable.any() and self.usable.any():
+                note = f'the {name.replace("rates", "angular velocity")} is not used: expected ' \
+                       f'finite values, of a possible size, found none in {given.sum()} messages'
+                return replace(self.without([name]), notes=(*self.notes, note))
         both = np.flatnonzero(self.usable.all(axis=1))
         both = both[np.argsort(self.stamps_ns[both], kind='stable')]
         name, note = not_measured(self.stamps_ns[both], self.attitude[both], self.rates[both])

@@ -33,7 +33,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Stream
-from rigid_body_ros.replay.gaps import announce, computing_time, Gaps
+from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
 from rigid_body_ros.replay.saturation import Saturation
 from rigid_body_ros.scene import Scene
 

@@ -22,9 +22,9 @@ from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.recording.account import Account
+from rigid_body_ros.recording.gaps import Gaps
 from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.check import Check, LastDigits
-from rigid_body_ros.replay.gaps import Gaps
 from rigid_body_ros.replay.saturation import Saturation
 from rigid_body_ros.report.text import interpolation_row, lines, numbers
 from rigid_body_ros.scene import fields, Scene, wheels

@@ -1,0 +1,402 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Recordings with common faults: the right value, or a line that names the fault."""
+
+from functools import partial
+import re
+
+from conftest import SECOND
+from field_data import (
+    ATTITUDE,
+    ATTITUDES,
+    BOTH,
+    called,
+    CHANNELS,
+    COUNT,
+    GYRO,
+    is_noise,
+    LINKS,
+    RATES,
+    ROWS,
+    SCENE,
+    seconds,
+    sensor,
+    STAMPS,
+    START_NS,
+    STEP_NS,
+    table,
+    torque,
+    TORQUES,
+)
+from measurements import Quaternion, TFMessage, transform, write
+import numpy as np
+import pytest
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.recording.account import Account
+from scipy.spatial.transform import Rotation
+
+ADVICE = ' (--time-source log uses the times of the recording)'
+
+
+@pytest.fixture
+def run(capsys, tmp_path):
+    return partial(called, capsys, tmp_path)
+
+
+def back(step_s, first=151):
+    """Return stamps of a clock that is set back."""
+    return np.where(first > ROWS, STAMPS, STAMPS - round(step_s * SECOND))
+
+
+same = '{} of .* samples have the same stamp as a later one, .* is sample {}'.format
+#: The rows, their stamps, how many are replaced, how often the clock goes back, and the warning.
+CLOCKS = {
+    'two publishers': (np.repeat(ROWS[::2], 2), np.repeat(STAMPS[::2], 2), 151, 0, same(151, 1)),
+    'every third': (ROWS, STAMPS - STEP_NS * (ROWS % 3 == 2), 100, 0, same(100, 2)),
+    'tenths': (ROWS, STAMPS // 10 ** 8 * 10 ** 8, 270, 0, same(270, 1)),
+    'whole seconds': (ROWS, STAMPS // SECOND * SECOND, 297, 0, same(297, 1)),
+    '1 s': (ROWS, back(1.0), 100, 1, 'go back by 1 s at sample 152: .*' + same(100, 52)),
+    '1.005 s': (ROWS, back(1.005), 0, 1, 'go back by 1.005 s at sample 152: was the clock set'),
+    '30 ms': (ROWS, back(0.03), 3, 1, 'go back by 0.03 s at sample 152: .*' + same(3, 149)),
+    '25 ms': (ROWS, back(0.025), 0, 1, 'go back by 0.025 s at sample 152: was the clock set'),
+    'twice': (ROWS, np.minimum(back(1.0, 101), back(1.5, 201)), 150, 2,
+              'go back by 1 s at sample 102, and 1 more times: was the clock set'),
+    'a loop': (np.append(ROWS, ROWS), np.append(STAMPS, STAMPS), 301, 1,
+               'go back by 3.01 s at sample 302: .*' + same(301, 1)),
+    'beyond the start': (ROWS, back(10.0), 0, 1, 'go back by 10 s at sample 152: was the clock'),
+}
+#: Orders of arrival and the stamps, with how many are late or replaced: these are no faults.
+LATE = np.argsort(ROWS + 4.5 * np.isin(ROWS, [50, 120, 200]))
+BURST = np.concatenate([ROWS[:100], ROWS[108:130], ROWS[100:108], ROWS[130:]])
+HARMLESS = {
+    'late': (LATE, STAMPS[LATE], '301 of 301 samples are used: 3 late and sorted'),
+    'burst': (BURST, STAMPS[BURST], '301 of 301 samples are used: 8 late and sorted'),
+    'one repeated': (ROWS, np.where(ROWS == 99, STAMPS - STEP_NS, STAMPS),
+                     '300 of 301 samples are used: 1 replaced by a later one of that stamp'),
+    'hundredths': (ROWS, STAMPS // STEP_NS * STEP_NS, ''),
+}
+
+
+def measured(folder, kind, rows, stamps):
+    """Write measurements in a format; return the recording of torques and the topic."""
+    if kind == 'csv':
+        path = table(folder / 'it.csv', 'time,wx,wy,wz', seconds(stamps), RATES[rows])
+    elif kind == 'tum':
+        path = table(folder / 'it.tum', '# a trajectory', seconds(stamps),
+                     np.zeros((len(rows), 3)), ATTITUDE[rows], separator=' ')
+    else:
+        return write(folder / 'it.mcap', torque=torque(), it=sensor(
+            kind, stamps, ATTITUDE[rows], RATES[rows])), '/it'
+    return write(folder / 'it.mcap', torque=torque()), path
+
+
+@pytest.mark.parametrize('clock', CLOCKS)
+@pytest.mark.parametrize('kind', ['Imu', 'PoseStamped', 'Odometry', 'csv', 'tum'])
+def test_stamps_that_cannot_be_right_are_a_warning_and_no_cause(run, tmp_path, kind, clock):
+    rows, stamps, replaced, steps, warning = CLOCKS[clock]
+    path, topic = measured(tmp_path, kind, rows, stamps)
+    name = getattr(topic, 'name', topic)
+    status, _, error, found = run('compare', path, '--measured', topic)
+    fault, = found['accounts'][name]['faults']
+    assert (status, error) == (0, f'attitude_compare: warning: {path}: {name}: {fault}\n')
+    assert re.search(warning, fault)
+    assert (ADVICE in fault) == (topic == '/it')
+    assert found['accounts'][name] == {
+        'samples': len(rows), 'rejected': 0, 'replaced': replaced, 'steps_back': steps,
+        'faults': [fault], 'notes': []}
+    assert found['likely_causes'] == []
+
+
+@pytest.mark.parametrize('harmless', HARMLESS)
+@pytest.mark.parametrize('kind', ['Imu', 'PoseStamped', 'Odometry', 'csv', 'tum'])
+def test_samples_that_arrive_late_are_sorted_without_a_warning(run, tmp_path, kind, harmless):
+    rows, stamps, counted = HARMLESS[harmless]
+    path, topic = measured(tmp_path, kind, rows, stamps)
+    status, shown, error, found = run('compare', path, '--measured', topic)
+    assert (status, error, found['likely_causes']) == (0, '', [])
+    assert (f': {counted}\n' in shown) if counted else ('account' not in shown)
+    is_noise(found, *CHANNELS[kind])
+
+
+@pytest.mark.parametrize('kind', ['messages', 'csv'])
+@pytest.mark.parametrize('clock', [*CLOCKS, *HARMLESS])
+def test_stamps_of_torques_are_accounted_for(run, tmp_path, kind, clock):
+    rows, stamps, *_, expected = {**CLOCKS, **HARMLESS}[clock]
+    if kind == 'csv':
+        path = table(tmp_path / 'it.csv', 'time,tx,ty,tz', seconds(stamps), TORQUES[rows])
+    else:
+        path = write(tmp_path / 'it.mcap', torque=torque(stamps, TORQUES[rows]))
+    status, shown, error, _ = run('replay', path)
+    warnings = re.findall(r'^warning +(.* samples .*|the stamps .*)$', shown, re.M)
+    account = re.findall(r'^account +(.*)$', shown, re.M)
+    assert (status, error) == (0, '')
+    if clock in HARMLESS:
+        assert (warnings, account) == ([], [expected] if expected else [])
+    else:
+        _, _, replaced, steps, _ = CLOCKS[clock]
+        assert re.search(expected, warnings[0])
+        assert (ADVICE in warnings[0]) == (kind == 'messages')
+        assert account[0].startswith(f'{len(rows) - replaced} of {len(rows)} samples are used')
+        assert (f'{steps} at which the clock goes back' in account[0]) == bool(steps)
+
+
+@pytest.mark.parametrize('clock', ['every third', 'tenths', '1 s', '25 ms', 'beyond the start'])
+def test_times_of_the_recording_cure_the_stamps(run, tmp_path, clock):
+    _, stamps, *_ = CLOCKS[clock]
+    path = write(tmp_path / 'it.mcap', torque=torque(stamps), it=sensor('Imu', stamps))
+    status, shown, error, found = run('compare', path, '--time-source', 'log')
+    assert (status, error, 'account' in shown) == (0, '', False)
+    is_noise(found, *BOTH)
+
+
+def test_a_single_stamp_is_an_error(run, tmp_path):
+    path, _ = measured(tmp_path, 'Imu', ROWS, np.full(COUNT, START_NS))
+    assert run('compare', path).error.endswith('at least 4 different stamps, found 1\n')
+
+
+@pytest.mark.slow
+def test_no_suspect_is_named_while_stamps_cannot_be_right(run, tmp_path):
+    rows, stamps, *_, warning = CLOCKS['25 ms']
+    path, _ = measured(tmp_path, 'Imu', rows, stamps)
+    _, _, error, found = run('identify', path)
+    assert re.search(warning, error)
+    assert found['verdict']['suspects'] == []
+
+
+@pytest.mark.parametrize('size', [1, 50, 101, 151, 300])
+def test_a_step_is_told_from_late_samples_wherever_blocks_end(size):
+    for stamps, steps in ((back(0.025), [(152, 25_000_000)]), (STAMPS[LATE], []),
+                          (STAMPS[BURST], [])):
+        account = Account()
+        for row in range(0, COUNT, size):
+            account.add(stamps[row:row + size])
+        assert (account.steps, account.samples) == (steps, COUNT)
+        assert bool(account.faults) == bool(steps)
+
+
+IDENTITY, ZEROS = [0.0, 0.0, 0.0, 1.0], np.zeros((COUNT, 3))
+NO_ATTITUDE = 'the attitude is not used: it is {} in all messages, although their angular ' \
+    'velocity turns the body by 1.83 rad'
+NO_RATES = 'the angular velocity is not used: it is zero in all messages, although their ' \
+    'attitude turns by 1.84 rad'
+
+
+def unfilled(folder, filler, kind='Imu'):
+    rates, attitude = (ZEROS, ATTITUDE) if filler == 'gyro' else (
+        RATES, np.tile(filler, (COUNT, 1)))
+    covariance = None if np.any(attitude) else [-1.0, *8 * [0.0]]
+    sent = sensor(kind, attitude=attitude, rates=rates, covariance=covariance)
+    return write(folder / 'it.mcap', torque=torque(), it=sent)
+
+
+@pytest.mark.parametrize('kind', ['Imu', 'Odometry'])
+@pytest.mark.parametrize(('filler', 'note'), [
+    *((filler, NO_ATTITUDE.format(filler)) for filler in (IDENTITY, [0.5, 0.5, -0.5, 0.5])),
+    ([0.0] * 4, ''), ('gyro', NO_RATES)])
+def test_what_was_never_filled_is_left_out(run, tmp_path, kind, filler, note):
+    path = unfilled(tmp_path, filler, kind)
+    if not note and kind == 'Odometry':  # it has no covariance that says so
+        note = f'the attitude is not used: expected finite values, of a possible size, found ' \
+               f'none in {COUNT} messages'
+    status, _, error, found = run('compare', path, '--measured', '/it')
+    assert (status, found['likely_causes']) == (0, [])
+    assert error == (f'attitude_compare: note: {path}: /it: {note}\n' if note else '')
+    is_noise(found, ATTITUDES if filler == 'gyro' else GYRO)
+
+
+@pytest.mark.parametrize(('filler', 'name', 'note'), [
+    (IDENTITY, 'attitude', NO_ATTITUDE.format(IDENTITY)), ('gyro', 'rates', NO_RATES)])
+def test_what_was_never_filled_cannot_be_chosen(run, tmp_path, filler, name, note):
+    path = unfilled(tmp_path, filler)
+    other, = {'attitude', 'rates'} - {name}
+    for chosen in ([name], [other, name]):
+        topics = [text for each in chosen for text in ('--measured', f'/it:{each}')]
+        assert run('compare', path, *topics)[::2] == (2, (
+            f'attitude_compare: error: {path}: /it:{name}: expected samples of this quantity, '
+            f'found none; {note}\n'))
+    is_noise(run('compare', path, '--measured', f'/it:{other}').found,
+             GYRO if other == 'rates' else ATTITUDES)
+
+
+def test_a_body_at_rest_is_measured(run, tmp_path):
+    sent = sensor('Imu', attitude=np.tile(IDENTITY, (COUNT, 1)), rates=ZEROS)
+    path = write(tmp_path / 'it.mcap', torque=torque(torques=ZEROS), it=sent)
+    status, _, error, found = run('compare', path, scene=SCENE.replace('0.6', '0.0'))
+    assert (status, error) == (0, '')
+    assert [found[name]['max'] for name in BOTH] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(('parts', 'names'), [
+    ([''], BOTH), ([':rates'], (GYRO,)), ([':attitude'], (ATTITUDES,)),
+    ([':rates', ':attitude'], BOTH)])
+@pytest.mark.parametrize('has_second', [False, True])
+def test_a_part_of_a_topic_is_chosen_of_any_recording(run, tmp_path, has_second, parts, names):
+    topics = {'imu': sensor('Imu')}
+    path = write(tmp_path / 'it.mcap', torque=torque(), **({} if has_second else topics))
+    second = f'{write(tmp_path / "second.mcap", **topics)}:' if has_second else ''
+    chosen = [text for part in parts for text in ('--measured', f'{second}/imu{part}')]
+    status, _, error, found = run('compare', path, *chosen)
+    assert (status, error) == (0, '')
+    assert found['measured'] == [f'{"second.mcap:" * has_second}/imu{part}' for part in parts]
+    is_noise(found, *names)
+
+
+SPACE = "the angular velocity is in the axes of '{}' (space): converted to body axes"
+LINK = "the measurements are in the axes of '{}': converted to body axes"
+IN_TURNS = ['world' if row % 3 else '/base_link' for row in ROWS]
+SENSOR, IN_SPACE = Rotation.from_euler('xyz', [0.1, 0.2, 0.3]), so3.rotate(ATTITUDE, RATES)
+TURNED = {'attitude': (Rotation.from_quat(ATTITUDE) * SENSOR).as_quat(),
+          'rates': SENSOR.inv().apply(RATES)}
+
+
+@pytest.mark.parametrize(('kind', 'frame', 'child', 'note'), [
+    *(('Imu', name, None, SPACE.format(name)) for name in ('world', '/world')),
+    *(('Odometry', parent, child, SPACE.format(child)) for parent, child in (
+        ('world', 'world'), ('world', '/world'), ('odom', 'odom'), ('/odom', 'odom'),
+        ('odom', '/odom'))),
+    ('Imu', IN_TURNS, None, SPACE.format('world')),
+    *((kind, *frames, LINK.format('/imu_link')) for kind, *frames in (
+        ('Imu', '/imu_link', None), ('Vector3Stamped', '/imu_link', None),
+        ('Odometry', 'world', '/imu_link'))), ('Imu', 'imu_link', None, LINK.format('imu_link')),
+    ('Imu', '/base_link', None, ''), ('Odometry', '/world', '/base_link', ''),
+    ('Vector3Stamped', '/base_link', None, ''), ('PoseStamped', '/world', None, '')])
+def test_measurements_are_converted_from_the_axes_that_messages_name(run, tmp_path, kind, frame,
+                                                                     child, note):
+    values = TURNED if 'link' in note else {'rates': IN_SPACE} if note else {}
+    if frame is IN_TURNS:
+        values = {'rates': np.where(ROWS[:, None] % 3, IN_SPACE, RATES)}
+    path = write(tmp_path / 'it.mcap', torque=torque(), it=sensor(
+        kind, frame=frame, child=child, **values))
+    status, _, error, found = run('compare', path, '--measured', '/it',
+                                  scene=LINKS if 'link' in note else SCENE)
+    other = [line for line in error.splitlines() if "found 'odom'" not in line.replace('/', '')]
+    assert (status, other) == (0, [f'attitude_compare: note: {path}: /it: {note}'] if note else [])
+    is_noise(found, *CHANNELS[kind])
+
+
+@pytest.mark.parametrize(('kind', 'attitude'), [
+    ('Vector3Stamped', ATTITUDE), ('Imu', np.tile(IDENTITY, (COUNT, 1))),
+    ('Imu', np.zeros((COUNT, 4)))])
+def test_rates_in_space_axes_without_an_attitude_are_an_error(run, tmp_path, kind, attitude):
+    path = write(tmp_path / 'it.mcap', torque=torque(), it=sensor(
+        kind, attitude=attitude, rates=IN_SPACE, frame='world'))
+    assert run('compare', path, '--measured', '/it')[::2] == (2, (
+        f'attitude_compare: error: {path}: /it: message 1: frame_id: expected an angular velocity '
+        "in body axes, found 'world' (space axes)\n"))
+
+
+@pytest.mark.parametrize(('norm', 'worst'), [
+    (12345.0, '301 of 301 quaternions do not have norm 1; the worst has norm 12345:'),
+    (0.5, 'norm 0.5:'), (1.02, 'norm 1.02:'), (1.002, ''), (32767.0, r'norm 3276\d\.\d:'),
+    (np.where(ROWS == 7, 3.0, 1.0)[:, None], '')])
+def test_quaternions_without_norm_1_are_a_warning_unless_few(run, tmp_path, norm, worst):
+    values = norm * ATTITUDE
+    path = write(tmp_path / 'it.mcap', torque=torque(), it=sensor(
+        'PoseStamped', attitude=np.round(values) if np.max(norm) == 32767.0 else values))
+    status, _, error, found = run('compare', path)
+    assert (status, error.count('\n')) == (0, bool(worst))
+    assert re.search(worst, error)
+    is_noise(found, ATTITUDES)
+
+
+@pytest.mark.parametrize('fault', [{'sec': -2 ** 31}, {'nanosec': 2 * SECOND}])
+@pytest.mark.parametrize('kind', ['Imu', 'Odometry', 'Vector3Stamped'])
+def test_stamps_that_are_not_times_are_no_obstacle_to_other_times(run, tmp_path, kind, fault):
+    def change(message):
+        vars(message.header.stamp).update(fault)
+    path = write(tmp_path / 'it.mcap', torque=torque(change=change), it=sensor(
+        kind, change=change))
+    for command, topic in (('replay', '/torque'), ('compare', '/it')):
+        error = run(command, path, *(['--measured', '/it'] * (topic == '/it'))).error
+        assert f'{path}: {topic}: message 1: ' in error
+        assert 'invalid stamp: ' in error
+    status, _, error, found = run('compare', path, '--measured', '/it', '--time-source', 'log')
+    assert (status, error) == (0, '')
+    is_noise(found, *CHANNELS[kind])
+    assert 'warning' not in run('replay', path, '--time-source', 'log').shown
+
+
+@pytest.mark.parametrize(('rows', 'warning'), [
+    ([7], ''), ([300], ''), (ROWS[7::20], '15 of 301 samples are rejected: expected finite')])
+def test_torques_that_are_not_finite_are_skipped_and_counted(run, tmp_path, rows, warning):
+    torques = TORQUES.copy()
+    torques[rows, 1] = np.nan
+    path = write(tmp_path / 'it.mcap', torque=torque(torques=torques), it=sensor('Imu'))
+    status, shown, error, _ = run('replay', path)
+    assert (status, error) == (0, '')
+    used = f'{COUNT - len(rows)} of 301 samples are used: {len(rows)} rejected\n'
+    assert f'account       {used}' in shown
+    assert (f'warning       {warning}' in shown) == bool(warning)
+    assert run('compare', path).found['accounts']['torques']['rejected'] == len(rows)
+
+
+def test_torques_that_are_never_finite_are_an_error(run, tmp_path):
+    path = write(tmp_path / 'it.mcap', torque=torque(torques=np.nan * TORQUES))
+    assert run('replay', path)[::2] == (2, (
+        f'attitude_replay: error: {path}: /torque: expected a finite torque, found none among 301 '
+        'messages\n'))
+
+
+MAP = Rotation.from_euler('z', np.linspace(0.1, 0.25, COUNT)[:, None])
+ODOM = MAP.inv() * Rotation.from_quat(ATTITUDE)
+FIXED = MAP[0].inv() * Rotation.from_quat(ATTITUDE)
+BODY, EVERY = ('odom', 'base_link', ODOM), [('map', 'odom', MAP), ('odom', 'base_link', ODOM)]
+FROM_MAP = SCENE + '    space_frame: map\n'
+
+
+def transforms(*links, rows=ROWS):
+    """Return a message for each row, with a transform for each parent, child and rotations."""
+    return [(int(STAMPS[row]) + 300_000, TFMessage([
+        transform(STAMPS[row], Quaternion(*rotations[row].as_quat().tolist()), parent, child)
+        for parent, child, rotations in links])) for row in rows]
+
+
+STATIC, ON_FIXED = transforms(EVERY[0], rows=[0]), transforms(('odom', 'base_link', FIXED))
+CHAINS = {
+    'one message': ('/tf', {'tf': transforms(*EVERY)}),
+    'several messages': ('/tf', {'tf': transforms(BODY) + transforms(EVERY[0])}),
+    'slow': ('/tf', {'tf': transforms(BODY) + transforms(EVERY[0], rows=ROWS[::20])}),
+    'reversed': ('/tf', {'tf': transforms(EVERY[0], ('base_link', 'odom', ODOM.inv()))}),
+    'fixed': ('/tf', {'tf': ON_FIXED, 'tf_static': STATIC}),
+    'namespace': ('/robot/tf', {'robot/tf': ON_FIXED, 'robot/tf_static': STATIC}),
+    'direct': ('/tf', {'tf': transforms(EVERY[0], ('odom', 'base_link', ODOM.inv()), (
+        'map', 'base_link', Rotation.from_quat(ATTITUDE)))}),
+}
+
+
+@pytest.mark.parametrize('has_frames', [False, True])
+@pytest.mark.parametrize('chain', CHAINS)
+def test_transforms_are_composed_along_a_chain(run, tmp_path, chain, has_frames):
+    topic, topics = CHAINS[chain]
+    path = write(tmp_path / 'it.mcap', torque=torque(), **topics)
+    options = ('--frames', 'map', 'base_link') if has_frames else ()
+    status, _, error, found = run('compare', path, '--measured', topic, *options,
+                                  scene=SCENE if has_frames else FROM_MAP)
+    assert (status, error, found['accounts'][topic]['samples']) == (0, '', COUNT)
+    is_noise(found, ATTITUDES)
+
+
+@pytest.mark.parametrize(('topics', 'message'), [
+    ({'tf': ON_FIXED}, "directly or in a chain, found 'odom' to 'base_link'; choose"),
+    ({'tf': ON_FIXED, 'robot/tf_static': STATIC}, "found 'odom' to 'base_link'; choose"),
+    ({'tf': transforms(('/map', '/base_link', MAP))}, "found '/map' to '/base_link'; choose"),
+    ({'tf': transforms(('a', 'b', MAP)), 'tf_static': transforms(*EVERY, rows=[0])},
+     "expected a transform that changes between 'map' and 'base_link', found fixed ones only")])
+def test_a_chain_with_a_missing_link_lists_the_others(run, tmp_path, topics, message):
+    path = write(tmp_path / 'it.mcap', torque=torque(), **topics)
+    status, _, error, _ = run('compare', path, '--measured', '/tf', scene=FROM_MAP)
+    assert status == 2
+    assert error.startswith(f'attitude_compare: error: {path}: /tf: expected ')
+    assert message in error
