@@ -50,8 +50,8 @@ SECOND = 10 ** 9
 NEEDS = {
     'distributed': ['cluster'],
     'pyarrow': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_loop', 'ensemble_motions',
-                'ensemble_results', 'fitted', 'identify_command', 'tradeoff_ensemble',
-                'wheel_command', 'wheels'],
+                'ensemble_results', 'fitted', 'identify_command', 'wheel_command',
+                'wheels'],
     'zarr': ['ensemble_folder', 'ensemble_motions', 'ensemble_results'],
     'rclpy': ['actuator_topics', 'clocks', 'closed_loop', 'crash', 'executors', 'faults', 'fleet',
               'imu_live', 'inertia_topic', 'launch', 'lifecycle', 'lockstep', 'monitor_live',

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 #: The options that name recordings, the options that name files of any kind, and the suffixes of
 #: the command's outputs.
 _INPUTS = 'input', 'recording', 'motion', 'reference', 'vary'
-_PATHS = *_INPUTS, 'scene', 'ensemble', 'output', 'json', 'plot', 'report'
+_PATHS = *_INPUTS, 'scene', 'output', 'json', 'plot', 'report'
 _SUFFIXES = {'json': '.json', 'plot': '.png', 'report': '.html'}
 
 
@@ -60,8 +60,7 @@ def checked(options: argparse.Namespace,
 
     """
     inputs = *_given(options, *_INPUTS), *_measured_files(options)
-    with protection.reading(*inputs, scene=options.scene,
-                            ensemble=getattr(options, 'ensemble', None)):
+    with protection.reading(*inputs, scene=options.scene):
         yield Outputs(options, *outputs)
 
 

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
     from rigid_body_ros.tradeoff import Tradeoff
-    from rigid_body_ros.tradeoff.choices import Spread
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -51,21 +50,17 @@ def _run(options: argparse.Namespace) -> int:
 
 def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title; the title names the recording and its topic, or the scene."""
-    from rigid_body_ros.tradeoff import ensemble, measure, TARGET
+    from rigid_body_ros.tradeoff import measure, TARGET
     problem, name = _problem(options, scene)
     source = options.recording or options.scene
-    spread = _spread(options, problem)
-    targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
     try:
         # The problem that is measured has rotors in place of the named wheels, and its body does
         # not include the axial inertia of the wheels.
-        result = measure(problem.carried(), targets=targets, track=progress('measuring', ' runs'),
-                         end_ns=spread.end_ns if spread else _end_ns(options, problem))
+        result = measure(problem.carried(), targets=options.target or [TARGET],
+                         track=progress('measuring', ' runs'), end_ns=_end_ns(options, problem))
     except ValueError as error:
         where = f'{source}: {name}' if options.recording else source
         raise InputError(f'{where}: {error}') from error
-    if spread:
-        result = ensemble.advise(result, spread)
     return result, f'{Path(source).name}: {name}'
 
 
@@ -89,29 +84,6 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
     return logged.problem, listed(logged.topics)
 
 
-def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
-    """
-    Return the spread from the folder given with --ensemble, or None if the option is not given.
-
-    Raise InputError if the spread belongs to another motion.
-    """
-    if not options.ensemble:
-        return None
-    if options.until:
-        raise InputError('--until: expected the end of the runs of --ensemble, found both')
-    from rigid_body_ros.ensemble.driver import recording_hash
-    from rigid_body_ros.tradeoff import ensemble
-    spread, start_ns = ensemble.read(options.ensemble), problem.start.time_ns
-    if spread.recording != recording_hash(problem):
-        expected = f'under the torques of {options.recording}' if options.recording else \
-            'without torques'
-        raise InputError(f'{options.ensemble}: expected an ensemble {expected}, found another')
-    if spread.start_ns != start_ns:
-        raise InputError(f'{options.ensemble}: expected an ensemble that starts at {start_ns} ns, '
-                         f'found {spread.start_ns} ns')
-    return spread
-
-
 def _add_arguments(parser: Parser) -> None:
     from rigid_body_ros.tradeoff import TARGET
     parser.add_scene()
@@ -122,12 +94,7 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
                         help='largest attitude error that the solver may have at any time during '
                         'the motion; the command reports the interpolation error between torque '
-                        f'samples separately; may be repeated (default: {TARGET:g}, or the target '
-                        'of --ensemble)')
-    parser.add_argument('--ensemble', metavar='FOLDER', help='output folder of attitude_ensemble '
-                        'for the same motion; the command takes a tenth of the spread of the runs '
-                        'as one more target, measures the errors up to the end of the runs, and '
-                        'reports how much time the recommended setting saves')
+                        f'samples separately; may be repeated (default: {TARGET:g})')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
     parser.add_outputs(

@@ -22,11 +22,9 @@ import math
 from typing import Any, NamedTuple
 
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.propagation import Options
 from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST
 
 #: An integration error up to this fraction of the spread of an ensemble is negligible.
-_PART = 0.1
 #: Time needed to compute a reference, divided by the time of one run of the Taylor series.
 _REFERENCE_COST = 14.0
 
@@ -54,9 +52,6 @@ class Setting(NamedTuple):
 
 
 #: The setting that applies if a scene specifies neither a solver nor a tolerance.
-DEFAULT = Setting(Options.solver, Options.tolerance)
-
-
 class Error(NamedTuple):
     """
     The errors of a motion, as deviations from the reference motion.
@@ -134,66 +129,6 @@ class Choice(NamedTuple):
     #: Whether `error` was measured on the whole log. Otherwise, `error` was scaled up from the
     #: error on the stretch.
     measured: bool
-
-
-class Spread(NamedTuple):
-    """The spread of an ensemble, with data that identifies the ensemble's nominal motion."""
-
-    runs: int
-    #: Median angle between a run's final attitude and that of the nominal motion, rad.
-    median: float
-    start_ns: int
-    end_ns: int
-    #: Hash of the torques.
-    recording: str
-
-    @property
-    def target(self) -> float:
-        """Return the largest error that is negligible compared with the spread, rad."""
-        return _PART * self.median
-
-
-class Advice(NamedTuple):
-    """
-    What the recommended setting costs in an ensemble.
-
-    All times are wall times per run, s. They apply when one core computes the final states of many
-    runs.
-    """
-
-    spread: Spread
-    #: Time with the recommended setting, or None if no setting is recommended.
-    seconds: float | None
-    #: Time with the default setting.
-    default_seconds: float
-
-    @property
-    def saved_seconds(self) -> float:
-        """
-        Return how much time the recommended setting saves over all runs, s, at least 0.
-
-        The time is compared with that of the default setting.
-        """
-        per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
-        return self.spread.runs * max(per_run, 0.0)
-
-    def rows(self) -> list[tuple[str, str]]:
-        """Return the advice as rows to print, each with a name and a text."""
-        spread = self.spread
-        rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal '
-                             f'run (median); the target is a tenth of this: {spread.target:.3g} '
-                             'rad')]
-        if self.seconds is not None:
-            rows.append(('', f'a run takes {self.seconds:.3g} s with the setting for this target, '
-                             f'{self.default_seconds:.3g} s with the default; all runs save '
-                             f'{self.saved_seconds:.3g} s on one core'))
-        return rows
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the advice as JSON types, with units in the keys."""
-        return {'runs': self.spread.runs, 'median_angle_rad': self.spread.median,
-                'target_rad': self.spread.target, 'run_s': self.seconds,
-                'run_default_s': self.default_seconds, 'saved_s': self.saved_seconds}
 
 
 class OnWhole:

@@ -24,7 +24,7 @@ import platform
 from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row, lines
-from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement, OnWhole, Setting
+from rigid_body_ros.tradeoff.choices import Choice, Measurement, OnWhole, Setting
 from rigid_body_ros.tradeoff.interpolation import CLEARLY, InterpolationError
 from rigid_body_ros.tradeoff.problem import Case, Reference
 
@@ -71,8 +71,6 @@ class Tradeoff:
     error_on_whole : OnWhole
         A function that returns the attitude error of a measurement on the whole log; see
         `recommend`.
-    ensemble : Advice, optional
-        The advice for the ensemble whose spread determines one of the targets.
 
     """
 
@@ -85,12 +83,6 @@ class Tradeoff:
     interpolation_differences: Mapping[str, float | None]
     choices: Mapping[float, Choice | None]
     error_on_whole: OnWhole
-    ensemble: Advice | None = None
-
-    @property
-    def growth(self) -> float:
-        """Return the length of the whole log divided by the length of the stretch."""
-        return self.whole.seconds / self.stretch.seconds
 
     @property
     def interpolation_error(self) -> InterpolationError | None:
@@ -172,7 +164,6 @@ class Tradeoff:
             'rounding_floor_is': ' '.join(_FLOORS[self.stretch.has_terms]),
             'last_digit_effect_rad': self.reference.last_digits,
             **targets[0], 'targets': targets,
-            'ensemble': self.ensemble and self.ensemble.as_dict(),
             'readings': [{'interpolation': error.interpolation,
                           'thinned_by_two_rad': error.thinned,
                           'estimated_error_rad': error.estimate}
@@ -263,7 +254,7 @@ def _smallest(result: Tradeoff, target: float, part: str) -> str:
         return f'the smallest error is {least:.1e} rad{part}'
     if measured is not None:
         return f'the smallest error is {measured:.1e} rad on the whole motion'
-    scaled = least * result.growth ** 2
+    scaled = least * (result.whole.seconds / result.stretch.seconds) ** 2
     return f'the smallest error is {least:.1e} rad{part}, and {scaled:.1e} rad scaled to the ' \
            'whole motion by the square of the time'
 
@@ -305,7 +296,7 @@ def _facts(result: Tradeoff) -> list[tuple[str, str]]:
     reference, (floor, rest) = result.reference, _FLOORS[result.stretch.has_terms]
     drift = 'largest change since the start, relative' if result.stretch.conserves else \
         'largest difference from the reference, relative to its largest value'
-    return [*(result.ensemble.rows() if result.ensemble else []), ('motion', _motion(result)),
+    return [('motion', _motion(result)),
             ('errors', 'difference from the Taylor series at its tightest tolerance with shorter '
                        'steps'),
             ('drift', f'momentum and energy: {drift}'),
