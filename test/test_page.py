@@ -67,8 +67,7 @@ def others(tmp_path_factory):
              str(folder / 'fitted.yaml')),
             ('ensemble', main.attitude_ensemble, '--recording', TUMBLER[0], '--vary',
              str(folder / 'vary.yaml'), '--runs', '50', '--times', '1', '-o',
-             str(folder / 'runs')),
-            ('index', main.attitude_replay, TUMBLER[0], motion, '-o', str(folder / 'motions'))):
+             str(folder / 'runs'))):
         pages[name] = folder / f'{name}.html'
         assert command([*arguments, *TUMBLER[1:], '--report', str(pages[name])]) == 0, name
     return pages
@@ -334,8 +333,7 @@ def test_a_spike_of_one_sample_is_visible(chromium, tmp_path, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', ['compare', 'tradeoff', 'identify', 'ensemble',
-                                  'index'])
+@pytest.mark.parametrize('name', ['compare', 'tradeoff', 'identify', 'ensemble'])
 @pytest.mark.parametrize('width', [1280, 390])
 def test_the_pages_of_other_commands_open_alone_and_fit_the_window(chromium, others, name, width):
     with browser.opened(chromium, others[name], width) as page:

@@ -25,6 +25,7 @@ from rigid_body_ros.commands.arguments import length_of, load_scene, note, topic
 from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
@@ -92,20 +93,15 @@ def _length(options: argparse.Namespace) -> float | None:
 
 
 def _replay_many(options: argparse.Namespace) -> int:
-    from rigid_body_ros.replay.many import outputs_in, page, Picture, replay_many, table
-    if options.plot:
-        raise InputError(f'--plot: expected one recording, found {len(options.input)}')
+    from rigid_body_ros.replay.many import replay_many, table
+    for name in ('plot', 'report'):
+        if getattr(options, name):
+            raise InputError(f'--{name}: expected one recording, found {len(options.input)}')
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
-    with checked(options) as outputs:
-        with outputs.writing():
-            written = outputs_in(options.output, options.input)
-            scene = load_scene(options)
-            outcomes = replay_many(options.input, scene, options.output, _pool(options),
-                                   collect=Picture if options.report else None,
-                                   **_replay_options(options))
-        outputs.names += written
-        outputs.write_asked(page=lambda line: page(outcomes, scene, line))
+    with files.overwriting(options.overwrite):
+        outcomes = replay_many(options.input, load_scene(options), options.output, _pool(options),
+                               **_replay_options(options))
     show(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]
     if failed:
@@ -172,8 +168,7 @@ def _add_arguments(parser: Parser) -> None:
     add_scheduler(parser)
     parser.add_outputs(
         plot='plot Euler angles, quaternion, angular velocity and torque over time',
-        report='the moving body, the same plots as --plot, and the summary; for several '
-        'recordings, the page shows a row with a small picture for each recording')
+        report='the moving body, the same plots as --plot, and the summary')
 
 
 attitude_replay = Command(

@@ -30,12 +30,9 @@ import threading
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.replay.batches import Batch, Collector
 from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.replay.single import replay
-from rigid_body_ros.report import page as pages
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.report.thinning import Extremes
 from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.cluster import connected
 from rigid_body_ros.runtime.pool import Processes, WorkerError
@@ -46,7 +43,6 @@ from tqdm import tqdm
 #: Matches the file names of partial outputs.
 _PARTIAL = '*.partial*.mcap'
 #: The width and height of a picture, in SVG units, and the largest number of intervals in a curve.
-_WIDTH, _HEIGHT, _INTERVALS = 200.0, 40.0, 128
 
 #: The path of a recording, and the path of the output for its motion.
 Task = tuple[str, str]
@@ -54,17 +50,12 @@ Task = tuple[str, str]
 
 @dataclass(frozen=True)
 class Outcome:
-    """
-    The outcome of replaying one recording: its output and a short summary, or the error.
-
-    `collected` is the object that `replay` obtained by calling its argument `collect`.
-    """
+    """The outcome of replaying one recording: its output and a short summary, or the error."""
 
     path: str
     output: str
     summary: str = ''
     error: str = ''
-    collected: Collector | None = None
 
     @property
     def text(self) -> str:
@@ -72,37 +63,6 @@ class Outcome:
         return self.summary or f'failed: {self.error}'
 
 
-class Picture:
-    """The angular velocity of a motion, thinned while the motion is computed."""
-
-    def __init__(self) -> None:
-        self._rates = Extremes(3, _INTERVALS)
-
-    def add(self, batch: Batch) -> None:
-        """Add a part of the motion."""
-        motion = batch.trajectory
-        if motion.times_ns.size:
-            self._rates.add(motion.times_ns, motion.angular_velocity)
-
-    def svg(self) -> str:
-        """Draw the three components of the angular velocity as curves in SVG."""
-        times, low, high = self._rates.result()
-        if not len(times):
-            return ''
-        x = _WIDTH * (times - times[0]) / max(int(times[-1] - times[0]), 1)
-        span = float(high.max() - low.min()) or 1.0
-        paths = []
-        for k in range(3):
-            tops, bottoms = (_HEIGHT * (high.max() - part[:, k]) / span for part in (high, low))
-            points = ' '.join(f'{at:.1f},{top:.1f} {at:.1f},{bottom:.1f}'
-                              for at, top, bottom in zip(x, tops, bottoms))
-            paths.append(f'<polyline class="c{k}" points="{points}"/>')
-        return f'<svg class="picture" viewBox="-1 -1 {_WIDTH + 2:g} {_HEIGHT + 2:g}" role="img" ' \
-               f'aria-label="angular velocity over time">{"".join(paths)}</svg>'
-
-
-#: A function that runs tasks and generates their outcomes in any order. Its last argument contains
-#: the options for `replay`.
 Pool = Callable[[Sequence[Task], Scene, dict[str, Any]], Generator[Outcome]]
 
 
@@ -191,44 +151,10 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return lines([*rows, f'{len(outcomes) - failed} of {len(outcomes)} written'])
 
 
-def page(outcomes: Sequence[Outcome], scene: Scene, command: str) -> pages.Page:
-    """
-    Return a page that lists several recordings.
-
-    Parameters
-    ----------
-    outcomes : sequence of Outcome
-        The outcomes of the recordings, which must have been replayed with `collect=Picture`.
-    scene : Scene
-        The scene that all recordings share.
-    command : str
-        The command line.
-
-    """
-    failed = sum(bool(outcome.error) for outcome in outcomes)
-    written = f'{len(outcomes) - failed} of {len(outcomes)} recordings replayed'
-    return pages.Page(f'{len(outcomes)} recordings', written, [(
-        'pictures', 'angular velocity about the body axes x (blue), y (orange), z (green)')],
-        warnings=scene.warnings, scene=scene, command=command,
-        table=pages.table(('recording', 'angular velocity', 'motion'), [*map(_row, outcomes)]))
-
-
-def _row(outcome: Outcome) -> tuple[str, pages.Markup, str]:
-    """Return the name, the picture and the text of an outcome; its paths become file names."""
-    picture, text = outcome.collected, outcome.text
-    for path in (outcome.output, outcome.path):
-        text = text.replace(path, _basename(path))
-    svg = picture.svg() if isinstance(picture, Picture) else ''
-    return _basename(outcome.path), pages.Markup(svg), text
-
-
-def _basename(path: str) -> str:
-    return os.path.basename(os.path.abspath(path))  # turns '.' into the current folder's name
-
-
 def _name(path: str) -> str:
     suffixes = r'(?<=.)(\.(mcap|db3|csv))?(\.zstd?)?$'
-    return re.sub(suffixes, '', _basename(path), flags=re.IGNORECASE)
+    name = os.path.basename(os.path.abspath(path))  # turns '.' into the current folder's name
+    return re.sub(suffixes, '', name, flags=re.IGNORECASE)
 
 
 @contextmanager
@@ -308,7 +234,7 @@ class _Replay:
                 result = replay(path, self.scene, output, **self.options)
             except InputError as error:
                 return Outcome(path, output, error=str(error))
-        return Outcome(path, output, _summary(result, output), collected=result.collected)
+        return Outcome(path, output, _summary(result, output))
 
 
 def _in_process(replay: _Replay, task: Task) -> Outcome:
