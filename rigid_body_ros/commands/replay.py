@@ -29,21 +29,21 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
-    from rigid_body_ros.replay import Replay
     from rigid_body_ros.replay.many import Pool
-    from rigid_body_ros.replay.page import PageCollector
-    from rigid_body_ros.report.page import Page
-    from rigid_body_ros.scene import Scene
 
 #: The exit statuses of the command, which are explained in docs/commands.md.
 OK, DIFFERENT = 0, 1
 
 
 def _run(options: argparse.Namespace) -> int:
+    count = len(options.input)
+    for name in ('verify', 'plot', 'report'):
+        if getattr(options, name) and count > 1:
+            raise InputError(f'--{name}: expected one recording, found {count}')
     if options.verify:
         return _verify(options)
     warn_of_units(options, options.input)
-    if len(options.input) > 1:
+    if count > 1:
         return _replay_many(options)
     if options.scheduler:
         raise InputError('--scheduler: expected several recordings, found one')
@@ -59,27 +59,18 @@ def _replay_one(options: argparse.Namespace) -> int:
     if options.also and not options.output:
         raise InputError('--also: expected an output file or folder (-o), found none')
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
-        scene = load_scene(options)
-        collect = partial(_collector, scene) if options.report else None
+        scene, collect = load_scene(options), None
+        if options.report:
+            from rigid_body_ros.replay.page import PageCollector
+            collect = partial(PageCollector, scene)
         with outputs.writing(options.output):
             result = replay.replay(path, scene, options.output, keep=bool(options.plot),
                                    collect=collect, **_replay_options(options))
-
-        outputs.write_asked(page=partial(_page, result, name),
+        collected: Any = result.collected  # a `PageCollector` if there is a page to write
+        outputs.write_asked(page=lambda line: collected.page(result, name, line),
                             draw=lambda path: plot.draw(path, result, name))
     outputs.show(result.text(), 14)
     return OK
-
-
-def _collector(scene: Scene) -> PageCollector:
-    from rigid_body_ros.replay.page import PageCollector  # imported only if a page is requested
-    return PageCollector(scene)
-
-
-def _page(result: Replay, name: str, line: str) -> Page:
-    collected: Any = result.collected  # from `_collector`
-    page: Page = collected.page(result, name, line)
-    return page
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -94,9 +85,6 @@ def _length(options: argparse.Namespace) -> float | None:
 
 def _replay_many(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.many import replay_many, table
-    for name in ('plot', 'report'):
-        if getattr(options, name):
-            raise InputError(f'--{name}: expected one recording, found {len(options.input)}')
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
     with files.overwriting(options.overwrite):
@@ -119,8 +107,6 @@ def _pool(options: argparse.Namespace) -> Pool | None:
 
 def _verify(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.verify import verify
-    if len(options.input) > 1:
-        raise InputError(f'--verify: expected one recording, found {len(options.input)}')
     unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'scheduler')
               if getattr(options, name)]
     if unused:

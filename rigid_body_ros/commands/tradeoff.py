@@ -52,22 +52,17 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title; the title names the recording and its topic, or the scene."""
     from rigid_body_ros.tradeoff import measure, TARGET
     problem, name = _problem(options, scene)
-    source = options.recording or options.scene
+    source, length = options.recording or options.scene, length_of(options)
+    end_ns = None if length is None else problem.start.time_ns + round(1e9 * length)
     try:
         # The problem that is measured has rotors in place of the named wheels, and its body does
         # not include the axial inertia of the wheels.
         result = measure(problem.carried(), targets=options.target or [TARGET],
-                         track=progress('measuring', ' runs'), end_ns=_end_ns(options, problem))
+                         track=progress('measuring', ' runs'), end_ns=end_ns)
     except ValueError as error:
         where = f'{source}: {name}' if options.recording else source
         raise InputError(f'{where}: {error}') from error
     return result, f'{Path(source).name}: {name}'
-
-
-def _end_ns(options: argparse.Namespace, problem: Problem) -> int | None:
-    """Return the end of the motion, ns, or None if --until is not given."""
-    length = length_of(options)
-    return None if length is None else problem.start.time_ns + round(1e9 * length)
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:

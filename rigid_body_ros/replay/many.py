@@ -57,11 +57,6 @@ class Outcome:
     summary: str = ''
     error: str = ''
 
-    @property
-    def text(self) -> str:
-        """Return the summary, or the error after the word failed."""
-        return self.summary or f'failed: {self.error}'
-
 
 Pool = Callable[[Sequence[Task], Scene, dict[str, Any]], Generator[Outcome]]
 
@@ -146,7 +141,8 @@ def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
 def table(outcomes: Sequence[Outcome]) -> str:
     """Return a table with one line per recording."""
     width = max(len(outcome.path) for outcome in outcomes)
-    rows = [f'{outcome.path:{width}}  {outcome.text}' for outcome in outcomes]
+    rows = [f'{outcome.path:{width}}  {outcome.summary or f"failed: {outcome.error}"}'
+            for outcome in outcomes]
     failed = sum(bool(outcome.error) for outcome in outcomes)
     return lines([*rows, f'{len(outcomes) - failed} of {len(outcomes)} written'])
 

@@ -21,7 +21,7 @@ Files are protected whichever way they are named: by relative paths, symbolic li
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, ExitStack, suppress
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 import os
 from pathlib import Path
@@ -64,7 +64,7 @@ def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
 
 
 @contextmanager
-def reading(*recordings: str | Path | None, **others: str | Path | None) -> Iterator[None]:
+def reading(*recordings: str | Path | None, scene: str | Path | None = None) -> Iterator[None]:
     """
     Protect the inputs of a command.
 
@@ -72,16 +72,13 @@ def reading(*recordings: str | Path | None, **others: str | Path | None) -> Iter
     ----------
     recordings : str or Path or None
         Recordings. If you name one file of a bag, the whole bag is protected.
-    others : str or Path or None
-        Other files. An error message refers to such a file by the name of its keyword argument.
+    scene : str or Path, optional
+        The scene file.
 
     """
-    with ExitStack() as stack:
-        stack.enter_context(protected('input', *(
-            member for path in recordings if path is not None
-            for member in _paths_of_recording(os.fspath(path)))))
-        for role, path in others.items():
-            stack.enter_context(protected(role, path))
+    paths = [member for path in recordings if path is not None
+             for member in _paths_of_recording(os.fspath(path))]
+    with protected('input', *paths), protected('scene', scene):
         yield
 
 
