@@ -113,13 +113,13 @@ def test_the_labels_of_a_trade_stay_inside_the_picture(tmp_path, monkeypatch):
     names = ('exact', 'auto', 'taylor', 'rk4', 'strang', 'explicit_euler')
     curves = {name: ([10.0 ** -number, 1e-16, 3.0], [1e-7, 10.0 ** -number, 1e-9])
               for number, name in enumerate(names)}
-    figures.work_precision(tmp_path / 'p.png', curves, 250 * 'W', {
-        'rounding floor': 1e-17, 'last digits': 2e-16, 'target 1e-06 rad': 1e-6,
-        'target 0.1 rad': 0.1, 'linear interpolation': 3.0})
+    lines = {'rounding floor 2e-16 rad': 2e-16, 'last-digit effect 3e-16 rad': 3e-16,
+             'target 1e-06 rad': 1e-6, 'target 0.1 rad': 0.1,
+             'linear interpolation 3e+00 rad': 3.0}
+    figures.work_precision(tmp_path / 'p.png', curves, 250 * 'W', lines)
     assert inside(drawn[0])
     texts = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
-    assert texts[-5:] == ['rounding floor 2e-16 rad', 'last digits 2e-16 rad', 'target 1e-06 rad',
-                          'target 0.1 rad', 'linear interpolation 3e+00 rad']
+    assert texts[-5:] == [*lines]
 
 
 @pytest.mark.slow

@@ -292,6 +292,18 @@ def test_a_target_that_only_the_whole_motion_misses_is_refused_with_its_figure(m
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_the_lines_of_a_plot_ascend_and_have_a_meaning():
+    result = measure(a_rod(100), targets=[1e-20, 1.0], seconds=0.01)
+    lines = result.reference_errors()
+    reference, own = result.reference, result.interpolation_error
+    assert {*lines} == {f'rounding floor {reference.floor:.0e} rad', 'target 1e-20 rad',
+                        f'last-digit effect {reference.last_digits:.0e} rad', 'target 1 rad',
+                        f'hold interpolation {own.estimate:.0e} rad'}
+    assert [*lines.values()] == sorted(lines.values())
+    assert lines['target 1e-20 rad'] == np.finfo(float).eps
+
+
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
 def test_another_interpolation_is_advised_under_a_condition_if_hold_may_be_right(interpolation):
     result = measure(a_rod(1000, interpolation), seconds=0.1)

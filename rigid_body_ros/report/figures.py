@@ -116,7 +116,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     title : str
         The title. It is drawn literally: a $ does not start a formula.
     lines : dict
-        Attitude errors to mark with vertical lines, rad. The keys are shown next to the lines.
+        Attitude errors to mark with vertical lines, rad, keyed by their labels in the legend.
 
     Raises
     ------
@@ -127,14 +127,11 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     figure = Figure(figsize=(7.2, 5.0), layout='constrained')
     figure.suptitle(literal(title), fontsize=10)
     panel = figure.subplots()
-    least = float(np.finfo(float).eps)  # smaller errors have no meaning
     for number, (name, (errors, costs)) in enumerate(curves.items()):
-        panel.loglog(np.maximum(errors, least), costs, style.STYLES[number % len(style.STYLES)],
+        panel.loglog(errors, costs, style.STYLES[number % len(style.STYLES)],
                      linewidth=1.4, markersize=4.5, color=style.COLOURS[number],
                      marker=style.MARKERS[number], label=name.replace('_', ' '))
-    for number, (name, value) in enumerate(sorted(lines.items(), key=lambda line: line[1])):
-        value = max(value, least)
-        text = name if name.endswith('rad') else f'{name} {value:.0e} rad'
+    for number, (text, value) in enumerate(lines.items()):
         panel.axvline(value, color=_GREYS[number // len(style.STYLES) % len(_GREYS)],
                       linestyle=style.STYLES[number % len(style.STYLES)], linewidth=1.0, zorder=1,
                       label=text)

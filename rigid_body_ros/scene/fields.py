@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import written
-from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.mechanics.fields import Field, GravityGradient, UniformField
 from rigid_body_ros.runtime.parameters import BIG, Parameter
 
@@ -53,7 +53,7 @@ PARAMETERS = (
       for axis, value in zip('xyz', (0.0, 0.0, 1.0))),
 )
 _NAME = re.compile('[A-Za-z_][A-Za-z0-9_]*')
-_OF_FIELD = re.compile(f'(.+)[.]({MOMENT}|{FIELD})[.][xyz]')
+OF_FIELD = re.compile(f'(.+)[.]({MOMENT}|{FIELD})[.][xyz]')
 
 
 def of_names(names: Iterable[str]) -> dict[str, Parameter]:
@@ -97,14 +97,6 @@ def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS
         known.add(name)
 
 
-def check_named(key: str, names: Collection[str]) -> None:
-    """Raise InputError if an unknown parameter seems to belong to a field that `fields` lacks."""
-    found = _OF_FIELD.fullmatch(key)
-    if found:
-        raise InputError(f'{key}: expected {quoted(found[1])} among the names in {FIELDS}, found '
-                         f'{listed(names)}')
-
-
 def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
     """
     Create the fields from the parameters of a scene.
@@ -118,8 +110,8 @@ def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
         that define the orbit are not at right angles.
 
     """
-    found: list[Field] = [UniformField(_vector(values, f'{name}.{MOMENT}'),
-                                       _vector(values, f'{name}.{FIELD}'), name)
+    found: list[Field] = [UniformField(vector(values, f'{name}.{MOMENT}'),
+                                       vector(values, f'{name}.{FIELD}'), name)
                           for name in values[FIELDS]]
     if not values[_RATE]:
         return tuple(found)
@@ -141,7 +133,7 @@ def described(values: Mapping[str, Any]) -> list[str]:
     """Return a line of text for each field in a scene."""
     found = []
     for name in values[FIELDS]:
-        moment, field = (written(np.array(_vector(values, f'{name}.{group}')))
+        moment, field = (written(np.array(vector(values, f'{name}.{group}')))
                          for group in (MOMENT, FIELD))
         found.append(f'{name}: moment {moment} in body axes, field {field} in space axes')
     if values[_RATE]:
@@ -194,8 +186,9 @@ def _components(vectors: Mapping[str, Any]) -> dict[str, float]:
             for axis, value in zip('xyz', vector)}
 
 
-def _vector(values: Mapping[str, Any], group: str) -> list[float]:
-    vector = [values[f'{group}.{axis}'] for axis in 'xyz']
-    if not any(vector):
+def vector(values: Mapping[str, Any], group: str) -> list[float]:
+    """Return the vector with the components GROUP.x, .y and .z; raise InputError if it is zero."""
+    components = [values[f'{group}.{axis}'] for axis in 'xyz']
+    if not any(components):
         raise InputError(f'{group}: expected {group}.x, .y or .z other than 0, found zeros')
-    return vector
+    return components

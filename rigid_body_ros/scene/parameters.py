@@ -17,12 +17,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import math
 from typing import Any, NamedTuple
 
+from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
-from rigid_body_ros.scene import actuator, fields, sensors, wheels
+from rigid_body_ros.scene import actuator, fields, wheels
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = ('off-diagonal entry of the inertia tensor, including the minus sign as in URDF: ixy = '
@@ -121,7 +123,23 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('monitor.false_alarms', 24.0, 'h', 'mean time between false alarms of '
               'attitude_monitor, which are alarms that it raises although the model is correct',
               (TINY, BIG)),
-    *sensors.PARAMETERS,
+    Parameter('imu.gyro_noise_density', 0.0, 'rad/s/sqrt(Hz)', 'density of the white noise in the '
+              'angular velocity of imu/data', (0.0, 1e9)),
+    Parameter('imu.gyro_random_walk', 0.0, 'rad/s^2/sqrt(Hz)', 'density of the random walk of the '
+              'gyro bias in imu/data', (0.0, 1e9)),
+    *(Parameter(f'imu.gyro_bias.{axis}', 0.0, 'rad/s', 'constant bias of the angular velocity in '
+                'imu/data, body axes', (-1e9, 1e9)) for axis in 'xyz'),
+    Parameter('imu.attitude_noise', 0.0, 'rad', 'standard deviation of the attitude error in '
+              'imu/data, about each body axis', (0.0, math.pi)),
+    Parameter('imu.delay', 0.0, 's', 'delay of imu/data: each message contains the state from '
+              'this long before its stamp, or the start state if that is before the start',
+              (0.0, 3600.0)),
+    Parameter('imu.seed', 0, '', 'seed of the noise in imu/data; the noise depends only on the '
+              'seed and the stamp', (0, 2 ** 63 - 1)),
+    Parameter('odometry.attitude_variance', 0.0, 'rad^2', 'attitude variance about each axis, for '
+              'the covariance in odometry; 0 means unknown', (0.0, 1e9)),
+    Parameter('odometry.rate_variance', 0.0, 'rad^2/s^2', 'variance of each component of the '
+              'angular velocity, for the covariance in odometry; 0 means unknown', (0.0, 1e9)),
     Parameter('publish_clock', False, '', 'whether the node publishes the time of each state on '
               '/clock; only in lockstep'),
     Parameter('publish_tf', False, '', 'whether the node also publishes the attitude on /tf, '
@@ -160,3 +178,12 @@ def checked_names(given: Mapping[str, Any]) -> Names:
     fields.check_names(names.fields, others)
     fields.check_names(names.wheels, (*others, *names.fields), wheels.WHEEL_NAMES)
     return names
+
+
+def check_named(key: str, names: Names) -> None:
+    """Raise InputError if an unknown parameter seems to belong to an unknown field or wheel."""
+    for pattern, listing, known in ((fields.OF_FIELD, fields.FIELDS, names.fields),
+                                    (wheels.OF_WHEEL, wheels.WHEEL_NAMES, names.wheels)):
+        if member := pattern.fullmatch(key):
+            raise InputError(f'{key}: expected {quoted(member[1])} among the names in {listing}, '
+                             f'found {listed(known)}')

@@ -39,9 +39,10 @@ from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, parameters_of, Value
 from rigid_body_ros.scene.actuator import actuators_of
 from rigid_body_ros.scene.body import body_of, group, inertia_of_robot, links_of
-from rigid_body_ros.scene.fields import at_start, check_named, fields_of
+from rigid_body_ros.scene.fields import at_start, fields_of
 from rigid_body_ros.scene.parameters import (
     ARRIVAL,
+    check_named,
     checked_names,
     HEADER,
     LOCKSTEP,
@@ -50,8 +51,7 @@ from rigid_body_ros.scene.parameters import (
     parameters_with,
     QOS,
 )
-from rigid_body_ros.scene.sensors import imu_of, odometry_variances
-from rigid_body_ros.scene.wheels import check_wheel, WHEEL_NAMES, wheels_of
+from rigid_body_ros.scene.wheels import WHEEL_NAMES, wheels_of
 
 #: The node whose parameters a scene file contains.
 NODE = 'attitude_node'
@@ -142,12 +142,15 @@ class Scene:
     @property
     def imu(self) -> ImuErrors:
         """Return the errors of the IMU."""
-        return imu_of(self.values)
+        x, y, z = (self.values[f'imu.gyro_bias.{axis}'] for axis in 'xyz')
+        names = 'gyro_noise_density', 'gyro_random_walk', 'attitude_noise', 'delay', 'seed'
+        return ImuErrors(gyro_bias=(x, y, z), **{name: self.values[f'imu.{name}']
+                                                 for name in names})
 
     @property
     def odometry_variances(self) -> tuple[float, float]:
-        """Return the variances of the attitude and the angular velocity for odometry messages."""
-        return odometry_variances(self.values)
+        """Return the odometry variances of attitude, rad^2, and angular velocity, rad^2/s^2."""
+        return self.values['odometry.attitude_variance'], self.values['odometry.rate_variance']
 
     @property
     def named_wheels(self) -> tuple[Wheel, ...]:
@@ -243,8 +246,7 @@ class Scene:
         ignored = tuple(name for name, value in given.items()
                         if not name.startswith(QOS) and is_foreign(name, value, known))
         for name in ignored:
-            check_named(name, names.fields)
-            check_wheel(name, names.wheels)
+            check_named(name, names)
         given = {**given, **inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in table.items()}

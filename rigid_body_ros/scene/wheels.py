@@ -16,15 +16,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 import re
 from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import written
-from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.runtime.parameters import BIG, Parameter, TINY
+from rigid_body_ros.scene.fields import vector
 
 #: The parameter that lists the names of the wheels.
 WHEEL_NAMES = 'wheel_names'
@@ -50,7 +50,7 @@ _OTHERS = (
 )
 #: Matches the full names of all wheel parameters except the inertia, whether or not the wheel is
 #: listed in `wheel_names`.
-_OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
+OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
 
 
 def of_names(names: Iterable[str]) -> dict[str, Parameter]:
@@ -61,29 +61,11 @@ def of_names(names: Iterable[str]) -> dict[str, Parameter]:
         *(each._replace(name=f'{name}.{each.name}') for each in (_INERTIA, *_OTHERS)))}
 
 
-def check_wheel(key: str, names: Collection[str]) -> None:
-    """
-    Raise InputError if an unknown parameter seems to belong to an unknown wheel.
-
-    `key` is the name of the parameter, and `names` are the known wheels.
-    """
-    found = _OF_WHEEL.fullmatch(key)
-    if found:
-        raise InputError(f'{key}: expected {quoted(found[1])} among the names in {WHEEL_NAMES}, '
-                         f'found {listed(names)}')
-
-
 def wheels_of(values: Mapping[str, Any]) -> tuple[Wheel, ...]:
     """Create the wheels from a scene's parameters; raise InputError if a wheel has no axis."""
-    return tuple(_wheel(values, name) for name in values[WHEEL_NAMES])
-
-
-def _wheel(values: Mapping[str, Any], name: str) -> Wheel:
-    axis = [values[f'{name}.{_AXIS}.{component}'] for component in 'xyz']
-    if not any(axis):
-        group = f'{name}.{_AXIS}'
-        raise InputError(f'{group}: expected {group}.x, .y or .z other than 0, found zeros')
-    return Wheel(name, axis, *(values[f'{name}.{each.name}'] for each in (_INERTIA, *_OTHERS)))
+    return tuple(Wheel(name, vector(values, f'{name}.{_AXIS}'), *(
+        values[f'{name}.{each.name}'] for each in (_INERTIA, *_OTHERS)))
+        for name in values[WHEEL_NAMES])
 
 
 def described(values: Mapping[str, Any]) -> list[str]:

@@ -25,9 +25,6 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.tradeoff.choices import Choice
 from rigid_body_ros.tradeoff.result import Tradeoff, value
 
-#: Smallest error to plot, rad. Smaller errors are not meaningful.
-_LEAST = float(np.finfo(float).eps)
-
 
 def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
     """
@@ -67,22 +64,15 @@ def _work_precision(result: Tradeoff) -> Panel:
     curves, texts = [], []
     for solver, (errors, costs) in result.curves().items():
         cost = np.array(costs)[:, None]
-        curves.append(Curves(np.maximum(errors, _LEAST), cost, cost, [solver]))
+        curves.append(Curves(np.array(errors), cost, cost, [solver]))
         texts.append([*_texts(result, solver)])
-    optimal = sorted((max(one.error.attitude, result.reference.floor, _LEAST), one.seconds)
+    optimal = sorted((max(one.error.attitude, result.reference.floor), one.seconds)
                      for one in result.measurements if one.pareto_optimal)
     errors, seconds = np.array(optimal).T
     cost = seconds[:, None] / result.stretch.seconds
     curves.append(Curves(errors, cost, cost, ['Pareto-optimal'], style='front'))
     return Panel('wall time per simulated second', 's/s', curves, 'largest attitude error (rad)',
-                 'loglog', dict(_lines(result)), texts)
-
-
-def _lines(result: Tradeoff) -> Iterator[tuple[str, float]]:
-    """Generate the label and the value, rad, of each error that the page marks with a line."""
-    for name, error in sorted(result.reference_errors().items(), key=lambda line: line[1]):
-        error = max(error, _LEAST)
-        yield name if name.endswith('rad') else f'{name} {error:.0e} rad', error
+                 'loglog', result.reference_errors(), texts)
 
 
 def _texts(result: Tradeoff, solver: str) -> Iterator[str]:

@@ -194,13 +194,20 @@ class Tradeoff:
         return found
 
     def reference_errors(self) -> dict[str, float]:
-        """Return the errors, rad, that a plot marks with lines, keyed by label."""
-        found = {'rounding floor': self.reference.floor,
-                 'last-digit effect': self.reference.last_digits}
-        found.update({f'target {target:g} rad': target for target in self.choices})
-        if error := self.interpolation_error:
-            found[f'{error.interpolation} interpolation'] = error.estimate
-        return found
+        """
+        Return the errors, rad, that a plot marks with lines, ascending and keyed by label.
+
+        Errors below the rounding error of 1 have no meaning, so they are replaced by it.
+        """
+        least = math.ulp(1.0)
+        errors = {'rounding floor': self.reference.floor,
+                  'last-digit effect': self.reference.last_digits}
+        if own := self.interpolation_error:
+            errors[f'{own.interpolation} interpolation'] = own.estimate
+        lines = [(f'{name} {max(error, least):.0e} rad', error) for name, error in errors.items()]
+        lines += [(f'target {target:g} rad', target) for target in self.choices]
+        return {label: max(error, least)
+                for label, error in sorted(lines, key=lambda line: line[1])}
 
 
 def _recommended(result: Tradeoff, target: float) -> Iterator[str]:
