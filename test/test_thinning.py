@@ -29,11 +29,12 @@ BATCHES = {'even': [64] * 16, 'odd': [1, 7, 0, 333, 2, 13, 5, 600, 63], 'single'
 
 
 @pytest.mark.parametrize('lengths', BATCHES.values(), ids=BATCHES)
-def test_the_extremes_are_those_of_equal_intervals_however_a_series_arrives(lengths):
+def test_the_extremes_are_those_of_equal_intervals_however_a_series_arrives(lengths, monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.report.thinning._INTERVALS', 16)
     count = sum(lengths)
     times = 10 ** 18 + np.cumsum(np.random.default_rng(1).integers(1, 9, count))
     values = np.random.default_rng(2).standard_normal((count, 3))
-    extremes = Extremes(3, most=16)
+    extremes = Extremes(3)
     for stop, length in zip(np.cumsum(lengths), lengths):
         extremes.add(times[stop - length:stop], values[stop - length:stop])
     found, low, high = extremes.result()

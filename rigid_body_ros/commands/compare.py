@@ -33,7 +33,6 @@ from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.terminal import progress, report
 
 if TYPE_CHECKING:
-    from rigid_body_ros.comparison import Comparison
     from rigid_body_ros.identification import Verdict
     from rigid_body_ros.scene import Scene
 
@@ -45,7 +44,7 @@ _FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.comparison.page import draw, page
-    from rigid_body_ros.comparison.recorded import write
+    from rigid_body_ros.comparison.recorded import compare_recording, write
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
@@ -55,7 +54,9 @@ def _run(options: argparse.Namespace) -> int:
             name = unused[0].replace('start', 'from')
             raise InputError(f'--{name}: expected a motion that is computed, found --motion')
         warn_of_units(options, [options.recording])
-        comparison = _compared(options, scene)
+        comparison = compare_recording(
+            options.recording, scene, reading_of(options), motion=options.motion,
+            align=options.align, horizons=options.horizon, track=progress('comparing', ' steps'))
         warn_of_samples(options, options.recording, comparison.torques, comparison.measured)
         verdict = _verdict(options, scene) if options.check else None
         facts = [*verdict.rows()] if verdict else []
@@ -83,13 +84,6 @@ def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
                         for one in experiment.measured
                         if is_asked(options.align, kind, one.topic))]
     return identified([options.recording], scene, [experiment], estimate=names).verdict
-
-
-def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
-    from rigid_body_ros.comparison.recorded import compare_recording
-    return compare_recording(
-        options.recording, scene, reading_of(options), motion=options.motion, align=options.align,
-        horizons=options.horizon, track=progress('comparing', ' steps'))
 
 
 def _add_arguments(parser: Parser) -> None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import bisect
 from collections import Counter, deque
 from collections.abc import Iterator
+from operator import attrgetter
 import time
 from typing import NamedTuple
 
@@ -129,7 +130,7 @@ class TorqueQueue:
     def release(self, cause: str) -> None:
         """Move the first early torque held for `cause` into the queue, by its time of arrival."""
         queued = self._early[cause].popleft()
-        place = bisect.bisect_left(self._waiting, queued.since, key=_since)
+        place = bisect.bisect_left(self._waiting, queued.since, key=attrgetter('since'))
         self._waiting.insert(place, queued)
 
     def end(self, kept: str) -> None:
@@ -147,7 +148,3 @@ class TorqueQueue:
                 self._events.reject(
                     RejectedError(ENDED, f'the epoch ended before {event}'), queued.source)
             queue.clear()
-
-
-def _since(queued: Queued) -> float:
-    return queued.since

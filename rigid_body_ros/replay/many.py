@@ -58,7 +58,7 @@ class Outcome:
     error: str = ''
 
 
-Pool = Callable[[Sequence[Task], Scene, dict[str, Any]], Generator[Outcome]]
+Pool = Callable[[Sequence[Task], '_Replay'], Generator[Outcome]]
 
 
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
@@ -99,8 +99,8 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)
         with _partial_outputs_reported(Path(folder)), \
-                closing((pool or _in_processes)([*zip(paths, outputs)], scene, options)
-                        ) as outcomes:
+                closing((pool or _in_processes)(
+                    [*zip(paths, outputs)], _Replay(paths, scene, options))) as outcomes:
             done = list(progress('recordings', ' files')(outcomes, len(paths)))
     return sorted(done, key=lambda outcome: outputs.index(outcome.output))
 
@@ -166,10 +166,8 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
         raise
 
 
-def _in_processes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
-                  ) -> Generator[Outcome]:
+def _in_processes(tasks: Sequence[Task], replay: _Replay) -> Generator[Outcome]:
     """Replay recordings in processes, and generate the outcomes in the order of completion."""
-    replay = _Replay([path for path, _ in tasks], scene, options)
     with Processes() as processes:
         yield from processes.results(partial(_in_process, replay), tasks, _died)
 
@@ -180,15 +178,15 @@ def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
 
     See `connected` for the arguments and errors.
     """
-    def outcomes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
-                 ) -> Generator[Outcome]:
+    def outcomes(tasks: Sequence[Task], replay: _Replay) -> Generator[Outcome]:
         given = {_absolute(task): task for task in tasks}
         folder = os.path.dirname(next(iter(given))[1])
         with files.reported(folder), \
                 TemporaryDirectory(prefix='.', dir=folder, ignore_cleanup_errors=True) as shared, \
                 connected(scheduler, note) as cluster:
-            replay = _Replay([path for path, _ in given], scene, options, shared)
-            for outcome in cluster.results(replay, given, _died):
+            inputs = [path for path, _ in given]
+            for outcome in cluster.results(replace(replay, inputs=inputs, shared=shared), given,
+                                           _died):
                 path, output = given[outcome.path, outcome.output]
                 yield replace(outcome, path=path, output=output)
     return outcomes

@@ -37,13 +37,11 @@ class Extremes:
     ----------
     columns : int
         Number of columns.
-    most : int
-        Maximum number of intervals, which must be even.
 
     """
 
-    def __init__(self, columns: int, most: int = _INTERVALS) -> None:
-        self._most, self._size = most, 1
+    def __init__(self, columns: int) -> None:
+        self._size = 1
         self._times = np.empty(0, np.int64)
         self._low = self._high = np.empty((0, columns))
         #: The samples of the last interval, which is not complete yet.
@@ -58,9 +56,9 @@ class Extremes:
         times = np.concatenate([self._rest[0], times_ns])
         values = np.concatenate([self._rest[1], values])
         while len(times) >= self._size:
-            if len(self._times) == self._most:
+            if len(self._times) == _INTERVALS:
                 self._merge_pairs()
-            count = min(len(times) // self._size, self._most - len(self._times))
+            count = min(len(times) // self._size, _INTERVALS - len(self._times))
             whole = count * self._size
             blocks = values[:whole].reshape(count, self._size, values.shape[1])
             self._times = np.concatenate([self._times, times[:whole:self._size]])

@@ -115,10 +115,8 @@ def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
                           for name in values[FIELDS]]
     if not values[_RATE]:
         return tuple(found)
-    position, normal = ([values[f'{group}.{axis}'] for axis in 'xyz']
-                        for group in (_POSITION, _NORMAL))
     try:
-        orbit = GravityGradient(values[_RATE], position, normal, values['start_time'] or None)
+        orbit = _orbit(values, values['start_time'] or None)
     except ValueError as error:
         raise InputError(f'orbit: {error}'.replace(' of an orbit', '')) from error
     return (*found, orbit)
@@ -158,9 +156,7 @@ def with_values(one: Field, values: Mapping[str, float]) -> Field:
     """Return a copy of a field with new parameter values; raise ValueError if they are invalid."""
     found = {**values_of(one), **values}
     if isinstance(one, GravityGradient):
-        position, normal = ([found[f'{group}.{axis}'] for axis in 'xyz']
-                            for group in (_POSITION, _NORMAL))
-        return GravityGradient(found[_RATE], position, normal, one.time_ns)
+        return _orbit(found, one.time_ns)
     moment, field = ([found[f'{one.name}.{group}.{axis}'] for axis in 'xyz']
                      for group in (MOMENT, FIELD))
     return UniformField(moment, field, one.name)
@@ -179,6 +175,12 @@ def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
         return {}
     position, = orbits[0].directions(np.array([time_ns])).tolist()
     return {f'{_POSITION}.{axis}': value for axis, value in zip('xyz', position)}
+
+
+def _orbit(values: Mapping[str, Any], time_ns: int | None) -> GravityGradient:
+    position, normal = ([values[f'{group}.{axis}'] for axis in 'xyz']
+                        for group in (_POSITION, _NORMAL))
+    return GravityGradient(values[_RATE], position, normal, time_ns)
 
 
 def _components(vectors: Mapping[str, Any]) -> dict[str, float]:

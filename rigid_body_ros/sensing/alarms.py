@@ -22,13 +22,12 @@ rate is divided equally among the four tests.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
-from rigid_body_ros.sensing.windows import SensorNoise, WindowError
+from rigid_body_ros.sensing.windows import WindowError
 
 OK, WARN, ERROR = range(3)
 #: Numbers of windows that are tested together.
@@ -225,13 +224,3 @@ def _axis(change: Floats, covariance: Floats) -> str:
     names = [f'{what} about {axis}' for what in ('attitude', 'rate') for axis in 'xyz']
     row = int(np.argmax(deviations))
     return f'{names[len(names) - len(change) + row]} ({deviations[row]:.1f} sigma)'
-
-
-def noises_of(levels: Sequence[tuple[NoiseLevel, NoiseLevel]]) -> list[SensorNoise]:
-    """
-    Return the noise of each sensor.
-
-    Each result combines the stated standard deviations with the latest correlation factors.
-    """
-    return [SensorNoise(turned.stated, rate.stated, turned.factor, rate.factor)
-            for turned, rate in levels]

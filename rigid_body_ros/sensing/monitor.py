@@ -32,8 +32,8 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured, not_measured
-from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel, noises_of
-from rigid_body_ros.sensing.windows import window_error
+from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel
+from rigid_body_ros.sensing.windows import SensorNoise, window_error
 
 #: Reasons why a window is not judged.
 FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'
@@ -194,12 +194,14 @@ class Monitor:
             sensors = [measured for topic, rows in sorted(self._sensors.items())
                        if (measured := _measured(topic, rows, begin_ns, end_ns))]
             levels = [self._noise(sensor.topic) for sensor in sensors]
+            noises = [SensorNoise(turned.stated, rate.stated, turned.factor, rate.factor)
+                      for turned, rate in levels]
             self.notes = {sensor.topic: note for sensor in sensors for note
                           in sensor.account.notes}
             error = None
             if not (reason := self._unknown(begin_ns, end_ns)):
                 try:
-                    error = window_error(problem, sensors, noises_of(levels), begin_ns, end_ns)
+                    error = window_error(problem, sensors, noises, begin_ns, end_ns)
                     reason = '' if error else FEW
                 except ValueError:
                     reason = NOT_COMPUTABLE

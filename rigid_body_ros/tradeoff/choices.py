@@ -156,11 +156,13 @@ class OnWhole:
     def __init__(self, whole: Case, stretch: Case, reference: Reference,
                  measurements: Sequence[Measurement], seconds: float) -> None:
         self.reference = reference if stretch is whole else None
-        self._whole, self._is_measured = whole, stretch is whole
-        self._growth, self._remaining = whole.seconds / stretch.seconds, seconds
+        self._whole, self._remaining = whole, seconds
+        self._growth = whole.seconds / stretch.seconds
         self._series = min((one.seconds for one in measurements
                             if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
-        self._found: dict[Measurement, float] = {}
+        #: The errors on the whole log that are known so far, rad.
+        self._errors = {one: one.error.attitude + reference.guaranteed_error
+                        for one in measurements if not one.failure} if stretch is whole else {}
 
     def __call__(self, measurement: Measurement) -> float | None:
         """
@@ -168,17 +170,14 @@ class OnWhole:
 
         Return None if computing the error would take too long.
         """
-        if self._is_measured:
-            assert self.reference
-            return measurement.error.attitude + self.reference.guaranteed_error
-        if measurement not in self._found:
+        if measurement not in self._errors:
             runs = 0.0 if self.reference else _REFERENCE_COST
             cost = self._growth * (measurement.seconds + runs * self._series)
             if cost > self._remaining:
                 return None
             self._remaining -= cost
-            self._found[measurement] = self._measured(measurement)
-        return self._found[measurement]
+            self._errors[measurement] = self._measured(measurement)
+        return self._errors[measurement]
 
     @property
     def least(self) -> float | None:
@@ -187,7 +186,7 @@ class OnWhole:
 
         Return None if no error has been measured on the whole log.
         """
-        return min(self._found.values(), default=None)
+        return min(self._errors.values(), default=None)
 
     def _measured(self, measurement: Measurement) -> float:
         self.reference = self.reference or Reference.of(self._whole)
