@@ -19,10 +19,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 import sys
+from types import ModuleType
 from typing import Any, NoReturn
 
 from rigid_body_ros.common.errors import InputError, printable
+from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import show
 
 
@@ -218,6 +221,18 @@ class _Version(argparse.Action):
         from rigid_body_ros.runtime.fingerprint import build_info
         show(f"{parser.prog} {build_info()['version']}")
         parser.exit()
+
+
+def imported(command: str, module: str) -> ModuleType:
+    """Import a module that needs ROS; raise InputError if ROS is not installed."""
+    try:
+        found = import_module(module)
+    except ModuleNotFoundError as error:
+        raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
+                         'installed: source a ROS 2 installation, or run '
+                         "pip install '.[ros]' in a clone of rigid_body_ros") from error
+    interrupts.check()  # the import is slow
+    return found
 
 
 def add_scheduler(parser: argparse._ActionsContainer) -> None:

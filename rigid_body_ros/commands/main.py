@@ -41,15 +41,16 @@ SIGNALLED = 128
 _BROKEN_PIPE = 13
 
 
-def _run(module: str, name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run the command in a module of this package, and return its exit status."""
+def _run(name: str, load: Callable[[], Callable[..., int | None]],
+         arguments: Sequence[str] | None = None) -> int:
+    """Run the command that `load` imports, and return its exit status."""
     def command() -> int:
         import logging
-        run = getattr(import_module(f'{__package__}.{module}'), name)
+        run = load()
         # If the home folder is not writable, matplotlib warns that it uses a temporary one.
         logging.getLogger('matplotlib').setLevel(logging.ERROR)
         interrupts.check()
-        return int(run(arguments))
+        return run(arguments) or 0
     status = _guarded(name, command, arguments)
     return status if arguments is not None else interrupts.end(status)
 
@@ -99,10 +100,18 @@ def __getattr__(name: str) -> Callable[..., int]:
     module = name.removeprefix('attitude_')
     if module == name or not find_spec(f'{__package__}.{module}'):
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return partial(_run, module, name)
+    return partial(_run, name, lambda: getattr(import_module(f'{__package__}.{module}'), name))
 
 
-attitude_node = partial(_run, 'nodes', 'attitude_node')
-attitude_lifecycle_node = partial(_run, 'nodes', 'attitude_lifecycle_node')
-attitude_monitor = partial(_run, 'nodes', 'attitude_monitor')
-attitude_controller = partial(_run, 'nodes', 'attitude_controller')
+def _node(name: str, module: str) -> Callable[..., int]:
+    """Return the entry point of a node, whose module has the function `main`."""
+    def load() -> Callable[..., None]:
+        from rigid_body_ros.commands.command import imported
+        return imported(name, f'rigid_body_ros.node.{module}').main
+    return partial(_run, name, load)
+
+
+attitude_node = _node('attitude_node', 'process')
+attitude_lifecycle_node = _node('attitude_lifecycle_node', 'lifecycle')
+attitude_monitor = _node('attitude_monitor', 'attitude_monitor')
+attitude_controller = _node('attitude_controller', 'attitude_controller')

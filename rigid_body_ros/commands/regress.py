@@ -25,8 +25,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import load_scene
-from rigid_body_ros.commands.command import Command, Parser, positive, within
-from rigid_body_ros.commands.nodes import imported
+from rigid_body_ros.commands.command import Command, imported, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.runtime import files, protection
