@@ -12,19 +12,33 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Panels that plot a residual torque in body axes, in space axes, and as a spectrum."""
+"""The spectrum of a residual torque, and panels that plot the torque and its spectrum."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.panels import limits, SINCE_FIRST
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
-from rigid_body_ros.sensing.spectrum import spectrum
+
+#: A residual torque that lasts longer than this, in seconds, is divided into segments of this
+#: length. Adjacent segments overlap by half their length.
+SEGMENT = 60.0
+#: Probability that white noise exceeds the limit of the spectrum at any one frequency.
+_EXCEEDS = 0.01
+#: Value of pi f T, rad, at which a window of length T halves the amplitude at frequency f.
+_FLATTENED = 2.5
+#: The spacing of the frequencies is one cycle per segment, divided by this number. With this
+#: spacing, the spectrum has a frequency close to that of any sine.
+_FINER = 4
+#: Minimum number of samples needed to compute a spectrum.
+_FEWEST = 16
 
 
 def residual_panels(torque: ResidualTorque, sensors: Sequence[Measured],
@@ -59,3 +73,61 @@ def residual_panels(torque: ResidualTorque, sensors: Sequence[Measured],
             Curves(found.hertz, found.amplitudes, found.amplitudes, style.TORQUES),
             Curves(found.hertz, found.limits, found.limits, names, style='limits')],
             'frequency (Hz)', 'log')
+
+
+class Spectrum(NamedTuple):
+    """
+    Amplitudes of the residual torque at a series of frequencies.
+
+    Attributes
+    ----------
+    hertz : array, shape (m,)
+    amplitudes, limits : array, shape (m, 3), N m, body axes
+        The amplitude of a sine at each frequency, and a limit for this amplitude. White noise in
+        the angular velocity exceeds the limit at about one frequency in a hundred.
+
+    """
+
+    hertz: Floats
+    amplitudes: Floats
+    limits: Floats
+
+
+def spectrum(torque: ResidualTorque) -> Spectrum | None:
+    """
+    Return the spectrum of a residual torque, or None if the residual torque is too short.
+
+    The residual torque is the slope of an angular momentum over a window of T seconds. If the
+    samples are dense, taking this slope multiplies the amplitude at frequency f by
+    3 (sin x - x cos x) / x^3, where x = pi f T. The spectrum is divided by this factor to undo its
+    effect, and ends at the frequency where the factor has dropped to one half.
+    """
+    seconds = 1e-9 * (torque.times_ns - torque.times_ns[0])
+    if len(seconds) < _FEWEST:
+        return None
+    spacing = float(np.median(np.diff(seconds)))
+    grid = np.arange(0.0, seconds[-1], spacing)
+    values = np.stack([np.interp(grid, seconds, column) for column in torque.torques.T], axis=1)
+    size = min(len(grid), round(SEGMENT / spacing))
+    segments = np.stack([values[first:first + size]
+                         for first in range(0, len(grid) - size + 1, max(size // 2, 1))])
+    window = np.hanning(size)
+    means = segments.mean(axis=1, keepdims=True)
+    power = np.abs(np.fft.rfft((segments - means) * window[:, None], _FINER * size, axis=1)) ** 2
+    hertz = np.fft.rfftfreq(_FINER * size, spacing)
+    kept = (np.pi * hertz * torque.window_s <= _FLATTENED) & (hertz > 1.5 / (size * spacing))
+    shown = np.asarray(hertz[kept], np.float64)
+    half = round(0.5 * torque.window_s / spacing)
+    times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
+    smoothed = np.sin(np.outer(turn, times)) @ times / turn / np.sum(times ** 2)
+    amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
+    # Assume white noise in the angular momentum. Each torque is the slope of a line that is fitted
+    # to the angular momentum in a window.
+    noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
+    return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
+
+
+def _exceeded(count: int) -> float:
+    """Return the noise limit divided by the rms noise, for an average of `count` segments."""
+    from scipy.special import chdtri
+    return float(np.sqrt(chdtri(2 * count, _EXCEEDS) / (2 * count)))
