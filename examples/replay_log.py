@@ -46,7 +46,7 @@ def main():
     seconds = (result.last.time_ns - result.start.time_ns) * 1e-9
     sequence = result.scene.values['euler_sequence']
     angles = result.trajectory.euler_angles(sequence)[-1]
-    print('torques             ', result.messages, 'on', result.topic)
+    print('torques             ', result.account.samples, 'on', result.topic)
     print('motion              ', f'{seconds:.9g} s')
     print('final attitude      ', *result.last.attitude, '(x y z w)')
     print('final angles        ', *angles, f'rad ({sequence})')

@@ -25,7 +25,6 @@ from rigid_body_ros.commands.arguments import length_of, load_scene, note, topic
 from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
@@ -82,10 +81,11 @@ def _length(options: argparse.Namespace) -> float | None:
 
 
 def _replay_many(options: argparse.Namespace) -> int:
-    from rigid_body_ros.replay.many import replay_many, table
+    from rigid_body_ros.replay.many import outputs_in, replay_many, table
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
-    with files.overwriting(options.overwrite):
+    with checked(options) as outputs, outputs.writing():
+        outputs_in(options.output, options.input)
         outcomes = replay_many(options.input, load_scene(options), options.output, _pool(options),
                                **_replay_options(options))
     show(table(outcomes))

@@ -78,9 +78,8 @@ class Experiment:
     @property
     def faults(self) -> list[str]:
         """Return what is wrong with the samples, so that no cause can be inferred from them."""
-        accounts = [*(sensor.account for sensor in self.measured),
-                    *([self.torques] if self.torques else [])]
-        return [fault for account in accounts for fault in account.faults]
+        accounts = self.torques, *(sensor.account for sensor in self.measured)
+        return [fault for account in accounts if account for fault in account.faults]
 
     @property
     def logs(self) -> list[TorqueLog]:

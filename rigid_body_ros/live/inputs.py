@@ -37,7 +37,6 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
-from rigid_body_ros.recording.bulk import converted, Raw
 from rigid_body_ros.scene import Scene
 
 #: Largest angular acceleration that a torque may cause, rad/s^2. At this acceleration, a body at
@@ -193,6 +192,7 @@ def wrench_of(kind: messages.MessageType, data: bytes) -> bytes:
     """
     try:
         if isinstance(kind, messages.Px4Type):
+            from rigid_body_ros.recording.bulk import converted, Raw
             return converted(kind, Raw.from_bytes([data], _NO_TIMES, _NO_TIMES)).message(0)
         message = kind.decode(data)
         values = np.pad(message.values, (messages.WRENCH.doubles - kind.doubles, 0))

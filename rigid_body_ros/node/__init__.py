@@ -16,8 +16,8 @@
 The ROS node that receives torques on a topic and publishes the attitude.
 
 There are two versions of the node: the plain node in `attitude_node`, and the managed node in
-`lifecycle`. Both are built on `component`, which ties the other modules together. `process`
-runs a node as a command.
+`lifecycle`. Both are built on `component`, which ties the other modules together. `process` and
+`spinning` run a node as a command.
 
 `parameters` reads the scene, and `drain` takes messages from subscriptions. `mode` applies the
 torques in short slices of work. Its subclasses in `realtime` and `lockstep` decide which torques

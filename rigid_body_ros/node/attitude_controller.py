@@ -46,7 +46,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.node.process import executor_of, spin
+from rigid_body_ros.node.spinning import executor_of, spin
 from rigid_body_ros.runtime.parameters import is_foreign
 
 #: How long the controller waits for a new state before it resends the torque, in seconds.

@@ -49,15 +49,9 @@ from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading,
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.drain import DrainCallback, published, subscription
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
-from rigid_body_ros.recording import Messages
+from rigid_body_ros.recording import measurements, Messages
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.measurements import (
-    in_body_axes,
-    MeasuredOptions,
-    parts_of,
-    QUANTITIES,
-)
-from rigid_body_ros.recording.quantities import KINDS, of_messages
+from rigid_body_ros.recording.quantities import KINDS, of_messages, QUANTITIES
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
 from rigid_body_ros.sensing.monitor import Monitor, settings_of
@@ -108,14 +102,15 @@ class MonitorInputs:
     def __init__(self, node: Node, scene: Scene) -> None:
         self._node, self._scene = node, scene
         torques = sources_of(scene)
-        parts = [parts_of('', name) for name in scene.values['monitor.measured']]
+        parts = [measurements.parts_of('', name) for name in scene.values['monitor.measured']]
         measured = [TorqueTopic(_FIRST_MEASURED + number, topic, '', f'measured {topic}',
                                 what='measurement')
                     for number, (_, topic, _) in enumerate(parts)]
         #: What is not used of each measured topic, and how its frames are interpreted.
         self._unused = {source.number: {*QUANTITIES} - {quantity} if quantity else ()
                         for source, (*_, quantity) in zip(measured, parts)}
-        self._options = MeasuredOptions(None, scene.body_frame, scene.space_frame, scene.links)
+        self._options = measurements.MeasuredOptions(None, scene.body_frame, scene.space_frame,
+                                                     scene.links)
         self.sources = {source.number: source for source in (*torques, *measured)}
         self.diagnostics = Diagnostics(node, [*self.sources.values()])
         self._history_ns = duration_ns(scene.history, 'history')
@@ -345,8 +340,8 @@ class MonitorInputs:
                                 np.array([message.values for message in found])[rows],
                                 pairs=(pair,))
             with suppress(InputError):  # space axes, without an attitude
-                samples = in_body_axes(topic, of_messages(recorded, kind), recorded, kind,
-                                       self._options)
+                samples = measurements.in_body_axes(
+                    topic, of_messages(recorded, kind), recorded, kind, self._options)
                 samples = samples.without(self._unused[source])
                 attitude[rows], rates[rows] = samples.attitude, samples.rates
         sent = np.isfinite(attitude[:, 0]) + 2 * np.isfinite(rates[:, 0])

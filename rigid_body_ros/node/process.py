@@ -12,28 +12,24 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Run a node as a command: `main`, and the loop that spins the node."""
+"""Provide `main`, which runs a node as a command."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-import gc
+from collections.abc import Sequence
 import inspect
 import os
 from pathlib import Path
-import signal
 import sys
 
 import rclpy
-from rclpy.context import Context
-from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.attitude_node import AttitudeNode
-from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.node.spinning import executor_of, spin
 
 
 def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode,
@@ -81,34 +77,3 @@ def _without_log_file() -> list[str]:
     else:
         writable = os.access(folder, os.W_OK)
     return [] if writable else ['--ros-args', '--disable-external-lib-logs', '--']
-
-
-#: How often the loop checks for signals, in seconds.
-_SIGNAL_PERIOD = 0.1
-
-
-def executor_of(context: Context | None = None) -> Executor:
-    """Return an executor, of the kind that uses the least processor time per message."""
-    try:  # EventsExecutor uses half as much time as SingleThreadedExecutor
-        from rclpy.experimental import EventsExecutor
-    except ImportError:  # before Jazzy
-        return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)
-
-
-def spin(executor: Executor, node: Node, is_done: Callable[[], bool] = lambda: False) -> None:
-    """Spin a node until it is done or a SIGINT or SIGTERM arrives, and then destroy it."""
-    stop: list[int] = []
-    executor.add_node(node)
-    # From now on, signals only end the loop, and do not interrupt callbacks.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, frame: stop.append(number))
-    interrupts.check()
-    # Freeze the objects that exist now. Otherwise, a garbage collection would visit the objects of
-    # all modules, and would delay the outputs by 0.05 to 0.2 s.
-    gc.freeze()
-    while not (stop or is_done()):
-        # The timeout gives the loop a chance to notice signals. Without the timeout,
-        # EventsExecutor may hang.
-        executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
-    node.destroy_node()

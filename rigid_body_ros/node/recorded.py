@@ -31,8 +31,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.attitude_node import AttitudeNode
-from rigid_body_ros.node.process import executor_of
 from rigid_body_ros.node.sources import BODY, sources_of, TorqueTopic
+from rigid_body_ros.node.spinning import executor_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP

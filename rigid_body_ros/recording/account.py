@@ -34,6 +34,8 @@ UNIT = 1e-2
 _MADE_UP = 0.5
 #: At least this many stamps before and after a step decide what it is.
 _AROUND = 64
+#: A note about a frame_id such as /base_link, as in ROS 1.
+SLASH = 'the leading slash of a frame_id is ignored'
 _Stamps = NDArray[np.int64]
 
 
@@ -57,6 +59,8 @@ class Account:
         Samples that only arrive late do not count; they are sorted.
     notes : list of str
         What was converted, assumed or left out.
+    doubts : list of str
+        Other warnings about the samples.
 
     """
 
@@ -66,7 +70,7 @@ class Account:
     replaced: int = 0
     steps: list[tuple[int, int]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    _others: list[str] = field(default_factory=list, repr=False)
+    doubts: list[str] = field(default_factory=list)
     #: The last stamps, the latest stamp, and how many stamps are not later than it.
     _held: _Stamps = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
     _latest_ns: int = field(default=-2 ** 63, repr=False)
@@ -110,19 +114,10 @@ class Account:
         """Name quaternions whose norms, shape (n,), are not 1."""
         wrong = norms[np.abs(norms - 1.0) > UNIT]
         if len(wrong) > _LOST * len(norms):
-            self.doubt(
+            self.doubts.append(
                 f'{len(wrong)} of {len(norms)} quaternions do not have norm 1; the worst has norm '
                 f'{wrong[np.argmax(np.abs(wrong - 1.0))]:.6g}: they are normalised, but are they '
                 'rotations?')
-
-    def doubt(self, text: str) -> None:
-        """Add a warning that the samples are doubtful."""
-        self._others.append(text)
-
-    def note(self, text: str) -> None:
-        """Add a note, once."""
-        if text not in self.notes:
-            self.notes.append(text)
 
     @property
     def faults(self) -> list[str]:
@@ -131,7 +126,7 @@ class Account:
 
         While there are any, no cause of an error can be inferred.
         """
-        texts = [*self._others]
+        texts = [*self.doubts]
         if self.rejected > _LOST * self.samples:
             texts.append(f'{self.rejected} of {self.samples} samples are rejected: expected '
                          'finite values, of a possible size')
@@ -169,7 +164,7 @@ def merged(accounts: Mapping[str, Account]) -> Account:
     for topic, account in accounts.items():
         for name in ('samples', 'rejected', 'replaced'):
             setattr(total, name, getattr(total, name) + getattr(account, name))
-        total._others += [f'{topic}: {text}' for text in account.faults]
+        total.doubts += [f'{topic}: {text}' for text in account.faults]
         total.notes += [f'{topic}: {text}' for text in account.notes]
     return total
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,16 +27,11 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
 from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, TurningFrame
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.recording import Messages, Source
+from rigid_body_ros.recording import Messages, quantities, Source
+from rigid_body_ros.recording.account import SLASH
 from rigid_body_ros.recording.chains import chained, STATIC
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.recording.quantities import (
-    KINDS,
-    MeasuredSamples,
-    of_messages,
-    of_table,
-    QUANTITIES,
-)
+from rigid_body_ros.recording.quantities import KINDS, MeasuredSamples, QUANTITIES
 from rigid_body_ros.recording.source import with_types
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
@@ -185,14 +181,15 @@ def parts_of(path: str | Path, name: str) -> tuple[str | Path, str, str]:
     Split the name of measurements into a file, a topic of this file, and a quantity.
 
     The name is [FILE:]TOPIC[:QUANTITY], or FILE[:QUANTITY] for a text file, whose topic is ''. The
-    quantity is 'attitude', 'rates', or '' for both. The default file is `path`.
+    quantity is 'attitude', 'rates', or '' for both. The default file is `path`, also if no file is
+    called FILE.
     """
     head, _, quantity = name.rpartition(':')
     name, quantity = (head, quantity) if quantity in QUANTITIES and head else (name, '')
     if is_text_file(name):
         return name, '', quantity
     file, _, topic = name.rpartition(':')
-    return file or path, topic, quantity
+    return (file, topic, quantity) if os.path.exists(file) else (path, name, quantity)
 
 
 def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[Measured]:
@@ -205,11 +202,14 @@ def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[
     if topic:
         recorded, kind = _messages(file, topic, options)
         # First, because only an attitude that is measured can convert rates in space axes.
-        found = of_messages(recorded, kind).without_unmeasured()
+        found = quantities.of_messages(recorded, kind).without_unmeasured()
         frames = _other_frames(where, recorded, kind, options)
         found = in_body_axes(where, found, recorded, kind, options)
+        names = [*recorded.names, *(name for pair in recorded.pairs for name in pair)]
+        if any(name.startswith('/') for name in names):
+            found = replace(found, notes=(*found.notes, SLASH))
     else:
-        found = of_table(file, options.columns).without_unmeasured()
+        found = quantities.of_table(file, options.columns).without_unmeasured()
     if quantity:
         if not found.given[:, QUANTITIES.index(quantity)].any():
             raise InputError('; '.join([f'{where}:{quantity}: expected samples of this quantity, '

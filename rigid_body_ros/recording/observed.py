@@ -104,9 +104,8 @@ class Measurements:
     @property
     def faults(self) -> list[str]:
         """Return what is wrong with the samples, so that no cause can be inferred from them."""
-        accounts = [*([self.torques] if self.torques else []),
-                    *(sensor.account for sensor in self.sensors)]
-        return [fault for account in accounts for fault in account.faults]
+        accounts = self.torques, *(sensor.account for sensor in self.sensors)
+        return [fault for account in accounts if account for fault in account.faults]
 
     @property
     def has_end(self) -> bool:
@@ -194,7 +193,7 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
         until = 1e-9 * (flight_ns[1] - flight_ns[0])
         problem, measurements = read_observed(path, scene, replace(
             reading, start=start, until=until), largest_offset, may_command)
-        measurements.sensors[0].account.note(
+        measurements.sensors[0].account.notes.append(
             f'only the flight is used, from {start:.6g} s to {start + until:.6g} s after the '
             'first sample (vehicle_land_detected); --from and --until choose another part')
     elif account:
@@ -213,7 +212,7 @@ def _check_gaps(path: str | Path, problem: Problem, measurements: Measurements, 
         gaps = Gaps(*span_ns, scene.timeout_ns)
         gaps.add(log)
         if gaps.warning:
-            account.doubt(gaps.warning)
+            account.doubts.append(gaps.warning)
     try:
         announce(str(path), max((computing_time(log, span_ns, speed, scene)
                                  for log in problem.logs), default=0.0))

@@ -200,14 +200,15 @@ def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Mess
     `parts` contains the messages of each topic that is read: first the torques on the body, then
     the rotor torque, the inertia and the commands to named wheels, in this order.
     """
-    body, measured = [*parts], None
+    body, measured, wheels = [*parts], None, None
     every = [*parts, *([] if momentum is None else [momentum])]
     advice = '' if is_text_file(str(path)) else Account.advice
     accounts = {one.topic: Account(advice) for one in every}
     efforts = _efforts(path, body.pop()) if topics.wheel_command else None
     changes = _changes(path, body.pop(), scene) if topics.inertia else None
-    wheels = _wheel_log(path, body.pop(), scene, interpolation, accounts) \
-        if topics.wheel_torque else None
+    if topics.wheel_torque:
+        check_axes(path, body[-1], scene)
+        wheels = _log(path, body.pop(), scene, interpolation, accounts)
     actuators = topics.actuators(scene)
     logs = [_log(path, one, scene, 'hold' if held else interpolation, accounts)
             for one, held in zip(body, actuators or (None,) * len(body))]
@@ -316,12 +317,6 @@ def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str,
         return TorqueLog([], [], interpolation=interpolation)
     return torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
                       scene.links, accounts[recorded.topic])
-
-
-def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
-               interpolation: str, accounts: Mapping[str, Account]) -> TorqueLog:
-    check_axes(path, recorded, scene)
-    return _log(path, recorded, scene, interpolation, accounts)
 
 
 def _efforts(path: str | Path, recorded: Messages) -> EffortLog:

@@ -31,17 +31,10 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.messages import MessageType
+from rigid_body_ros.recording import headings
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.file import File
-from rigid_body_ros.recording.headings import (
-    apply,
-    ATTITUDE,
-    columns_of,
-    RATES,
-    TableColumn,
-    TIME_UNITS,
-    TORQUE,
-)
+from rigid_body_ros.recording.headings import ATTITUDE, RATES, TableColumn, TORQUE
 from rigid_body_ros.runtime.limits import open_file
 
 #: The name of the only topic in a CSV file of torques.
@@ -110,7 +103,7 @@ class Table:
     def __init__(self, path: str | Path, groups: Sequence[tuple[str, ...]],
                  chosen: Mapping[str, str] | None = None) -> None:
         self._path, self._groups = path, groups
-        self._chosen = chosen if chosen and apply(chosen, groups) else None
+        self._chosen = chosen if chosen and headings.apply(chosen, groups) else None
         self._is_csv = Path(path).suffix.lower() in _CSV
         self.width, self._columns = _TORQUES if self._is_csv else _TRAJECTORY
         self._rates: list[TableColumn] = []
@@ -160,12 +153,12 @@ class Table:
         if self._is_csv and (self._chosen or TORQUE not in self._groups or not has_numbers):
             stem = Path(self._path).stem.lower()
             try:
-                self._columns = columns_of(first, self._groups, stem, self._chosen)
+                self._columns = headings.columns_of(first, self._groups, stem, self._chosen)
             except InputError as error:
                 raise InputError(f'{self._path}: line {number}: {error}') from error
             self.width = len(first)
             with suppress(InputError):  # the rates tell whether whole numbers can be seconds
-                columns = columns_of(first, [RATES], stem, self._chosen)
+                columns = headings.columns_of(first, [RATES], stem, self._chosen)
                 self._rates = [columns[name] for name in RATES]
         self.names = [name for group in self._groups for name in group if name in self._columns]
         kept = [(number, first)] if has_numbers else []
@@ -314,7 +307,7 @@ def _finite(text: str) -> Decimal:
 
 def _name_of(unit_ns: int) -> str:
     """Return the name of a unit of time."""
-    return next(name for name, size in TIME_UNITS.items() if size == unit_ns)
+    return next(name for name, size in headings.TIME_UNITS.items() if size == unit_ns)
 
 
 def _is_number(text: str) -> bool:

@@ -31,7 +31,7 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, OffAxisError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.recording.account import Account
+from rigid_body_ros.recording.account import Account, SLASH
 from rigid_body_ros.recording.source import Messages
 
 #: Ten years, ns. A stamp below this limit is simulated time. Wall-clock time counts from 1970 and
@@ -185,8 +185,8 @@ def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
     """
     axes, moved = [], {}
     for code, frame_id in enumerate(recorded.names):
-        if frame_id.startswith('/'):  # as in ROS 1
-            account.note(f'the leading slash of frame_id {quoted(frame_id)} is ignored')
+        if frame_id.startswith('/') and SLASH not in account.notes:
+            account.notes.append(SLASH)
         try:
             one, frame = messages.wrench_frame(frame_id, *frames)
         except ValueError as error:
