@@ -52,20 +52,21 @@ def _run(options: argparse.Namespace) -> int:
 def _replay_one(options: argparse.Namespace) -> int:
     from rigid_body_ros import replay
     from rigid_body_ros.replay.outputs import suffix_of
-    from rigid_body_ros.replay.page import draw, PageCollector
     path, = options.input
     name = Path(path).name
     if options.also and not options.output:
         raise InputError('--also: expected an output file or folder (-o), found none')
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
-        scene = load_scene(options)
-        collect = partial(PageCollector, scene) if options.report else None
+        scene, collect = load_scene(options), None
+        if options.report:  # a command that writes no page does not import what pages need
+            from rigid_body_ros.replay.page import PageCollector
+            collect = partial(PageCollector, scene)
         with outputs.writing(options.output):
             result = replay.replay(path, scene, options.output, keep=bool(options.plot),
                                    collect=collect, **_replay_options(options))
         collected: Any = result.collected  # a `PageCollector` if there is a page to write
         outputs.write_asked(page=lambda line: collected.page(result, name, line),
-                            draw=lambda path: draw(path, result, name))
+                            draw=lambda path: result.draw(path, name))
     outputs.show(result.text(), 14)
     return OK
 

@@ -12,12 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Show a replayed motion: on a page, for which it is collected batch by batch, or in a figure."""
+"""Collect a replayed motion batch by batch, and make a page that shows it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,31 +133,3 @@ def _headline(times_ns: NDArray[np.int64], keys: Floats) -> str:
         how = f', {change} from {start:.2g} to {most if peaks else end:.2g} rad/s' \
               + (f' and ends at {end:.2g} rad/s' if peaks else '')
     return f'the body turns {far} in {seconds[-1]:.4g} s{how}'
-
-
-def draw(path: str | Path, result: Replay, name: str) -> None:
-    """
-    Plot a motion and its torques in a PNG file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The PNG file. Its name may have any suffix, and an existing file is overwritten.
-    result : Replay
-        The result of `replay` with `keep` set, so that it has the problem and the trajectory.
-    name : str
-        The name of the recording, which appears in the title.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-
-    """
-    from rigid_body_ros.report import figures  # matplotlib is slow to import
-    problem, motion = result.problem, result.trajectory
-    assert problem
-    assert motion
-    fields = problem.field_torque(motion.times_ns, motion.attitude) if problem.fields else None
-    figures.motion(path, motion, problem.logs, result.scene.euler_sequence,
-                   f'{name}: {result.topic}', result.scene.timeout_ns, fields)
