@@ -29,7 +29,6 @@ from rigid_body_ros.report.charts import packed
 #: The columns of the data: the attitude, and the angular velocity, torque and rotor momentum in
 #: body axes.
 ATTITUDE, RATE, TORQUE, ROTORS = slice(4), slice(4, 7), slice(7, 10), slice(10, 13)
-COLUMNS = 13
 #: Maximum number of attitudes on a page.
 MOST = 2 ** 14
 #: Where the interpolation error exceeds this angle, rad, the page does not interpolate between
