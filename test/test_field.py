@@ -44,7 +44,7 @@ from measurements import Quaternion, TFMessage, transform, write
 import numpy as np
 import pytest
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.recording.account import Account
+from rigid_body_ros.recording.account import Account, SLASH
 from scipy.spatial.transform import Rotation
 
 ADVICE = ' (--time-source log uses the times of the recording)'
@@ -282,7 +282,10 @@ def test_measurements_are_converted_from_the_axes_that_messages_name(run, tmp_pa
     status, _, error, found = run('compare', path, '--measured', '/it',
                                   scene=LINKS if 'link' in note else SCENE)
     other = [line for line in error.splitlines() if "found 'odom'" not in line.replace('/', '')]
-    assert (status, other) == (0, [f'attitude_compare: note: {path}: /it: {note}'] if note else [])
+    names = [*frame] if frame is IN_TURNS else [frame, child or '']
+    notes = [note] * bool(note) + [SLASH] * any(name.startswith('/') for name in names)
+    assert (status, other) == (0, [f'attitude_compare: note: {path}: /it: {text}'
+                                   for text in notes])
     is_noise(found, *CHANNELS[kind])
 
 
