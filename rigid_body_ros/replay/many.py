@@ -179,8 +179,7 @@ def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
     See `connected` for the arguments and errors.
     """
     def outcomes(tasks: Sequence[Task], replay: _Replay) -> Generator[Outcome]:
-        given = {(os.path.abspath(path), os.path.abspath(output)): (path, output)
-                 for path, output in tasks}
+        given = {_absolute(task): task for task in tasks}
         folder = os.path.dirname(next(iter(given))[1])
         with files.reported(folder), \
                 TemporaryDirectory(prefix='.', dir=folder, ignore_cleanup_errors=True) as shared, \
@@ -241,6 +240,11 @@ def _in_process(replay: _Replay, task: Task) -> Outcome:
 
 def _died(task: Task, error: WorkerError) -> Outcome:
     return Outcome(*task, error=f'{task[0]}: {error}')
+
+
+def _absolute(task: Task) -> Task:
+    path, output = task
+    return os.path.abspath(path), os.path.abspath(output)
 
 
 def _summary(result: Replay, output: str) -> str:
