@@ -136,7 +136,7 @@ def transform(stamp_ns, q, parent='world', child='base_link'):
                             Transform(Vector3(1.0, 2.0, 3.0), q))
 
 
-def messages_of(kind, sensor, attitude_covariance=None, rate_covariance=None):
+def messages_of(kind, sensor, attitude_covariance=None, rate_covariance=None, frame='base_link'):
     """Generate messages of a type; covariances are 9 numbers, zeros by default."""
     unknown = np.zeros(9)
     one = unknown if attitude_covariance is None else np.ravel(attitude_covariance)
@@ -149,11 +149,11 @@ def messages_of(kind, sensor, attitude_covariance=None, rate_covariance=None):
     rates = sensor.angular_velocity if sensor.angular_velocity is not None \
         else np.zeros((count, 3))
     for stamp, q, w in zip(sensor.stamps_ns.tolist(), attitude.tolist(), rates.tolist()):
-        yield stamp, _message(kind, stamp, Quaternion(*q), Vector3(*w), (one, two), wide)
+        yield stamp, _message(kind, stamp, Quaternion(*q), Vector3(*w), (one, two), wide, frame)
 
 
-def _message(kind, stamp, q, w, covariances, wide):
-    space, body, point = header(stamp, 'world'), header(stamp, 'base_link'), Point(1.0, 2.0, 3.0)
+def _message(kind, stamp, q, w, covariances, wide, frame):
+    space, body, point = header(stamp, 'world'), header(stamp, frame), Point(1.0, 2.0, 3.0)
     pose = PoseWithCovariance(Pose(point, q), wide[0].ravel())
     if kind == 'QuaternionStamped':
         return QuaternionStamped(space, q)
@@ -162,22 +162,22 @@ def _message(kind, stamp, q, w, covariances, wide):
     if kind == 'PoseWithCovarianceStamped':
         return PoseWithCovarianceStamped(space, pose)
     if kind == 'TransformStamped':
-        return transform(stamp, q)
+        return transform(stamp, q, child=frame)
     if kind == 'TFMessage':
         return TFMessage([transform(stamp, Quaternion(1.0, 0.0, 0.0, 0.0), child='odometer'),
-                          transform(stamp, q),
+                          transform(stamp, q, child=frame),
                           transform(stamp, Quaternion(0.0, 1.0, 0.0, 0.0), 'base_link', 'camera')])
     if kind == 'Odometry':
-        return Odometry(space, 'base_link', pose,
+        return Odometry(space, frame, pose,
                         TwistWithCovariance(Twist(ZERO, w), wide[1].ravel()))
     if kind == 'Imu':
         return Imu(body, q, covariances[0], w, covariances[1], ZERO, np.zeros(9))
     return Vector3Stamped(body, w)
 
 
-def torque_messages(truth):
+def torque_messages(truth, frame='base_link'):
     for stamp, torque in zip(truth.torque_times.tolist(), truth.torques.tolist()):
-        yield stamp, WrenchStamped(header(stamp, 'base_link'), Wrench(ZERO, Vector3(*torque)))
+        yield stamp, WrenchStamped(header(stamp, frame), Wrench(ZERO, Vector3(*torque)))
 
 
 def write(path, **topics):
