@@ -175,13 +175,15 @@ def not_measured(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats) 
     """
     if not len(stamps_ns):
         return '', ''
-    steps = 1e-9 * np.diff(stamps_ns, append=stamps_ns[-1])[:, None]
-    turned = float(np.linalg.norm(np.cumsum(rates * steps, axis=0), axis=1).max())
-    if turned > _TURNS and (attitude == attitude[0]).all():
-        return 'attitude', f'the attitude is not used: it is {attitude[0].tolist()} in all ' \
-            f'messages, although their angular velocity turns the body by {turned:.3g} rad'
-    turned = float(so3.angle_between(*map(so3.normalize, (attitude[:1], attitude))).max())
-    if turned > _TURNS and not rates.any():
-        return 'rates', 'the angular velocity is not used: it is zero in all messages, although ' \
-            f'their attitude turns by {turned:.3g} rad'
+    if (attitude == attitude[0]).all():
+        steps = 1e-9 * np.diff(stamps_ns, append=stamps_ns[-1])[:, None]
+        turned = float(np.linalg.norm(np.cumsum(rates * steps, axis=0), axis=1).max())
+        if turned > _TURNS:
+            return 'attitude', f'the attitude is not used: it is {attitude[0].tolist()} in all ' \
+                f'messages, although their angular velocity turns the body by {turned:.3g} rad'
+    elif not rates.any():
+        turned = float(so3.angle_between(*map(so3.normalize, (attitude[:1], attitude))).max())
+        if turned > _TURNS:
+            return 'rates', 'the angular velocity is not used: it is zero in all messages, ' \
+                f'although their attitude turns by {turned:.3g} rad'
     return '', ''

@@ -205,8 +205,7 @@ def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[
         found = quantities.of_messages(recorded, kind).without_unmeasured()
         frames = _other_frames(where, recorded, kind, options)
         found = in_body_axes(where, found, recorded, kind, options)
-        names = [*recorded.names, *(name for pair in recorded.pairs for name in pair)]
-        if any(name.startswith('/') for name in names):
+        if any(name[:1] == '/' for names in (recorded.names, *recorded.pairs) for name in names):
             found = replace(found, notes=(*found.notes, SLASH))
     else:
         found = quantities.of_table(file, options.columns).without_unmeasured()

@@ -205,9 +205,8 @@ def _check_gaps(path: str | Path, problem: Problem, measurements: Measurements, 
                 account: Account) -> None:
     """Warn about torques that act for much longer than usual; announce a long computing time."""
     last_ns = max(int(sensor.stamps_ns[-1]) for sensor in measurements.sensors)
-    begin_ns = problem.start.time_ns
+    begin_ns, speed = problem.start.time_ns, float(np.linalg.norm(problem.start.angular_velocity))
     span_ns = begin_ns, max(begin_ns, min(last_ns, measurements.end_ns))
-    speed = float(np.linalg.norm(problem.start.angular_velocity))
     for log in problem.logs:
         gaps = Gaps(*span_ns, scene.timeout_ns)
         gaps.add(log)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ class MeasuredSamples:
     damage: str = ''
     notes: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def usable(self) -> _Mask:
         """Return whether a message has a usable attitude, and a usable rate, shape (n, 2)."""
         return np.isfinite(np.column_stack([self.attitude[:, 0], self.rates[:, 0]]))
