@@ -153,7 +153,7 @@ def axes(name, unit='', names='xyz'):
     *((f'time,{axes("gyro_{}", unit)}', DEGREES) for unit in (
         ' (°/s)', '_dps', ' (dps)', ' [deg/s]')),
     *((f'timestamp,{axes(name)}', RATES) for name in (
-        'ang_vel_{}', 'rotationRate.{}', 'gyroRotation{}(rad/s)', 'omega_{}', '{}', '{} (rad/s)')),
+        'ang_vel_{}', 'rotationRate.{}', 'gyroRotation{}(rad/s)', 'omega_{}', '{} (rad/s)')),
     *((f'time,{axes(name, names="0123")}', WXYZ) for name in (
         'q{}', 'q[{}]', 'vehicle_attitude/q.0{}')),
     *((f'time,{axes(name, names="xyzw")}', ATTITUDE) for name in (
@@ -173,6 +173,21 @@ def test_headings_of_other_programs_are_known(tmp_path, heading, values):
 
 
 XYZ = 'xyz[0],xyz[1],xyz[2]'
+
+
+@pytest.mark.parametrize(('name', 'is_gyro'), [
+    ('Gyroscope', True), ('2_gyro', True), ('log_vehicle_angular_velocity_0', True),
+    ('it', False), ('Accelerometer', False), ('log_vehicle_acceleration_0', False),
+    ('vehicle_angular_acceleration_setpoint_0', False), ('gyro_and_torque', False)])
+@pytest.mark.parametrize('heading', ['time,x,y,z', f'time,{XYZ}'])
+def test_axes_without_a_name_are_rates_only_in_a_file_of_that_name(tmp_path, name, is_gyro,
+                                                                  heading):
+    path = table(tmp_path / f'{name}.csv', heading, TIMES, RATES)
+    if is_gyro:
+        np.testing.assert_array_equal(read_measured(path).angular_velocity, RATES)
+    else:
+        with pytest.raises(InputError, match='line 1: no column for q.*; choose with --columns'):
+            read_measured(path)
 
 
 def test_names_of_files_tell_what_their_axes_are(run, tmp_path):

@@ -44,6 +44,8 @@ _PREFIXES = {'': 0, 'n': -9, 'u': -6, 'µ': -6, 'μ': -6, 'm': -3, 'k': 3, 'M': 
 #: /arm/torque/x, a name that PlotJuggler writes. The names that EuRoC files, PX4's tools and
 #: telephones use are included.
 _PATH, _AXIS = r'(?:.*[/.])?', r'[/._ ]?([xyz])'
+#: What the columns x, y and z are, if the name of the file contains one of these words only.
+_CALLED = {'torque': 'torque', 'gyro': 'gyro|angular[_ ]?vel|omega|rotation_?rate'}
 _TIME = re.compile(_PATH + r'(?:__)?(?:time|timestamp|stamp|t)')
 _ATTITUDE = re.compile(_PATH + r'(?:q|quat|quaternion|orientation|attitude|q_rs)[/._ ]?([xyzw])')
 _RATE = re.compile(_PATH + r'(?:w|omega|gyro(?:scope|rotation)?|ang_?vel|w_rs_s|rotation_?rate|'
@@ -90,7 +92,7 @@ def columns_of(heading: Sequence[str], groups: Sequence[tuple[str, ...]], stem: 
         The quantities to find, such as `TORQUE`. At least one of them must be complete.
     stem : str
         The name of the file without its suffix, in lower case; it may tell what the columns x, y
-        and z contain.
+        and z without units contain.
     chosen : mapping of str to str, optional
         For each quantity, with its unit as in a heading, the number of its column, which counts
         from 1, or the name of its column. Then the heading is not interpreted.
@@ -104,10 +106,10 @@ def columns_of(heading: Sequence[str], groups: Sequence[tuple[str, ...]], stem: 
     try:
         return _found(heading, groups, '', chosen)
     except InputError:
-        is_named = re.search('torque|angular|gyro', stem)
-        for context in (stem, '' if is_named else 'torque' if TORQUE in groups else 'gyro'):
-            with suppress(InputError):
-                return _found(heading, groups, context, chosen)
+        contexts = [name for name, word in _CALLED.items() if re.search(word, stem)]
+        with suppress(InputError):
+            if len(contexts) == 1:
+                return _found(heading, groups, contexts[0], chosen)
         raise
 
 
@@ -126,16 +128,12 @@ def _found(heading: Sequence[str], groups: Sequence[tuple[str, ...]], context: s
     for name in ('time', *(name for group in given or groups[:1] for name in group)):
         if name not in columns:
             raise InputError(f'no column for {name}; {accepted}, found '
-                             f'{quoted(",".join(heading))}')
+                             f'{quoted(",".join(heading))}; choose with --columns')
     return columns
 
 
-def apply(chosen: Mapping[str, str], groups: Sequence[tuple[str, ...]]) -> bool:
-    """
-    Return whether chosen columns contain any of the quantities that a table should contain.
-
-    Raise InputError if a name in `chosen` is not that of a time or a quantity.
-    """
+def has_any(chosen: Mapping[str, str], groups: Sequence[tuple[str, ...]]) -> bool:
+    """Return whether any of `groups` is chosen; raise InputError for an unknown quantity."""
     return not {*map(_quantity, chosen)}.isdisjoint([name for group in groups for name in group])
 
 
@@ -193,7 +191,7 @@ def _splits(text: str, context: str) -> Iterator[tuple[str, str]]:
     """
     Generate all ways to split a string into a name, in lower case, and a unit; it may be ''.
 
-    A name that is just an axis belongs to the context, such as the name of the file.
+    A name that is just an axis belongs to the quantity that its unit or else the context tells.
     """
     if len(text) > _LONGEST:
         return
@@ -208,4 +206,8 @@ def _splits(text: str, context: str) -> Iterator[tuple[str, str]]:
             is_quaternion = numbered[2] == 'q'
             axis = ('wxyz' if is_quaternion else 'xyz*')[int(number)]
             name = numbered[1] + 'q' * is_quaternion + axis
-        yield f'{context}/{name}' if context and name in ('x', 'y', 'z') else name, unit
+        if name in ('x', 'y', 'z'):
+            called = 'gyro' if unit and unit in _RATE_UNITS else \
+                'torque' if _TORQUE_UNIT.fullmatch(unit) else context
+            name = f'{called}/{name}' if called else name
+        yield name, unit

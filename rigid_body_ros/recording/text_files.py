@@ -103,7 +103,7 @@ class Table:
     def __init__(self, path: str | Path, groups: Sequence[tuple[str, ...]],
                  chosen: Mapping[str, str] | None = None) -> None:
         self._path, self._groups = path, groups
-        self._chosen = chosen if chosen and headings.apply(chosen, groups) else None
+        self._chosen = chosen if chosen and headings.has_any(chosen, groups) else None
         self._is_csv = Path(path).suffix.lower() in _CSV
         self.width, self._columns = _TORQUES if self._is_csv else _TRAJECTORY
         self._rates: list[TableColumn] = []
@@ -209,10 +209,9 @@ class Table:
     def _assumed_unit(self, stamps: Sequence[Decimal], lines: Sequence[Sequence[str]]) -> Decimal:
         """Return the unit of times without a unit, ns, and note what was assumed."""
         first = stamps[0]
-        if first * 10 ** 9 > messages.LAST_NS:
-            for unit_ns in (10 ** 6, 10 ** 3, 1):
-                if _RECENT_NS <= first * unit_ns <= messages.LAST_NS:
-                    return self._noted(unit_ns, f'because {first} is then a time since 1970')
+        for unit_ns in (10 ** 6, 10 ** 3, 1):
+            if _RECENT_NS <= first * unit_ns <= messages.LAST_NS:
+                return self._noted(unit_ns, f'because {first} is then a time since 1970')
         if len(stamps) < _FEWEST or any(stamp != stamp.to_integral_value() for stamp in stamps):
             return Decimal(10 ** 9)
         return self._plausible_unit(np.array([*map(float, stamps)]), lines)
