@@ -28,6 +28,7 @@ from field_data import (
     GYRO,
     is_noise,
     LINKS,
+    logged,
     RATES,
     ROWS,
     SCENE,
@@ -40,11 +41,14 @@ from field_data import (
     torque,
     TORQUES,
 )
-from measurements import Quaternion, TFMessage, transform, write
+from measurements import messages_of, Quaternion, TFMessage, transform, write
 import numpy as np
 import pytest
+from rigid_body_ros import Measured
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.account import Account, SLASH
+from rigid_body_ros.recording.measurements import read_measured
+from rigid_body_ros.scene import load
 from scipy.spatial.transform import Rotation
 
 ADVICE = ' (--time-source log uses the times of the recording)'
@@ -150,6 +154,19 @@ def test_stamps_of_torques_are_accounted_for(run, tmp_path, kind, clock):
         assert (ADVICE in warnings[0]) == (kind == 'messages')
         assert account[0].startswith(f'{len(rows) - replaced} of {len(rows)} samples are used')
         assert (f'{steps} at which the clock goes back' in account[0]) == bool(steps)
+
+
+@pytest.mark.parametrize('clock', CLOCKS)
+def test_stamps_of_several_torques_are_accounted_for_by_topic(run, tmp_path, clock):
+    rows, stamps, replaced, steps, expected = CLOCKS[clock]
+    path = write(tmp_path / 'it.mcap', torque=torque(), imu=sensor('Imu'),
+                 other=torque(stamps, TORQUES[rows]))
+    _, _, error, found = run('compare', path, '--topic', '/torque', '--topic', '/other')
+    account, (fault,) = found['accounts']['torques'], found['accounts']['torques']['faults']
+    assert (account['samples'], account['replaced'], account['steps_back']) == (
+        COUNT + len(rows), replaced, steps)
+    assert re.match(f'/other: .*{expected}', fault)
+    assert f'{path}: torques: {fault}' in error
 
 
 @pytest.mark.parametrize('clock', ['every third', 'tenths', '1 s', '25 ms', 'beyond the start'])
@@ -287,6 +304,19 @@ def test_measurements_are_converted_from_the_axes_that_messages_name(run, tmp_pa
     assert (status, other) == (0, [f'attitude_compare: note: {path}: /it: {text}'
                                    for text in notes])
     is_noise(found, *CHANNELS[kind])
+
+
+@pytest.mark.parametrize('frame', ['world', 'imu_link'])
+def test_covariances_of_rates_are_converted_with_the_rates(tmp_path, frame):
+    given = np.diag([1.0, 2.0, 3.0])
+    messages = logged(messages_of('Imu', Measured('', STAMPS, ATTITUDE, RATES), None, given,
+                                  frame))
+    turn = Rotation.from_quat(ATTITUDE).inv() if frame == 'world' else SENSOR
+    expected = turn.as_matrix() @ given @ turn.inv().as_matrix()
+    (tmp_path / 'scene.yaml').write_text(LINKS)
+    found = read_measured(write(tmp_path / 'it.mcap', it=messages), '/it',
+                          links=load(tmp_path / 'scene.yaml').links)
+    np.testing.assert_allclose(found.rate_covariance - expected, 0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize(('kind', 'attitude'), [

@@ -42,10 +42,9 @@ _MEANINGLESS = 1e3
 #: contain one of them contains both.
 _TOGETHER = 0.9
 _Mask = NDArray[np.bool_]
-
-
-#: What a topic may contain.
-QUANTITIES = ('attitude', 'rates')
+#: What a topic may contain, and its name in messages.
+_NAMES = {'attitude': 'attitude', 'rates': 'angular velocity'}
+QUANTITIES = tuple(_NAMES)
 _NONE = None, None
 #: Where the attitude and the angular velocity are among the doubles of a message, each with its
 #: covariance.
@@ -106,10 +105,12 @@ class MeasuredSamples:
 
     def rates_from_space(self, rows: _Mask, frame: str) -> MeasuredSamples:
         """Convert angular velocities in space axes to body axes, which needs attitudes."""
-        rates = self.rates.copy()
-        rates[rows] = so3.rotate(so3.conjugate(self.attitude[rows]), rates[rows])
+        rates, to_body = self.rates.copy(), so3.conjugate(self.attitude)
+        rates[rows] = so3.rotate(to_body[rows], rates[rows])
+        of_rates = _turned(self.covariances[1], so3.matrix(to_body), rows)
         note = f'the angular velocity is in the axes of {frame} (space): converted to body axes'
-        return replace(self, rates=rates, notes=(*self.notes, note))
+        return replace(self, rates=rates, covariances=(self.covariances[0], of_rates),
+                       notes=(*self.notes, note))
 
     def from_link(self, rows: _Mask, rotation: Floats, frame: str) -> MeasuredSamples:
         """
@@ -120,8 +121,7 @@ class MeasuredSamples:
         turn, attitude, rates = so3.from_matrix(rotation), self.attitude.copy(), self.rates.copy()
         attitude[rows] = so3.multiply(attitude[rows], so3.conjugate(turn))
         rates[rows] = so3.rotate(turn, rates[rows])
-        first, second = (None if each is None else np.where(
-            rows[:, None, None], rotation @ each @ rotation.T, each) for each in self.covariances)
+        first, second = (_turned(each, rotation, rows) for each in self.covariances)
         note = f'the measurements are in the axes of {frame}: converted to body axes'
         return replace(self, attitude=attitude, rates=rates, covariances=(first, second),
                        notes=(*self.notes, note))
@@ -134,11 +134,10 @@ class MeasuredSamples:
         """
         for name, given, usable in zip(QUANTITIES, self.given.T, self.usable.T):
             if given.any() and not usable.any() and self.usable.any():
-                note = f'the {name.replace("rates", "angular velocity")} is not used: expected ' \
-                       f'finite values, of a possible size, found none in {given.sum()} messages'
+                note = f'the {_NAMES[name]} is not used: expected finite values, of a possible ' \
+                       f'size, found none in {given.sum()} messages'
                 return replace(self.without([name]), notes=(*self.notes, note))
-        both = np.flatnonzero(self.usable.all(axis=1))
-        both = both[np.argsort(self.stamps_ns[both], kind='stable')]
+        both = self.usable.all(axis=1)
         name, note = not_measured(self.stamps_ns[both], self.attitude[both], self.rates[both])
         return replace(self.without([name]), notes=(*self.notes, note)) if name else self
 
@@ -193,8 +192,7 @@ class MeasuredSamples:
             account.check_norms(self.norms[usable])
         attitude, rates, of_attitude, of_rates = (
             values[rows] if values is not None and column in columns else None
-            for column, values in zip((0, 1, 0, 1), (self.attitude, self.rates,
-                                                     *self.covariances)))
+            for column, values in zip(2 * (0, 1), (self.attitude, self.rates, *self.covariances)))
         return Measured(topic, self.stamps_ns[rows], attitude, rates, _known(of_attitude),
                         _known(of_rates), account, self.damage)
 
@@ -218,8 +216,7 @@ def of_messages(recorded: Messages, kind: MessageType) -> MeasuredSamples:
     samples = _samples(recorded.stamps_ns, attitude, rates, np.column_stack(given),
                        damage=recorded.damage)
     if first is not None and kind is not messages.IMU:  # in space axes
-        turn = so3.matrix(samples.attitude)
-        first = np.swapaxes(turn, 1, 2) @ first @ turn
+        first = _turned(first, so3.matrix(so3.conjugate(samples.attitude)), samples.usable[:, 0])
     return replace(samples, covariances=(first, second))
 
 
@@ -256,6 +253,12 @@ def _block(covariances: Floats) -> Floats:
     """Return the rotational (n, 3, 3) parts of covariances with 9 or 36 entries each."""
     size = 3 if covariances.shape[1] == 9 else 6
     return covariances.reshape(-1, size, size)[:, size - 3:, size - 3:]
+
+
+def _turned(covariances: Floats | None, rotation: Floats, rows: _Mask) -> Floats | None:
+    """Convert the covariances in some rows to other axes, as `rotation` converts vectors."""
+    return None if covariances is None else np.where(
+        rows[:, None, None], rotation @ covariances @ np.swapaxes(rotation, -2, -1), covariances)
 
 
 def _known(covariances: Floats | None) -> Floats | None:
