@@ -27,7 +27,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.live.events import RejectedError
 from rigid_body_ros.live.inputs import wrench_of
 from rigid_body_ros.recording.measurements import read_measured
-from rigid_body_ros.recording.ulog_file import flight
+from rigid_body_ros.recording.ulog_file import UlogFile
 from tumbling import INERTIA, Truth
 
 pytest.importorskip('pyulog')
@@ -175,7 +175,7 @@ def test_the_longest_flight_in_a_log(tmp_path, states, expected):
     path = px4.write(tmp_path / 'log.ulg', {
         'vehicle_land_detected': [(10 * k, int(state), ()) for k, state in enumerate(states, 1)],
         'vehicle_torque_setpoint': [(45, 45, (0.0, 0.0, 0.0))]})
-    assert flight(path) == expected
+    assert UlogFile(path).flight_ns == expected
 
 
 #: Ways to record px4_msgs: with definitions, without them, and compressed.

@@ -33,7 +33,7 @@ from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, Writer, writer_of
-from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.measured import faults_of, Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
@@ -98,8 +98,8 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         if moves_clocks and during.has_end:
             sensors = during.until_end([one.clock_offset_s for one
                                         in aligned_by(moved, sensors, align)])
-        found = compare_motion(moved, sensors, align, horizons, causes=not during.faults,
-                               track=track)
+        found = compare_motion(moved, sensors, align, horizons, track=track,
+                               causes=not faults_of(during.torques, during.sensors))
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error
     if horizons and isinstance(moved, Problem) and is_checked(moved, scene.values):

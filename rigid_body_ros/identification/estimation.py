@@ -62,7 +62,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Options, Problem
-from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.measured import faults_of, Measured
 from rigid_body_ros.scene.fields import MOMENT
 
 
@@ -147,7 +147,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     known = checked_priors(priors or {}, setup.parameters, setup.given)
     solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
     return _result(examined(solution), every if validate else [], accept,
-                   [fault for experiment in experiments for fault in experiment.faults])
+                   [fault for experiment in experiments
+                    for fault in faults_of(experiment.torques, experiment.measured)])
 
 
 def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, AxialInertia | None]:

@@ -76,12 +76,6 @@ class Experiment:
     torques: Account | None = None
 
     @property
-    def faults(self) -> list[str]:
-        """Return what is wrong with the samples, so that no cause can be inferred from them."""
-        accounts = self.torques, *(sensor.account for sensor in self.measured)
-        return [fault for account in accounts if account for fault in account.faults]
-
-    @property
     def logs(self) -> list[TorqueLog]:
         """Return the torques as a list."""
         return torque_logs(self.log)

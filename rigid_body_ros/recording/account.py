@@ -23,12 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.scene.scene import UNIT
 
 #: If more than this fraction of the samples is lost, no cause is named from the rest.
 _LOST = 0.01
-#: Largest deviation of the norm of a quaternion from 1. The limit allows for components that were
-#: rounded to three digits.
-UNIT = 1e-2
 #: A step back of the stamps is a change of the clock, not a sample that arrived late, unless the
 #: stamps make up for more than this fraction of the step.
 _MADE_UP = 0.5
@@ -61,6 +59,8 @@ class Account:
         What was converted, assumed or left out.
     doubts : list of str
         Other warnings about the samples.
+    parts : mapping of str to Account
+        The account of each topic, if there are several.
 
     """
 
@@ -71,7 +71,9 @@ class Account:
     steps: list[tuple[int, int]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
-    #: The last stamps, the latest stamp, and how many stamps are not later than it.
+    parts: Mapping[str, Account] = field(default_factory=dict)
+    #: The last stamps, the latest one, how many were not later than those before, and the number
+    #: of the first sample that is replaced.
     _held: _Stamps = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
     _latest_ns: int = field(default=-2 ** 63, repr=False)
     _not_later: int = field(default=0, repr=False)
@@ -92,17 +94,18 @@ class Account:
         self.samples += len(stamps_ns) + rejected
         self.rejected += rejected
         is_open = self.steps and self.steps[-1][0] > earlier
-        if not is_open and _ascends(self._latest_ns, stamps_ns):  # as nearly always
+        since = np.append(self._latest_ns, stamps_ns)
+        if not is_open and (since[1:] > since[:-1]).all():  # as nearly always
             self._held = stamps_ns if len(stamps_ns) >= 2 * _AROUND else \
                 np.concatenate([self._held, stamps_ns])[-2 * _AROUND:]
-            self._latest_ns = int(stamps_ns[-1]) if len(stamps_ns) else self._latest_ns
+            self._latest_ns = int(since[-1])
             return
         stamps = np.concatenate([self._held, stamps_ns])
         # Whether a stamp steps back or only arrives late, the next block may decide.
         decided = len(self._held) // 2
         self.steps = [step for step in self.steps if step[0] <= earlier + decided + 1] + [
             (earlier + row + 1, size_ns) for row, size_ns in _steps_back(stamps) if row > decided]
-        latest = np.maximum.accumulate(np.append(self._latest_ns, stamps_ns))
+        latest = np.maximum.accumulate(since)
         self._not_later += int(np.sum(stamps_ns <= latest[:-1]))
         repeated = _repeated(stamps)
         if repeated.size and not self._first_repeated:
@@ -126,6 +129,8 @@ class Account:
 
         While there are any, no cause of an error can be inferred.
         """
+        if self.parts:
+            return [f'{name}: {text}' for name, one in self.parts.items() for text in one.faults]
         texts = [*self.doubts]
         if self.rejected > _LOST * self.samples:
             texts.append(f'{self.rejected} of {self.samples} samples are rejected: expected '
@@ -160,18 +165,12 @@ def merged(accounts: Mapping[str, Account]) -> Account:
     """Return one account for several topics, by name; faults and notes then name the topic."""
     if len(accounts) == 1:
         return next(iter(accounts.values()))
-    total = Account()
+    total = Account(parts=accounts)
     for topic, account in accounts.items():
-        for name in ('samples', 'rejected', 'replaced'):
+        for name in ('samples', 'rejected', 'replaced', 'steps', '_not_later'):
             setattr(total, name, getattr(total, name) + getattr(account, name))
-        total.doubts += [f'{topic}: {text}' for text in account.faults]
         total.notes += [f'{topic}: {text}' for text in account.notes]
     return total
-
-
-def _ascends(latest_ns: int, stamps_ns: _Stamps) -> bool:
-    return not len(stamps_ns) or bool(stamps_ns[0] > latest_ns
-                                      and (stamps_ns[1:] > stamps_ns[:-1]).all())
 
 
 def _repeated(stamps_ns: _Stamps) -> NDArray[np.intp]:

@@ -67,7 +67,7 @@ def chained(path: str | Path, topic: str, ends: _Pair, time_source: str) -> Mess
 
     """
     homes: dict[_Pair, str] = {}
-    for name in {topic, topic + STATIC}.intersection(topics(path, [TRANSFORM])):
+    for name in sorted({topic, topic + STATIC}.intersection(topics(path, [TRANSFORM]))):
         with Source(path, name, [TRANSFORM], time_source) as source:
             homes |= dict.fromkeys(source.pairs(), name)
     pairs = _chain(homes, *ends)

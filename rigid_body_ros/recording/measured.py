@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -152,6 +152,12 @@ class Measured:
                        rate_covariance=of(self.rate_covariance))
 
 
+def faults_of(torques: Account | None, sensors: Iterable[Measured]) -> list[str]:
+    """Return what is wrong with recorded samples, so that no cause can be inferred from them."""
+    accounts = torques, *(sensor.account for sensor in sensors)
+    return [fault for account in accounts if account for fault in account.faults]
+
+
 def not_measured(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats) -> tuple[str, str]:
     """
     Tell which quantity of the same messages is not measured, because it never changes.
@@ -160,12 +166,8 @@ def not_measured(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats) 
 
     Parameters
     ----------
-    stamps_ns : array of int64, shape (n,)
-        Ascending stamps.
-    attitude : array, shape (n, 4)
-        Quaternions.
-    rates : array, shape (n, 3), rad/s
-        Angular velocities.
+    stamps_ns, attitude, rates : array, shape (n,), (n, 4) and (n, 3)
+        Stamps in any order, quaternions, and angular velocities, rad/s.
 
     Returns
     -------
@@ -173,11 +175,11 @@ def not_measured(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats) 
         'attitude', 'rates' or '', and why.
 
     """
-    if not len(stamps_ns):
-        return '', ''
-    if (attitude == attitude[0]).all():
-        steps = 1e-9 * np.diff(stamps_ns, append=stamps_ns[-1])[:, None]
-        turned = float(np.linalg.norm(np.cumsum(rates * steps, axis=0), axis=1).max())
+    if (attitude == attitude[:1]).all():
+        order = np.argsort(stamps_ns, kind='stable')
+        steps = 1e-9 * np.diff(stamps_ns[order])[:, None]
+        turns = np.linalg.norm(np.cumsum(rates[order][:-1] * steps, axis=0), axis=1)
+        turned = float(turns.max(initial=0.0))
         if turned > _TURNS:
             return 'attitude', f'the attitude is not used: it is {attitude[0].tolist()} in all ' \
                 f'messages, although their angular velocity turns the body by {turned:.3g} rad'

@@ -197,7 +197,7 @@ def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[
     name = name or (str(path) if is_text_file(str(path)) else _only_topic(path))
     file, topic, quantity = parts_of(path, name)
     where = f'{file}: {topic}' if topic else str(file)
-    label = f'{Path(file).name}:{topic}'.rstrip(':') if file != path or not topic else topic
+    parts = [Path(file).name if file != path or not topic else '', topic, quantity]
     frames = ''
     if topic:
         recorded, kind = _messages(file, topic, options)
@@ -214,10 +214,9 @@ def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[
             raise InputError('; '.join([f'{where}:{quantity}: expected samples of this quantity, '
                                         'found none', *found.notes]))
         found = found.without({*QUANTITIES} - {quantity})
-    label = f'{label}:{quantity}'.rstrip(':')
-    has_log_times = bool(topic) and options.time_source == 'header'
-    return [replace(sensor, frames=frames) for sensor
-            in found.sensors(where, label, has_log_times)]
+    sensors = found.sensors(where, ':'.join(filter(None, parts)),
+                            bool(topic) and options.time_source == 'header')
+    return [replace(sensor, frames=frames) for sensor in sensors]
 
 
 def _messages(path: str | Path, topic: str,

@@ -30,7 +30,7 @@ from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import MeasuredOptions, read_all
-from rigid_body_ros.recording.ulog_file import flight, is_ulog
+from rigid_body_ros.recording.ulog_file import is_ulog, UlogFile
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 
@@ -100,12 +100,6 @@ class Measurements:
     sensors: list[Measured]
     end_ns: int = NEVER_NS // 2
     torques: Account | None = None
-
-    @property
-    def faults(self) -> list[str]:
-        """Return what is wrong with the samples, so that no cause can be inferred from them."""
-        accounts = self.torques, *(sensor.account for sensor in self.sensors)
-        return [fault for account in accounts if account for fault in account.faults]
 
     @property
     def has_end(self) -> bool:
@@ -188,7 +182,7 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
     measurements = Measurements(sensors, min(later_ns, default=Measurements.end_ns), account)
     _check_overlap(path, problem, measurements, round(1e9 * largest_offset), reading)
     is_whole = reading.start == 0.0 and reading.until is None and not scene.start.time_ns
-    if is_whole and is_ulog(path) and (flight_ns := flight(path)):
+    if is_whole and is_ulog(path) and (flight_ns := UlogFile(Path(path)).flight_ns):
         start = max(0.0, 1e-9 * (flight_ns[0] - problem.start.time_ns))
         until = 1e-9 * (flight_ns[1] - flight_ns[0])
         problem, measurements = read_observed(path, scene, replace(

@@ -195,7 +195,7 @@ class Source:
         """Return the pairs of frame_id and child_frame_id on a topic of transforms."""
         pairs: dict[tuple[str, str], None] = {}
         for file in self._with_topic:
-            for raw in file.read(self.topic, self.kind):
+            for raw in file.read(self.topic, self._encoding):
                 plain = self._decompressed(raw, self.topic, 0)
                 pairs |= dict.fromkeys(transforms.pairs(self.kind, plain))
         return [*pairs]

@@ -105,11 +105,6 @@ class UlogFile(File):
                                   found.logged_ns[rows])
 
 
-def flight(path: str | Path) -> tuple[int, int] | None:
-    """Return `UlogFile.flight_ns` of a PX4 log; raise InputError if the log cannot be read."""
-    return UlogFile(Path(path)).flight_ns
-
-
 @lru_cache(1)  # a command reads several topics, and pyulog reads the whole file each time
 def _parsed(path: Path, identity: tuple[int, ...]
             ) -> tuple[Mapping[str, _Topic], str, tuple[int, int] | None]:

@@ -57,7 +57,7 @@ from rigid_body_ros.scene.wheels import WHEEL_NAMES, wheels_of
 NODE = 'attitude_node'
 #: Warn if the norm of a quaternion differs from 1 by more than this number. The limit allows for
 #: components that were rounded to three digits.
-_UNIT = 1e-2
+UNIT = 1e-2
 #: Matches the topic names that ROS accepts.
 _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 #: Matches a topic of which one quantity may be chosen.
@@ -319,7 +319,7 @@ class Scene:
                    f'robot_description, but its axes are not those of link {link}, whose axes '
                    f'are the body axes; expected {link}')
         norm = math.hypot(*group(self.values, 'initial_attitude').values())
-        if abs(norm - 1.0) > _UNIT:
+        if abs(norm - 1.0) > UNIT:
             yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
                    f'{norm:.3g}; it is normalised; are the numbers angles?')
         rate = math.hypot(*group(self.values, 'initial_angular_velocity').values())
