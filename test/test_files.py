@@ -23,7 +23,7 @@ from conftest import CONFIG, files_up_to, RECORDINGS
 import pytest
 from rigid_body_ros import recording, scene
 from rigid_body_ros.comparison import read_measured
-from rigid_body_ros.comparison.recorded import compare_recording, read_motion
+from rigid_body_ros.comparison.comparison import compare_recording, read_motion
 from rigid_body_ros.replay import replay
 from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.limits import read_json

@@ -25,7 +25,7 @@ from conftest import CONFIG, RECORDINGS, ROOT
 import pytest
 from rigid_body_ros import commands, identify, read
 from rigid_body_ros.commands import main
-from rigid_body_ros.comparison.recorded import compare_recording
+from rigid_body_ros.comparison.comparison import compare_recording
 from rigid_body_ros.identification.recorded import read_experiment
 from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.replay import replay

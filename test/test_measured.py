@@ -39,7 +39,7 @@ from rigid_body_ros import messages, recording, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import read_measured
-from rigid_body_ros.comparison.recorded import compare_recording
+from rigid_body_ros.comparison.comparison import compare_recording
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.observed import Reading

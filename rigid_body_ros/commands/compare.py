@@ -43,8 +43,8 @@ _FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 
 def _run(options: argparse.Namespace) -> int:
+    from rigid_body_ros.comparison.comparison import compare_recording, write
     from rigid_body_ros.comparison.page import draw, page
-    from rigid_body_ros.comparison.recorded import compare_recording, write
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:

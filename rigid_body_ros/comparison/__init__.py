@@ -33,9 +33,8 @@ from rigid_body_ros.comparison.align import ALIGNMENTS
 from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.causes import Cause
 from rigid_body_ros.comparison.comparison import compare
-from rigid_body_ros.comparison.errors import Errors
 from rigid_body_ros.comparison.horizons import Horizon
-from rigid_body_ros.comparison.result import Comparison
+from rigid_body_ros.comparison.result import Comparison, Errors
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque

@@ -13,18 +13,19 @@
 # limitations under the License.
 
 """
-Compare the errors of one measured quantity with the noise of its sensor.
+Compare the errors of one measured quantity with the noise of its sensor, and with its effect.
 
 The spread is the standard deviation of the noise. It is estimated from how much the errors change
 between neighbouring samples. An incorrect model hardly affects this estimate, because the errors
 that it causes change slowly.
 The errors count as noise if outliers are rare and do not come in clusters, and if the errors do
-not persist for longer than sensor noise would.
+not persist for longer than sensor noise would. The noise also limits for how long a motion can be
+predicted from a measured start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,6 +35,8 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.noise import (
     ALARM,
     batches_of,
@@ -56,6 +59,15 @@ _LEAST = 1e-3
 _BATCH = 1.0
 ATTITUDE, RATE = 'rotation_vectors', 'rates'
 UNITS = {ATTITUDE: 'rad', RATE: 'rad/s'}
+#: A motion counts as unpredictable when the standard deviation of its attitude exceeds this limit,
+#: rad.
+_LOST = 0.1
+#: The start is assumed to be estimated from `_SPAN` seconds of the measurement, but from at least
+#: `_FEWEST` samples.
+_SPAN, _FEWEST = 1.0, 11
+#: `_STEP` is the finite-difference step for changes of the start, rad or rad/s. `_INSTANTS` is the
+#: number of times at which the uncertainty is computed.
+_STEP, _INSTANTS = 1e-7, 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,3 +153,62 @@ def channels_of(comparison: Comparison, until_ns: int = NEVER_NS) -> Iterator[Ch
             values = getattr(errors, kind)
             if values is not None and len(seconds) >= FEWEST:
                 yield Channel(errors.topic, kind, seconds, values[rows])
+
+
+def predictable_s(problem: Problem, channels: Sequence[Channel]) -> float | None:
+    """
+    Return the time after which the uncertainty of the start alone causes an error of 0.1 rad.
+
+    The start is assumed to be estimated from one second of the measurement.
+
+    Parameters
+    ----------
+    problem : Problem
+        The model.
+    channels : sequence of Channel
+        The errors of each measured quantity, from which its noise is estimated.
+
+    Returns
+    -------
+    float, s, or None
+        The time since the start; None if the motion is predictable up to the last sample.
+
+    """
+    end = max((float(channel.seconds[-1]) for channel in channels), default=0.0)
+    if end <= 0.0:
+        return None
+    seconds = np.linspace(0.0, end, _INSTANTS + 1)[1:]
+    times_ns = problem.start.time_ns + np.round(1e9 * seconds).astype(np.int64)
+    start, attitude = problem.start, problem.propagate(at=times_ns).attitude
+    variances = np.zeros(len(times_ns))
+    for row, sigma in enumerate(_deviations(channels)):
+        change = _STEP * np.eye(6)[row]
+        moved = State(start.time_ns, so3.multiply(start.attitude, so3.exp(change[:3])),
+                      start.angular_velocity + change[3:], start.rotor_momentum)
+        other = problem.replaced(start=moved).propagate(at=times_ns).attitude
+        variances += (sigma / _STEP * so3.angle_between(attitude, other)) ** 2
+    lost = np.flatnonzero(variances > _LOST ** 2)
+    return float(seconds[lost[0]]) if lost.size else None
+
+
+def _deviations(channels: Sequence[Channel]) -> Floats:
+    """
+    Return the standard deviations of the start.
+
+    The first three values are for the attitude, rad, and the last three for the angular velocity,
+    rad/s. If the attitude is not measured, the first three values are 0.
+    """
+    found: Floats = np.full(6, np.inf)
+    for channel in channels:
+        spacing = float(np.median(np.diff(channel.seconds)))
+        count = max(_FEWEST, round(_SPAN / spacing))
+        mean = channel.spread / np.sqrt(count)
+        if channel.kind == ATTITUDE:
+            found[:3] = np.minimum(found[:3], mean)
+            # The rate is the slope of a line fitted to the attitudes, so compute the standard
+            # deviation of this slope.
+            mean = mean * np.sqrt(12.0) / (count * spacing)
+        found[3:] = np.minimum(found[3:], mean)
+    if not any(channel.kind == ATTITUDE for channel in channels):
+        found[:3] = 0.0
+    return found

@@ -12,29 +12,45 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compare a measured motion with a propagated or recorded motion."""
+"""Compare measurements with a motion: computed from torques, or recorded."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+import json
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.comparison.align import align as aligned_by
+from rigid_body_ros.comparison.align import CLOCK
 from rigid_body_ros.comparison.causes import find_causes
-from rigid_body_ros.comparison.channels import channels_of
+from rigid_body_ros.comparison.channels import channels_of, predictable_s
+from rigid_body_ros.comparison.coarse import LARGEST_OFFSET
 from rigid_body_ros.comparison.horizons import horizon, usual_horizons
 from rigid_body_ros.comparison.motion import Motion, Recorded
-from rigid_body_ros.comparison.predictable import predictable_s
-from rigid_body_ros.comparison.result import compared, Comparison
+from rigid_body_ros.comparison.result import compared, Comparison, Errors
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, Writer, writer_of
+from rigid_body_ros.recording.measured import faults_of, Measured
+from rigid_body_ros.recording.measurements import read_measured
+from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import no_progress, Track
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.sensing.monitor import is_checked, monitored, settings_of
 from rigid_body_ros.sensing.residual_torque import residual_torque
+
+#: The topics of `write`.
+ATTITUDE_ERROR, RATE_ERROR = '/error/rotation_vector', '/error/angular_velocity'
+RESIDUAL_TORQUE = '/residual_torque'
 
 
 def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
@@ -120,3 +136,146 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
             predictable_s=predictable_s(problem, [*channels_of(comparison)]))
     return replace(comparison, causes=find_causes(motion, comparison, align, track)) \
         if causes else comparison
+
+
+def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,
+                      motion: str | Path | None = None, align: Collection[str] = (),
+                      horizons: Sequence[float] | None = None,
+                      track: Track = no_progress) -> Comparison:
+    """
+    Compare the measurements in a recording with the motion computed from its torques.
+
+    Parameters
+    ----------
+    path, scene
+        The recording and the scene, as for `read_observed`.
+    reading : Reading, optional
+        Which topics to read from the recording, and how.
+    motion : str or Path, optional
+        A recording or CSV file of the motion to compare with, such as the output of a replay. By
+        default, the motion is computed from the torques.
+    align, horizons
+        What to fit, and which horizons to use, as for `compare`. If `horizons` is None, the
+        default horizons are used.
+    track : callable
+        Wraps the loops over restarts and over possible causes to show progress.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read or does not fit the scene, or the measurements and the motion
+        do not overlap in time.
+
+    """
+    reading = reading or Reading()
+    moves_clocks = any(name.partition('@')[0] == CLOCK for name in align)
+    moved: Motion
+    if motion is None:
+        searched = LARGEST_OFFSET if moves_clocks else 0.0
+        stated, during = read_observed(path, scene, reading, searched, may_command=True)
+        # Replace named wheels by rotors, because restarts set rotor momenta, not wheel speeds.
+        try:
+            moved = stated.carried()
+        except ValueError as error:
+            raise InputError(f'{path}: {error}') from error
+    else:
+        moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
+    try:
+        sensors = during.until_end()
+        # A clock offset can move the last samples beyond the end.
+        if moves_clocks and during.has_end:
+            sensors = during.until_end([one.clock_offset_s for one
+                                        in aligned_by(moved, sensors, align)])
+        found = compare_motion(moved, sensors, align, horizons, track=track,
+                               causes=not faults_of(during.torques, during.sensors))
+    except ValueError as error:
+        raise InputError(f'{path}: {error}') from error
+    if horizons and isinstance(moved, Problem) and is_checked(moved, scene.values):
+        found = replace(found, horizons=tuple(replace(one, judgements=tuple(monitored(
+            moved, sensors, settings_of(scene.values)._replace(window=one.seconds))))
+            for one in found.horizons))
+    left_out = sum(map(len, during.sensors)) - sum(map(len, sensors))
+    # A file name may contain bytes that cannot be decoded as text.
+    return replace(found, recording=Path(path).name.encode(errors='replace').decode(),
+                   left_out=found.left_out + left_out, torques=during.torques)
+
+
+def read_motion(path: str | Path, scene: Scene) -> Recorded:
+    """
+    Read a motion, with attitudes and angular velocities, from a recording or a CSV file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read; it contains neither the two topics of a replay, /attitude and
+        /angular_velocity, nor a single topic or the columns with both attitudes and angular
+        velocities; or the two topics of a replay have different stamps.
+
+    """
+    found = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
+
+    def measured(topic: str | None = None) -> Measured:
+        return read_measured(path, topic, body_frame=scene.body_frame,
+                             space_frame=scene.space_frame)
+    if ATTITUDE in found and ANGULAR_VELOCITY in found:
+        attitude = measured(ATTITUDE)
+        rates = measured(ANGULAR_VELOCITY)
+        if not np.array_equal(attitude.stamps_ns, rates.stamps_ns):
+            raise InputError(f'{path}: expected the same stamps on {ATTITUDE} and '
+                             f'{ANGULAR_VELOCITY}, found others')
+        return Recorded(replace(attitude, angular_velocity=rates.angular_velocity))
+    motion = measured()
+    if motion.attitude is None or motion.angular_velocity is None:
+        raise InputError(f'{path}: {motion.topic}: expected a motion with attitude and angular '
+                         'velocity, found one of them')
+    return Recorded(motion)
+
+
+def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
+    """
+    Write the errors and the residual torque of a comparison to a recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording to write: an MCAP file if the name ends in .mcap, otherwise a new rosbag2
+        folder.
+    comparison : Comparison
+        The comparison. Messages are stamped with the clock of the motion, and all sensors share
+        the same error topics.
+    body_frame : str
+        The frame_id of all messages.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be written.
+
+    """
+    with writer_of(path) as writer:
+        for topic in (ATTITUDE_ERROR, RATE_ERROR):
+            writer.add_topic(topic, messages.VECTOR3)
+        writer.add_topic(RESIDUAL_TORQUE, messages.WRENCH)
+        writer.add_metadata(NAME, {'fingerprint': json.dumps(fingerprint()),
+                                   'alignment': json.dumps(comparison.alignment.as_dict()),
+                                   'alignments': json.dumps({
+                                       sensor.topic: one.of_sensor() for one, sensor in zip(
+                                           comparison.alignments, comparison.measured)})})
+        for errors in comparison.errors:
+            _write_errors(writer, errors, body_frame)
+        if comparison.residual_torque:
+            torques = comparison.residual_torque.torques
+            values = np.hstack([np.zeros_like(torques), torques])
+            writer.write_columns(comparison.residual_torque.times_ns,
+                                 [Column(RESIDUAL_TORQUE, body_frame, values)])
+
+
+def _write_errors(writer: Writer, errors: Errors, body_frame: str) -> None:
+    columns = [Column(topic, body_frame, values) for topic, values in
+               ((ATTITUDE_ERROR, errors.rotation_vectors), (RATE_ERROR, errors.rates))
+               if values is not None]
+    writer.write_columns(errors.times_ns, columns)

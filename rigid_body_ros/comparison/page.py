@@ -23,9 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.errors import Errors, QUANTITIES
 from rigid_body_ros.comparison.motion import Motion
-from rigid_body_ros.comparison.result import Comparison
+from rigid_body_ros.comparison.result import Comparison, Errors, QUANTITIES
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import moving_body

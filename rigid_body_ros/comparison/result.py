@@ -22,11 +22,11 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.comparison.align import align as aligned_by
 from rigid_body_ros.comparison.align import apart, errors_of, START
 from rigid_body_ros.comparison.alignment import Alignment
-from rigid_body_ros.comparison.errors import Errors, QUANTITIES, statistics
 from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.motion import divided, inside, Motion
 from rigid_body_ros.mechanics import so3
@@ -35,6 +35,57 @@ from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, numbers, rounded, scaled
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
+
+#: The quantities that are compared. Each has a name, a unit, and an attribute of `Errors`.
+QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """
+    The errors of one sensor after alignment: measured minus computed values.
+
+    Attributes
+    ----------
+    topic : str
+    times_ns : array of int64, shape (n,)
+        The times of the measurements on the clock of the motion: their stamps plus the clock
+        offset.
+    rotation_vectors : array, shape (n, 3), rad, body axes, optional
+        Rotations from the computed to the measured attitudes; None if the sensor does not measure
+        attitudes.
+    rates : array, shape (n, 3), rad/s, body axes, optional
+        Errors of the angular velocity; None if the sensor does not measure angular velocities.
+
+    """
+
+    topic: str
+    times_ns: NDArray[np.int64]
+    rotation_vectors: Floats | None
+    rates: Floats | None
+
+
+def statistics(vectors: Floats | None, final: bool = False) -> dict[str, Any]:
+    """
+    Return statistics of the lengths of some vectors, and the rms value of each component.
+
+    Parameters
+    ----------
+    vectors : array, shape (n, 3), optional
+        The vectors. All statistics are None if this array is None or has no rows.
+    final : bool
+        Whether to include 'final', the length of the last vector.
+
+    """
+    names = ['rms', 'median', 'p95', 'max', *(['final'] if final else []), 'axes_rms']
+    if vectors is None or not len(vectors):
+        return dict.fromkeys(names)
+    lengths = np.linalg.norm(vectors, axis=1)
+    values = [float(np.sqrt(np.mean(lengths ** 2))), float(np.median(lengths)),
+              float(np.percentile(lengths, 95.0)), float(lengths.max()),
+              *([float(lengths[-1])] if final else []),
+              np.sqrt(np.mean(vectors ** 2, axis=0)).tolist()]
+    return dict(zip(names, values))
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,9 @@ from rigid_body_ros.messages import INERTIA, inertia, joint_commands, WRENCH
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import Column
 from rigid_body_ros.runtime import files
-from rigid_body_ros.scene import actuator, Scene
-from rigid_body_ros.scene.text import text_of
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.parameters import ACTUATOR
+from rigid_body_ros.scene.scene import text_of
 
 #: The name of the folder for the worst runs, which is inside the folder of the ensemble, and the
 #: names of the files in it.
@@ -86,7 +87,7 @@ def _actuated(problem: Problem, scene: Scene, topics: Sequence[str]) -> dict[str
     found = [topic for topic, one in zip(topics, problem.actuators) if one]
     # A scene with an actuator must name the topics whose torques go through the actuator. If there
     # are no such topics, remove the actuator from the scene.
-    none = {} if found else {one.name: one.default for one in actuator.PARAMETERS}
+    none = {} if found else {one.name: one.default for one in ACTUATOR}
     return {**none, 'actuator.topics': found}
 
 

@@ -34,7 +34,7 @@ from rigid_body_ros.mechanics.urdf import robot
 from rigid_body_ros.recording.observed import read_observed, Reading
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.fields import FIELDS, values_of
-from rigid_body_ros.scene.text import text_of
+from rigid_body_ros.scene.scene import text_of
 
 
 def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:

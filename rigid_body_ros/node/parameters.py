@@ -41,8 +41,7 @@ from rigid_body_ros.runtime.parameters import Parameter as SceneParameter
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene import PARAMETERS, Scene
 from rigid_body_ros.scene.fields import at_start, FIELDS
-from rigid_body_ros.scene.parameters import checked_names, parameters_with, QOS
-from rigid_body_ros.scene.wheels import WHEEL_NAMES
+from rigid_body_ros.scene.parameters import checked_names, parameters_with, QOS, WHEEL_NAMES
 
 _RATE = 'publish_rate'
 #: The names of QoS overrides for rclpy's own topics begin with `QOS`, followed by one of these

@@ -29,9 +29,8 @@ from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.many import propagate_many, Trajectories
 from rigid_body_ros.propagation.models import Model
 from rigid_body_ros.propagation.options import Options, Solver, SOLVERS, TOLERANCES
-from rigid_body_ros.propagation.problem import Problem
+from rigid_body_ros.propagation.problem import Problem, propagate
 from rigid_body_ros.propagation.propagator import Propagator
-from rigid_body_ros.propagation.single import propagate
 from rigid_body_ros.propagation.trajectory import Trajectory
 
 __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Integration', 'Model', 'Options', 'Problem',

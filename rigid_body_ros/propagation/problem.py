@@ -401,3 +401,40 @@ class Problem:
 
         """
         return Integration(self).advance(at)
+
+
+def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
+              wheels: Rotors = None, efforts: EffortLog | None = None,
+              fields: Sequence[Field] = (), changes: BodyLog | None = None,
+              actuator: Actuators = None,
+              solver: str = Options.solver, tolerance: float = Options.tolerance,
+              max_step: float | None = Options.max_step,
+              torque_timeout: float = Options.torque_timeout) -> Trajectory:
+    """
+    Integrate Euler's equations under torque logs, and return the motion at given times.
+
+    Parameters
+    ----------
+    at : array of int, shape (m,), ns
+        The times, in any order, none before the start.
+    body, start, log, wheels, efforts, fields, changes, actuator
+        See `Problem`.
+    solver, tolerance, max_step, torque_timeout
+        See `Problem`.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        A time lies before the start or is not an integer that fits in int64, an option is out of
+        its range, torques are given to the solver 'exact', or the torques accelerate the body
+        beyond 1e9 rad/s.
+
+    """
+    return Problem(
+        body, start, log, wheels=wheels, efforts=efforts, fields=fields, changes=changes,
+        actuator=actuator, solver=solver, tolerance=tolerance, max_step=max_step,
+        torque_timeout=torque_timeout).propagate(at=at)

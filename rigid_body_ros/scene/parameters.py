@@ -12,19 +12,24 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The table of all scene parameters, and the parameters of named fields and wheels."""
+"""The table of all scene parameters, and what the parameters of actuators and wheels describe."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import math
+import re
 from typing import Any, NamedTuple
 
+import numpy as np
+from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
+from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
-from rigid_body_ros.scene import actuator, fields, wheels
+from rigid_body_ros.scene import fields
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = ('off-diagonal entry of the inertia tensor, including the minus sign as in URDF: ixy = '
@@ -39,6 +44,46 @@ TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 INERTIA_CHANGES = KEEP_RATE, KEEP_MOMENTUM = 'keep_rate', 'keep_momentum'
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
+_TOPICS, _DELAY, _LAG = 'actuator.topics', 'actuator.delay', 'actuator.time_constant'
+_LIMITS = tuple(f'actuator.limit.{axis}' for axis in 'xyz')
+ACTUATOR = (
+    Parameter(_TOPICS, [], '', 'the torque_topics that carry actuator commands; an actuator has a '
+              'delay, a limit and a lag'),
+    Parameter(_DELAY, 0.0, 's', 'time from the stamp of an actuator command until the command '
+              'takes effect', (0.0, LONGEST)),
+    Parameter(_LAG, 0.0, 's', 'time constant of the first-order lag with which the actuator '
+              'torque follows its command; 0 means no lag, and any other value must be at least '
+              '1e-9',
+              (0.0, LONGEST)),
+    *(Parameter(name, 0.0, 'N m', 'largest torque about this axis, in the axes (body or space) of '
+                'the command; larger commands are clipped; 0 means no limit', (0.0, BIG))
+      for name in _LIMITS),
+)
+#: The parameter that lists the names of the wheels.
+WHEEL_NAMES = 'wheel_names'
+_WHEELS = (
+    Parameter(WHEEL_NAMES, [], '', 'names of the wheels, in the order in which outputs list their '
+              'speeds; each wheel has the parameters NAME.axis, NAME.inertia, NAME.initial_speed, '
+              'NAME.friction, NAME.max_torque and NAME.max_speed'),
+)
+_AXIS = 'axis'
+_INERTIA = Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, which is included in '
+                     'the inertia of the body', (TINY, BIG))
+_OTHERS = (
+    Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
+              (-1e9, 1e9)),
+    Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel: a torque equal to '
+              'friction times speed slows the wheel, and the opposite torque acts on the body',
+              (0.0, BIG)),
+    Parameter('max_torque', 0.0, 'N m', 'largest motor torque; larger commands are clipped to it; '
+              '0 means no limit', (0.0, BIG)),
+    Parameter('max_speed', 0.0, 'rad/s', 'at this speed or above, a command that would speed up '
+              'the wheel acts as zero; the node checks the speed only when the command takes '
+              'effect; 0 means no limit', (0.0, BIG)),
+)
+#: Matches the full names of all wheel parameters except the inertia, whether or not the wheel is
+#: listed in `wheel_names`.
+OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
 PARAMETERS = {parameter.name: parameter for parameter in (
     *(Parameter(f'inertia.{name}', None, 'kg m^2', _MOMENT, (TINY, BIG))
       for name in ('ixx', 'iyy', 'izz')),
@@ -67,8 +112,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'the torques from all of them'),
     Parameter('wheels', False, '', 'whether the body has motor-driven rotors, which are described '
               'by their total momentum'),
-    *wheels.PARAMETERS,
-    *actuator.PARAMETERS,
+    *_WHEELS,
+    *ACTUATOR,
     *fields.PARAMETERS,
     Parameter('inertia_topic', False, '', 'whether messages on the topic inertia change the '
               'inertia of the body'),
@@ -167,23 +212,80 @@ class Names(NamedTuple):
 
 def parameters_with(names: Names) -> dict[str, Parameter]:
     """Return all parameters, keyed by full name, including those of named fields and wheels."""
-    return {**PARAMETERS, **wheels.of_names(names.wheels), **fields.of_names(names.fields)}
+    return {**PARAMETERS, **wheel_parameters(names.wheels), **fields.of_names(names.fields)}
 
 
 def checked_names(given: Mapping[str, Any]) -> Names:
     """Return the names of the fields and wheels; raise InputError if a name is not valid."""
     names = Names(*(checked(PARAMETERS[key], given.get(key))
-                    for key in (fields.FIELDS, wheels.WHEEL_NAMES)))
+                    for key in (fields.FIELDS, WHEEL_NAMES)))
     others = *PARAMETERS, *OF_ROS, QOS
     fields.check_names(names.fields, others)
-    fields.check_names(names.wheels, (*others, *names.fields), wheels.WHEEL_NAMES)
+    fields.check_names(names.wheels, (*others, *names.fields), WHEEL_NAMES)
     return names
 
 
 def check_named(key: str, names: Names) -> None:
     """Raise InputError if an unknown parameter seems to belong to an unknown field or wheel."""
     for pattern, listing, known in ((fields.OF_FIELD, fields.FIELDS, names.fields),
-                                    (wheels.OF_WHEEL, wheels.WHEEL_NAMES, names.wheels)):
+                                    (OF_WHEEL, WHEEL_NAMES, names.wheels)):
         if member := pattern.fullmatch(key):
             raise InputError(f'{key}: expected {quoted(member[1])} among the names in {listing}, '
                              f'found {listed(known)}')
+
+
+def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | None:
+    """
+    Return the actuator for each topic in `torque_topics`, or None if no topic has one.
+
+    Raises
+    ------
+    InputError
+        A topic in `actuator.topics` is not a torque topic, or is given twice; `actuator.topics`
+        is empty although other `actuator` parameters are set; or the time constant is too short.
+
+    """
+    topics, given = values[_TOPICS], [name.removeprefix('/') if isinstance(name, str) else name
+                                      for name in values[_TOPICS]]
+    known = [str(name).removeprefix('/') for name in values['torque_topics']]
+    for number, name in enumerate(given):
+        if name not in known:
+            raise InputError(f'{_TOPICS}: expected topics among torque_topics '
+                             f'({listed(values["torque_topics"])}), found '
+                             f'{quoted(topics[number])}')
+        if name in given[:number]:
+            raise InputError(f'{_TOPICS}: expected each topic once, found {topics[number]!r} '
+                             'twice')
+    for name in (_DELAY, _LAG, *_LIMITS):
+        if values[name] and not given:
+            raise InputError(f'{_TOPICS}: expected at least one topic, because {name} is '
+                             f'{values[name]:g}, found an empty list')
+    if not given:
+        return None
+    try:
+        found = Actuator(values[_DELAY], values[_LAG], [values[name] for name in _LIMITS])
+    except ValueError as error:
+        raise InputError(f'{_LAG}: {error}') from error
+    return tuple(found if name in given else None for name in known)
+
+
+def wheel_parameters(names: Iterable[str]) -> dict[str, Parameter]:
+    """Return the parameters of the wheels with these names, keyed by full name."""
+    return {parameter.name: parameter for name in names for parameter in (
+        *(Parameter(f'{name}.{_AXIS}.{axis}', 0.0, '', 'wheel axis, in body axes; the length of '
+                    'this vector has no effect', (-BIG, BIG)) for axis in 'xyz'),
+        *(each._replace(name=f'{name}.{each.name}') for each in (_INERTIA, *_OTHERS)))}
+
+
+def wheels_of(values: Mapping[str, Any]) -> tuple[Wheel, ...]:
+    """Create the wheels from a scene's parameters; raise InputError if a wheel has no axis."""
+    return tuple(Wheel(name, fields.vector(values, f'{name}.{_AXIS}'), *(
+        values[f'{name}.{each.name}'] for each in (_INERTIA, *_OTHERS)))
+        for name in values[WHEEL_NAMES])
+
+
+def described_wheels(values: Mapping[str, Any]) -> list[str]:
+    """Return a line of text for each wheel in a scene."""
+    return [f'{wheel.name}: wheel of {wheel.inertia:.9g} kg m^2 about '
+            f'{written(np.asarray(wheel.axis))}, initially at {wheel.initial_speed:.9g} rad/s'
+            for wheel in wheels_of(values)]

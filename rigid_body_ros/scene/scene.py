@@ -26,7 +26,7 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.mechanics import euler
+from rigid_body_ros.mechanics import euler, urdf
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
@@ -37,10 +37,9 @@ from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, parameters_of, Value
-from rigid_body_ros.scene.actuator import actuators_of
-from rigid_body_ros.scene.body import body_of, group, inertia_of_robot, links_of
-from rigid_body_ros.scene.fields import at_start, fields_of
+from rigid_body_ros.scene.fields import at_start, FIELDS, fields_of
 from rigid_body_ros.scene.parameters import (
+    actuators_of,
     ARRIVAL,
     check_named,
     checked_names,
@@ -48,10 +47,13 @@ from rigid_body_ros.scene.parameters import (
     LOCKSTEP,
     Names,
     OF_ROS,
+    PARAMETERS,
     parameters_with,
     QOS,
+    WHEEL_NAMES,
+    wheels_of,
 )
-from rigid_body_ros.scene.wheels import WHEEL_NAMES, wheels_of
+import yaml
 
 #: The node whose parameters a scene file contains.
 NODE = 'attitude_node'
@@ -329,13 +331,13 @@ class Scene:
                    'pi / 180 = 0.0174533')
 
 
-def load(path: str | Path) -> Scene:
+def load(path: str | Path, **values: Any) -> Scene:
     """
     Read a scene from a ROS 2 parameter file, for example one written by `ros2 param dump`.
 
     Parameters of `/**` apply to every node, and parameters of `attitude_node` override them. If a
     file contains only the parameters of a single other node, the scene uses these parameters, and
-    `Scene.warnings` contains a warning.
+    `Scene.warnings` contains a warning. The given `values` replace those of the file.
 
     Raises
     ------
@@ -346,9 +348,96 @@ def load(path: str | Path) -> Scene:
     root, node = read_yaml(path, 'scene'), NODE
     try:
         node, given = parameters_of(root, NODE)
-        return replace(Scene.from_values(given), path=Path(path).absolute(), node=node)
+        return replace(Scene.from_values({**given, **values}), path=Path(path).absolute(),
+                       node=node)
     except InputError as error:
         raise InputError('; '.join([f'{path}: {error}', *_other_node(node)])) from error
+
+
+def text_of(scene: Scene, changed: Mapping[str, Any]) -> str:
+    """
+    Return a scene as the text of a scene file, with some parameters changed.
+
+    The inertia is written with all digits. If the inertia is among the changed values,
+    `robot_description` is left out, because it would specify the old inertia.
+    """
+    parameters = parameters_with(Names(changed.get(FIELDS, scene.values[FIELDS]),
+                                       scene.values[WHEEL_NAMES]))
+    values = {name: value for name, value in scene.values.items()
+              if value != parameters[name].default or name.startswith('inertia')}
+    if any(name.startswith('inertia') for name in changed):
+        values.pop('robot_description', None)
+        values.pop('link', None)
+    values.update(changed)
+    tree: dict[str, Any] = {}
+    for name in parameters:
+        if name in values:
+            group, _, key = name.rpartition('.')
+            (tree.setdefault(group, {}) if group else tree)[key] = values[name]
+    return yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
+
+
+def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
+    """
+    Return the entries of the inertia tensor that `robot_description` specifies.
+
+    The result is {} if `robot_description` is empty.
+
+    Raises
+    ------
+    InputError
+        The URDF is not valid; a given `inertia.*` parameter differs from the URDF; or `link` is
+        set but `robot_description` is not.
+
+    """
+    text, link = (checked(PARAMETERS[name], given.get(name, ''))
+                  for name in ('robot_description', 'link'))
+    if not text:
+        if link:
+            raise InputError(f'link: expected an empty text, because robot_description is empty, '
+                             f'found {quoted(link)}; set robot_description, or remove link')
+        return {}
+    try:
+        tensor = RigidBody.from_urdf(text, link).inertia
+    except ValueError as error:
+        raise InputError(f'robot_description: {error}') from error
+    entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
+               for i in range(3) for j in range(i, 3)}
+    for name, entry in entries.items():
+        # A parameter dump of a running node contains both the URDF and all tensor entries. Entries
+        # that were not given are zero in the dump.
+        if given.get(name, 0.0) not in (0.0, entry):
+            raise InputError(f'{name}: expected {entry!r} as in robot_description, or no '
+                             f'value, found {quoted(given[name])}')
+    return entries
+
+
+def group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """Return the values whose names are `prefix`.KEY, as a dictionary with the keys KEY."""
+    return {name.split('.')[1]: value for name, value in values.items()
+            if name.startswith(prefix + '.')}
+
+
+def links_of(values: Mapping[str, Any]) -> Frames:
+    """Return the frames in `robot_description`, with `frame_prefix` in front of their names."""
+    robot = values['robot_description']
+    links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
+    return links.prefixed(values['frame_prefix'])
+
+
+def body_of(values: Mapping[str, Any]) -> RigidBody:
+    """Return the body; raise InputError if no body can have its inertia and damping."""
+    try:
+        return RigidBody(_tensor(values, 'inertia'), _tensor(values, 'damping'))
+    except ValueError as error:
+        keys = 'damping.dxx ... damping.dyz:'
+        raise InputError(str(error).replace('damping:', keys, 1)) from error
+
+
+def _tensor(values: Mapping[str, Any], prefix: str) -> list[list[float]]:
+    """Build a symmetric tensor from the group of its entries xx, yy, zz, xy, xz and yz."""
+    xx, yy, zz, xy, xz, yz = group(values, prefix).values()
+    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
 
 
 def _other_node(node: str) -> list[str]:
