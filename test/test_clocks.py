@@ -27,6 +27,7 @@ from rclpy.time import Time
 from rigid_body_ros import messages, propagate, scene, State
 from rigid_body_ros.node import AttitudeNode, clocks
 from rigid_body_ros.node.clocks import ArrivalStamps, JumpDetector
+from rigid_body_ros.node.diagnostics import OFFSETS
 
 pytestmark = pytest.mark.ros
 # A rate so high that the timer fires at every tick of the clock.
@@ -414,6 +415,20 @@ def test_time_goes_on_between_two_ticks_as_fast_as_before(monkeypatch):
     assert stamps.stamp() == SECOND
 
 
+@pytest.mark.parametrize('is_simulated', [True, False])
+def test_a_message_that_waited_gets_the_stamp_of_its_arrival(monkeypatch, is_simulated):
+    wall_ns, tick_ns = [0], SECOND // 10
+    monkeypatch.setattr(clocks.time, 'monotonic_ns', lambda: wall_ns[0])
+    stamps = ArrivalStamps(is_simulated)
+    for tick in range(3):
+        wall_ns[0] = tick * tick_ns
+        stamps.tick(5 * SECOND + tick * tick_ns)
+    now_ns = 5 * SECOND + 2 * tick_ns
+    # Simulated time is known for one tick before the last one.
+    found = [stamps.stamp(age_ns) - now_ns for age_ns in (3 * tick_ns, tick_ns // 2, 0, 0)]
+    assert found == [-tick_ns if is_simulated else -3 * tick_ns, -tick_ns // 2, 0, 1]
+
+
 class Fake:
     """A clock and a steady clock that the test sets, s."""
 
@@ -529,9 +544,57 @@ def test_torques_that_wait_for_the_clock_keep_their_order(context):
     for seconds in (5.0, 5.2, 5.9, 6.1):  # the last two exceed max_future
         mode.enqueue(messages.WRENCH.encode(round(seconds * SECOND), '', [0.0] * 6), None, 0)
     clock.set_ros_time_override(Time(seconds=7))
-    mode.process()
+    mode.work()
     # If they were processed in another order, the first would be older than the last by more than
     # `history`.
     assert [torque.stamp_ns / SECOND for torque in mode.run.epoch.torques_since(0)] \
         == [5.0, 5.2, 5.9, 6.1]
     node.destroy_node()
+
+
+def send_until(live, offset_ns, condition, what):
+    """Publish torques stamped ahead of the clock, or without a stamp, until a condition holds."""
+    def holds():
+        for _ in range(5):
+            live.publish(offset_ns and live.now_ns() + offset_ns, '', [1e-3, 0.0, 0.0])
+            live.spin(0.01)
+        return condition()
+    live.wait_until(holds, what)
+
+
+def offsets(live):
+    """Return the offset of the stamps in the latest diagnosis, median and largest, s."""
+    status = live.diagnostics[-1].status[0]
+    return [float(pair.value) for pair in status.values if pair.key in OFFSETS]
+
+
+@pytest.mark.parametrize(('seconds', 'text'), [
+    (-5.0, '/torque: the stamps are 5 s behind the clock (median)'),
+    (0.3, '/torque: the stamps are 0.3 s ahead of the clock (median)')])
+def test_the_clock_of_a_sender_that_is_off_is_named_until_it_is_right(domain, seconds, text):
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0') as live:
+        send_until(live, round(seconds * SECOND), lambda: text in live.diagnosis('torques')[2],
+                   'a warning')
+        assert live.diagnosis('torques')[1] == 1
+        np.testing.assert_allclose(offsets(live), seconds, atol=0.09)
+        send_until(live, -1000, lambda: live.diagnosis('torques')[2] == 'OK', 'its end')
+        assert text in live.end()
+
+
+def test_stamps_too_far_behind_the_clock_are_rejected(domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0', '-p',
+                     'max_past:=20.0') as live:
+        live.publish(live.now_ns() - 30 * SECOND, '', [1e-3, 0.0, 0.0])
+        live.publish(live.now_ns() - 10 * SECOND, '', [1e-3, 0.0, 0.0])
+        live.wait_for_torques(2)
+        assert 'expected at most max_past (20 s)' in live.end()
+    assert len(live.torques) == 1
+
+
+def test_messages_that_nobody_fills_are_named_until_they_are_filled(domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        send_until(live, 0, lambda: live.diagnosis('torques')[2].startswith(
+            'OK; stamp 0, act on arrival: '), 'a note')
+        assert live.diagnosis('torques')[1] == 0  # it is allowed
+        send_until(live, -1000, lambda: live.diagnosis('torques')[2] == 'OK', 'its end')
+        assert live.stop() == 0

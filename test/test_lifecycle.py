@@ -66,7 +66,8 @@ class Managed:
         """Return the topics that the node publishes, and those that it subscribes to."""
         own = '/parameter_events', '/rosout', '/attitude_node/transition_event'
         return ({publisher.topic_name for publisher in self.node.publishers}.difference(own),
-                {subscription.topic_name for subscription in self.node.subscriptions})
+                {subscription.topic_name for subscription in (*self.node.subscriptions,
+                                                              *self.node.polled)})
 
     def end(self):
         self.executor.shutdown()

@@ -33,6 +33,7 @@ from rigid_body_ros.live.run import Run
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.node import AttitudeNode
 from rigid_body_ros.node.outputs import Publishers
+from rigid_body_ros.propagation.segment import OutOfTimeError
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
@@ -312,17 +313,18 @@ def test_a_commit_that_takes_several_slices_repeats_neither_response_nor_log(con
     def commit_at_the_third_slice(run, until):
         found.append('commit')
         if next(slices) % 3 < 2:
-            raise TimeoutError('the slice is over')
+            raise OutOfTimeError(SECOND)
         commit(run, until)
     monkeypatch.setattr(Run, 'commit', commit_at_the_third_slice)
     monkeypatch.setattr(Publishers, 'publish', lambda *_: found.append('response'))
     monkeypatch.setattr(Publishers, 'log_torque', lambda *_: found.append('log'))
     for number in range(4):
-        mode.enqueue(messages.wrench(SECOND + number * STEP_NS, '', [0.1, 0.0, 0.0]), None, 0)
+        # So far apart that every torque but the first forces the states before it to be committed.
+        mode.enqueue(messages.wrench((1 + 3 * number) * SECOND, '', [0.1, 0.0, 0.0]), None, 0)
     while not mode.process():
         pass
-    # The response comes first, because a controller waits for it.
-    assert found == 4 * ['response', *3 * ['commit'], 'log']
+    # The response comes before the commit, because a controller waits for it.
+    assert found == ['log', 'response'] + 3 * ['log', 'response', *3 * ['commit']]
     node.destroy_node()
 
 

@@ -23,7 +23,7 @@ import sys
 import time
 
 from conftest import at_night, RECORDINGS, ROOT, SECOND
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from live import (
     commit,
     decoded,
@@ -34,6 +34,7 @@ from live import (
     replayed,
     run_clock,
     set_parameter,
+    spin_until,
     TUMBLER,
 )
 from live_session import ATTITUDE, COMMITTED, LiveSession, RELIABLE
@@ -42,8 +43,13 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import DescribeParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
 from rigid_body_ros.mechanics import euler
+from rigid_body_ros.node import AttitudeNode
 from rigid_body_ros.replay.verify import verify
 from robots import converted, ROBOT, wrenches
 from sensor_msgs.msg import Imu
@@ -396,3 +402,47 @@ def test_an_interrupted_demo_says_so_in_one_line(root, domain):
     finally:
         process.kill()
     assert (errors, process.returncode) == ('demo: interrupted\n', 130)
+
+
+def test_a_recorder_that_starts_later_gets_the_log_from_its_marker_on(context):
+    node = AttitudeNode(context=context, parameter_overrides=[
+        *(Parameter(f'inertia.{name}', value=1.0) for name in ('ixx', 'iyy', 'izz')),
+        Parameter('qos_overrides./torque.subscription.reliability', value='reliable')])
+    other, received = Node('other', context=context), []
+    executor = SingleThreadedExecutor(context=context)
+    for each in (node, other):
+        executor.add_node(each)
+    publisher = other.create_publisher(WrenchStamped, 'torque', 100)
+    spin_until(executor, publisher.get_subscription_count)
+    sent = [node.get_clock().now().nanoseconds - number for number in range(40, 0, -1)]
+    for stamp_ns in sent:
+        publisher.publish(messages.wrench(stamp_ns, '', [1e-3, 0.0, 0.0]))
+    run = node._component._mode.run
+    spin_until(executor, lambda: run.epoch.newest_ns == sent[-1])
+    other.create_subscription(
+        WrenchStamped, '/attitude_node/accepted_torque', received.append,
+        QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL), raw=True)
+    spin_until(executor, lambda: len(received) == 41)
+    publisher.publish(messages.wrench(sent[-1] + 1, '', [1e-3, 0.0, 0.0]))
+    spin_until(executor, lambda: len(received) == 42)
+    found = [messages.WRENCH.decode(data) for data in received]
+    assert messages.is_epoch_marker(found[0].frame_id)
+    assert [message.stamp_ns for message in found[1:]] == [*sent, sent[-1] + 1]
+    executor.shutdown()
+    node.destroy_node()
+    other.destroy_node()
+
+
+def test_torques_sent_before_the_node_started_are_reported(domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        for _ in range(3):
+            live.publish(live.now_ns(), '', [1e-3, 0.0, 0.0])
+        live.wait_for_torques(3)
+        live.restart()
+        live.wait_until(lambda: live.torque_subscriptions == 1, 'the subscription')
+        live.diagnostics.clear()
+        live.publish(live.now_ns(), '', [1e-3, 0.0, 0.0])
+        live.wait_until(lambda: 'torque: the first torque received from a publisher is its number '
+                        '4; the earlier ones were not received' in live.words(), 'a report')
+        assert live.diagnosis('torques')[0]['lost'] == 0
+        assert live.stop() == 0

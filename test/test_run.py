@@ -72,7 +72,6 @@ class Session:
         is_accepted = self.run.apply(torque, torque.stamp_ns)
         if is_accepted:
             self.run.commit(math.inf)
-            self.run.log(torque)
         return is_accepted
 
     @property
@@ -135,11 +134,8 @@ def test_a_state_is_committed_once_when_no_torque_can_change_it_any_more():
     for number, torque in enumerate(sent):
         before = len(live.logged)
         assert live.run.apply(torque, torque.stamp_ns)
+        assert live.logged[before:] == [('torque', torque)]
         live.run.commit(math.inf)
-        assert len(live.logged) == before
-        live.run.log(torque)
-        # The torque comes first, then the states that it commits.
-        assert live.logged[before] == ('torque', torque)
         newest_ns = max(one.stamp_ns for one in sent[:number + 1])
         final = [one.stamp_ns for one in sent[:number] if one.stamp_ns <= newest_ns - SECOND]
         assert [one.time_ns for one in live.states] == [START.time_ns, *sorted(final)]
@@ -163,7 +159,8 @@ def test_a_late_torque_changes_every_later_state():
 
 
 def test_the_log_does_not_depend_on_how_the_work_is_divided():
-    whole, divided, timeouts = Session(), Session(), 0
+    whole, divided, batched = Session(), Session(), Session()
+    timeouts = commits = 0
     for one in shuffled(100):
         assert whole.send(*one)
         torque, is_committed = at(*one), False
@@ -174,13 +171,20 @@ def test_the_log_does_not_depend_on_how_the_work_is_divided():
                 is_committed = True
             except TimeoutError:
                 timeouts += 1
-        divided.run.log(torque)
+        batched.run.apply(torque, torque.stamp_ns)
+        if batched.run.must_commit:
+            batched.run.commit(math.inf)
+            commits += 1
+    batched.run.commit(math.inf)
     assert timeouts > 50
-    assert divided.counts == whole.counts
+    assert 0 < commits < 10
     assert [kind for kind, _ in divided.logged] == [kind for kind, _ in whole.logged]
-    for one, other in zip(divided.states, whole.states):
-        assert one.time_ns == other.time_ns
-        np.testing.assert_array_equal(one.attitude, other.attitude)
+    for session in (divided, batched):
+        assert session.counts == whole.counts
+        assert len(session.states) == len(whole.states)
+        for one, other in zip(session.states, whole.states):
+            assert one.time_ns == other.time_ns
+            np.testing.assert_array_equal(one.attitude, other.attitude)
 
 
 @pytest.mark.parametrize(('history', 'oldest_ns'), [(1.0, SECOND - 1), (1e-10, 0)])
@@ -360,7 +364,7 @@ def received(source, since=0.0):
     return Queued(source, b'', None, 0, since)
 
 
-def test_torques_that_waited_for_the_clock_return_to_their_places():
+def test_torques_that_waited_for_the_clock_are_tried_again_first():
     queue = TorqueQueue(Rejections(), is_patient=False)
     assert not queue
     queue.put(received(0, 0.0))
@@ -368,12 +372,10 @@ def test_torques_that_waited_for_the_clock_return_to_their_places():
     queue.put(received(2, 2.0))
     queue.hold(received(3, 3.0), LATE)
     assert (len(queue), [*queue.by_source()]) == (4, [0, 2, 1, 3])
-    assert (queue.first_early(FUTURE).source, queue.first_early(LATE).source) == (1, 3)
-    queue.release(FUTURE)
-    assert queue.first_early(FUTURE) is None
-    assert [queue.pop().source for _ in range(2)] == [0, 1]
-    assert [one.source for one in queue.pop_all()] == [2]
-    assert (bool(queue), len(queue)) == (False, 1)
+    assert queue.pop().source == 0
+    queue.retry()
+    assert [queue.pop().source for _ in range(3)] == [1, 3, 2]
+    assert (bool(queue), len(queue)) == (False, 0)
 
 
 @pytest.mark.slow
@@ -408,4 +410,6 @@ def test_the_end_of_an_epoch_rejects_what_waits_except_for_one_cause(kept, rejec
     queue.end(kept)
     assert [source for _, source, _ in rejections.found] == rejected
     assert {cause for cause, _, _ in rejections.found} == {ENDED}
-    assert (len(queue), queue.first_early(kept) is not None) == (1, True)
+    queue.retry()
+    assert queue.pop().source == (3 if kept == LATE else 1)
+    assert not len(queue)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from rigid_body_ros.scene import Scene
 
 
-def load_scene(options: argparse.Namespace) -> Scene:
+def load_scene(options: argparse.Namespace, **values: Any) -> Scene:
     """Load the scene named in the options, and report its notes and warnings."""
     from rigid_body_ros.scene import load
     interrupts.check()  # the import is slow
-    scene = load(options.scene)
+    scene = load(options.scene, **values)
     for text in scene.notes:
         note(options, f'{options.scene}: {text}')
     for warning in scene.warnings:

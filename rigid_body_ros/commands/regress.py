@@ -46,7 +46,8 @@ def _run(options: argparse.Namespace) -> int:
             TemporaryDirectory(prefix='attitude_regress.') as folder:
         _check(options)
         with checked(options) as outputs:
-            scene = load_scene(options)
+            from rigid_body_ros.scene.parameters import LOCKSTEP
+            scene = load_scene(options, mode=LOCKSTEP)
             result, name = _compared(options, scene, Path(folder)), Path(options.reference).name
             outputs.write_asked(data=result.as_dict,
                                 page=lambda line: page(result, name, scene, line))

@@ -33,9 +33,9 @@ from rigid_body_ros.scene import Scene
 _FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
 #: Parameters and parameter groups that have no effect on the motion under given torques.
 _OTHERS = frozenset([
-    'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'mode', 'monitor', 'odometry',
-    'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf', 'stale_after', 'step',
-    'time_source'])
+    'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'max_past', 'mode', 'monitor',
+    'odometry', 'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf',
+    'stale_after', 'stamp_offset_warning', 'step', 'time_source'])
 #: A text longer than this many characters, such as a URDF, is replaced by its hash.
 _LONGEST_TEXT = 200
 

@@ -29,6 +29,10 @@ from rigid_body_ros.propagation import Propagator
 from rigid_body_ros.propagation.segment import BODY, COMMANDS, Sample, WHEELS
 from rigid_body_ros.scene import Scene
 
+#: How much later than possible a state may be committed, s and ns.
+_SLACK = 1.0
+_SLACK_NS = duration_ns(_SLACK, 'slack')
+
 
 class Epoch:
     """
@@ -51,11 +55,11 @@ class Epoch:
         #: ns.
         self.history_ns = max(1, duration_ns(scene.history, 'history'))
         # The propagator needs additional history for the delay of the IMU, because the IMU
-        # measures earlier states.
+        # measures earlier states, and for states that are committed later than they could be.
         self._propagator = Propagator(scene.body, start, wheels=scene.named_wheels,
                                       fields=scene.fields_from(start.time_ns),
                                       actuator=scene.actuators, **asdict(scene.options),
-                                      history=scene.history + scene.imu.delay)
+                                      history=scene.history + scene.imu.delay + _SLACK)
         self._committed_ns = start.time_ns
         #: The method `refused` has already counted the refused commands up to this stamp, ns.
         self._counted_ns = start.time_ns - 1
@@ -166,6 +170,12 @@ class Epoch:
         found += [Torque(stamp_ns, self._wheels.row(efforts), 'body', COMMANDS)
                   for stamp_ns, efforts in self._propagator.commands_since(time_ns)]
         return sorted(found, key=lambda torque: torque.stamp_ns)
+
+    @property
+    def must_commit(self) -> bool:
+        """Return whether the next torque may discard states that are not committed yet."""
+        return (self.newest_ns is not None and self._committed_ns
+                < self.newest_ns - self.history_ns - _SLACK_NS)
 
     def uncommitted(self, until_ns: int) -> list[int]:
         """Return the stamps up to a given time whose states are not committed yet, sorted."""

@@ -29,15 +29,24 @@ CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERL
 #: The causes for which a torque is rejected because of a reset, and not because its sender made a
 #: mistake.
 OF_RESETS = (ENDED, STALE)
+NO_TIME = 'no time was received on /clock yet'
 #: Names of the other counts for torques.
 REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
-LOST = 'lost'
+LOST, UNSTAMPED = 'lost', 'stamp 0, act on arrival'
 #: Names of the counts for wheel commands.
 CLIPPED, TOO_FAST = 'clipped to max_torque', 'zero at max_speed'
 #: Names of the counts for the motion.
 MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
 UNSAVED, TIME_JUMP = 'checkpoint failures', 'clock jumps'
 STATES, STATES_REJECTED = 'initial states', 'initial states rejected'
+#: The counts that diagnostics report of torques and inertias, of commands, and of the motion.
+OF_TORQUES = REPLACED, FORCE, LOST, UNSTAMPED
+OF_COMMANDS = REPLACED, CLIPPED, TOO_FAST, LOST, UNSTAMPED
+OF_MOTION = MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, TIME_JUMP, STATES, STATES_REJECTED
+#: If a count in `ERRORS` has increased since the last report, the level of the status is ERROR.
+#: If a count in `MOTION_WARNINGS` or `TORQUE_WARNINGS` has increased, the level is WARN.
+ERRORS = MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, STATES_REJECTED
+MOTION_WARNINGS, TORQUE_WARNINGS = (TIME_JUMP,), (REPLACED, TOO_FAST, LOST)
 
 
 def rejections(cause: str) -> str:
@@ -51,10 +60,6 @@ class RejectedError(ValueError):
     def __init__(self, cause: str, text: str) -> None:
         super().__init__(text)
         self.cause = cause
-
-
-class EarlyError(RejectedError):
-    """Raised if a torque may have arrived before a /clock message that was sent earlier."""
 
 
 class Events(Protocol):

@@ -23,23 +23,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.live import events
 from rigid_body_ros.live.epoch import Epoch
-from rigid_body_ros.live.events import (
-    APPLIED,
-    CLIPPED,
-    ENDED,
-    Events,
-    LATE,
-    MISSED,
-    NO_STATE,
-    NOT_COMPUTABLE,
-    RejectedError,
-    REPLACED,
-    TOO_FAST,
-)
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation.segment import COMMANDS
+from rigid_body_ros.propagation.segment import COMMANDS, OutOfTimeError
 from rigid_body_ros.scene import Scene
 
 #: The queue depth of each log topic, and therefore the largest number of messages in one burst.
@@ -97,7 +85,7 @@ class Run:
     ----------
     scene : Scene
     log : RunLog
-    events : Events
+    events : events.Events
 
     Attributes
     ----------
@@ -108,13 +96,11 @@ class Run:
 
     """
 
-    def __init__(self, scene: Scene, log: RunLog, events: Events) -> None:
+    def __init__(self, scene: Scene, log: RunLog, events: events.Events) -> None:
         self._scene, self._sink, self._events = scene, log, events
         self._delay_ns, self._has_actuators = scene.imu.delay_ns, bool(scene.actuators)
         self.epoch: Epoch | None = None
         self.committed: State | None = None
-        #: Final states that have not been logged yet.
-        self._final: list[State] = []
         #: The time at which the newest torque from each source arrived, ns.
         self._arrived_ns: dict[int, int] = {}
 
@@ -159,30 +145,36 @@ class Run:
         """
         Apply a torque that arrived at `arrived_ns`, and return False if it is rejected.
 
-        Before you apply another torque, call `commit`, and then call `log` to log the torque and
-        the committed states.
+        The torque is logged, too. Before you apply another one, call `commit` if `must_commit` is
+        true.
         """
         epoch = self._present()
         try:
             self.check_age(torque.stamp_ns)
             is_replacement = epoch.apply(torque)
-        except RejectedError as rejected:
+        except events.RejectedError as rejected:
             self._events.reject(rejected, torque.source)
             return False
         except ValueError as error:  # the motion before the torque is too fast to compute
-            self._events.reject(RejectedError(NO_STATE, str(error)), torque.source)
+            self._events.reject(events.RejectedError(events.NO_STATE, str(error)), torque.source)
             return False
         self._arrived_ns[torque.source] = arrived_ns
-        self._events.count(APPLIED, torque.source)
+        self._events.count(events.APPLIED, torque.source)
         if is_replacement:
-            self._events.count(REPLACED, torque.source)
+            self._events.count(events.REPLACED, torque.source)
         if clipped := epoch.clipped(torque):
-            self._events.count(CLIPPED, torque.source, clipped)
+            self._events.count(events.CLIPPED, torque.source, clipped)
+        self._sink.log_torque(torque)
         return True
+
+    @property
+    def must_commit(self) -> bool:
+        """Return whether the next torque may discard states that are not committed yet."""
+        return self._present().must_commit
 
     def commit(self, until: float) -> None:
         """
-        Compute the states that no later torque can change any more.
+        Compute and log the states that no later torque can change any more.
 
         Raises
         ------
@@ -190,14 +182,8 @@ class Run:
             The computation did not finish by `until`, a time on the monotonic clock, s.
 
         """
-        epoch = self._present()
-        if epoch.newest_ns is not None:
-            self._commit(epoch, epoch.newest_ns - epoch.history_ns, until)
-
-    def log(self, torque: Torque) -> None:
-        """Log an applied torque, and then the states that this torque caused to be committed."""
-        self._sink.log_torque(torque)
-        self._log_final()
+        if self.epoch is not None and self.epoch.newest_ns is not None:
+            self._commit(self.epoch, self.epoch.newest_ns - self.epoch.history_ns, until)
 
     def state(self, time_ns: int, until: float) -> State | None:
         """
@@ -212,23 +198,26 @@ class Run:
         try:
             return self._present().at(time_ns, until - time.monotonic())
         except ValueError as error:
-            self._events.event(NOT_COMPUTABLE,
+            self._events.event(events.NOT_COMPUTABLE,
                                f'cannot compute the state at {time_ns} ns: {error}')
             return None
 
-    def snapshot(self, time_ns: int, until: float) -> Snapshot | None:
+    def snapshot(self, time_ns: int, until: float, with_sensed: bool = True,
+                 with_torque: bool = True) -> Snapshot | None:
         """
         Return what to publish for a given time, or None if the state cannot be computed.
 
-        See `state` for the arguments and errors.
+        If nobody needs the state that the IMU reports, or the torque that acts, omit them with
+        `with_sensed` and `with_torque`. See `state` for the other arguments and errors.
         """
         state = sensed = self.state(time_ns, until)
-        if state is not None and self._delay_ns:
+        if state is not None and self._delay_ns and with_sensed:
             start_ns = self._present().start.time_ns
             sensed = self.state(max(time_ns - self._delay_ns, start_ns), until)
         if state is None or sensed is None:
             return None
-        torque = self._present().applied_torque(state) if self._has_actuators else _NO_TORQUE
+        torque = self._present().applied_torque(state) \
+            if self._has_actuators and with_torque else _NO_TORQUE
         return Snapshot(state, sensed, torque)
 
     def last_state(self, time_ns: int) -> State | None:
@@ -236,7 +225,7 @@ class Run:
         try:
             return self.state(time_ns, time.monotonic() + _END_BUDGET)
         except TimeoutError as error:
-            self._events.event(MISSED, f'the present state takes too long: {error}')
+            self._events.event(events.MISSED, f'the present state takes too long: {error}')
             return None
 
     def check_age(self, stamp_ns: int) -> None:
@@ -244,8 +233,8 @@ class Run:
         epoch = self._present()
         newest_ns, history_ns = epoch.newest_ns, epoch.history_ns
         if newest_ns is not None and newest_ns - stamp_ns >= history_ns:
-            raise RejectedError(
-                LATE, f'{(newest_ns - stamp_ns) * 1e-9:.9g} s older than the newest torque '
+            raise events.RejectedError(
+                events.LATE, f'{(newest_ns - stamp_ns) * 1e-9:.9g} s older than the newest torque '
                 f'({newest_ns} ns), expected less than history ({history_ns * 1e-9:g} s)')
 
     def torques_since(self, time_ns: int) -> list[Torque]:
@@ -303,11 +292,11 @@ class Run:
             state = self.state(stamp_ns, until)
             epoch.mark_committed(stamp_ns)
             if state is not None:
-                self._final.append(state)
+                self._log_state(state)
                 if zeros := epoch.refused(stamp_ns):
-                    self._events.count(TOO_FAST, COMMANDS, zeros)
+                    self._events.count(events.TOO_FAST, COMMANDS, zeros)
             if time.monotonic() > until:  # the next call will continue from here
-                raise TimeoutError(f'the committed states are computed up to {stamp_ns} ns')
+                raise OutOfTimeError(stamp_ns)
 
     def _finish(self, epoch: Epoch, until: float) -> None:
         """Commit the states of an epoch that could still have been changed by late torques."""
@@ -315,18 +304,12 @@ class Run:
         try:
             while stamps := epoch.uncommitted(last_ns)[:LOG_DEPTH]:  # at most the queue's depth
                 self._commit(epoch, stamps[-1], until)
-                self._log_final()
                 self._sink.deliver(until)
-        except TimeoutError as error:
-            self._log_final()
+        except OutOfTimeError as error:
             self._events.event(
-                MISSED, f'{len(epoch.uncommitted(last_ns))} states are missing on ~/committed, '
-                f'because computing them at the end of the epoch took too long: {error}', ENDED)
-
-    def _log_final(self) -> None:
-        for state in self._final:
-            self._log_state(state)
-        self._final.clear()
+                events.MISSED, f'{len(epoch.uncommitted(last_ns))} states are missing on '
+                '~/committed, because computing them at the end of the epoch took too long: they '
+                f'are computed up to {error.reached_ns} ns', events.ENDED)
 
     def _log_state(self, state: State) -> None:
         self._sink.log_state(state)

@@ -16,10 +16,7 @@
 
 from __future__ import annotations
 
-import bisect
 from collections import Counter, deque
-from collections.abc import Iterator
-from operator import attrgetter
 import time
 from typing import NamedTuple
 
@@ -72,8 +69,8 @@ class TorqueQueue:
     def __init__(self, events: Events, is_patient: bool) -> None:
         self._events, self._is_patient = events, is_patient
         self._waiting: deque[Queued] = deque()
-        #: Early torques, grouped by the cause for which they would be rejected now.
-        self._early: dict[str, deque[Queued]] = {FUTURE: deque(), LATE: deque()}
+        #: Early torques, each with the cause for which it would be rejected now.
+        self._early: list[tuple[Queued, str]] = []
 
     def __bool__(self) -> bool:
         """Return whether any torques other than early torques are waiting to be applied."""
@@ -81,7 +78,7 @@ class TorqueQueue:
 
     def __len__(self) -> int:
         """Return the number of torques that are waiting, including early torques."""
-        return len(self._waiting) + sum(map(len, self._early.values()))
+        return len(self._waiting) + len(self._early)
 
     @property
     def waiting_time(self) -> float:
@@ -90,8 +87,8 @@ class TorqueQueue:
 
     def by_source(self) -> Counter[int]:
         """Return the number of waiting torques from each source, including early torques."""
-        return Counter(queued.source for queue in (self._waiting, *self._early.values())
-                       for queued in queue)
+        return Counter(queued.source for queued in (
+            *self._waiting, *(queued for queued, _ in self._early)))
 
     def check_room(self) -> None:
         """
@@ -114,24 +111,14 @@ class TorqueQueue:
         """Remove the first torque from the queue and return it."""
         return self._waiting.popleft()
 
-    def pop_all(self) -> Iterator[Queued]:
-        """Remove and yield all torques that are in the queue now, except for early torques."""
-        for _ in range(len(self._waiting)):
-            yield self._waiting.popleft()
-
     def hold(self, queued: Queued, cause: str) -> None:
         """Keep an early torque until the clock permits it, instead of rejecting it for `cause`."""
-        self._early[cause].append(queued)
+        self._early.append((queued, cause))
 
-    def first_early(self, cause: str) -> Queued | None:
-        """Return the first early torque held for `cause`, or None if there is none."""
-        return next(iter(self._early[cause]), None)
-
-    def release(self, cause: str) -> None:
-        """Move the first early torque held for `cause` into the queue, by its time of arrival."""
-        queued = self._early[cause].popleft()
-        place = bisect.bisect_left(self._waiting, queued.since, key=attrgetter('since'))
-        self._waiting.insert(place, queued)
+    def retry(self) -> None:
+        """Put the early torques back at the front of the queue, because the clock has advanced."""
+        self._waiting.extendleft(queued for queued, _ in reversed(self._early))
+        self._early.clear()
 
     def end(self, kept: str) -> None:
         """
@@ -141,10 +128,10 @@ class TorqueQueue:
         """
         unmet = {FUTURE: 'the clock reached the stamp of this torque',
                  LATE: 'the clock was set back to the stamp of this torque'}
-        ended = [(self._waiting, 'this torque was applied'), *(
-            (self._early[cause], event) for cause, event in unmet.items() if cause != kept)]
-        for queue, event in ended:
-            for queued in queue:
-                self._events.reject(
-                    RejectedError(ENDED, f'the epoch ended before {event}'), queued.source)
-            queue.clear()
+        ended = [(queued, 'this torque was applied') for queued in self._waiting] + [
+            (queued, unmet[cause]) for queued, cause in self._early if cause != kept]
+        for queued, event in ended:
+            self._events.reject(
+                RejectedError(ENDED, f'the epoch ended before {event}'), queued.source)
+        self._waiting.clear()
+        self._early = [(queued, cause) for queued, cause in self._early if cause == kept]

@@ -17,24 +17,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 import numpy as np
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.clocks import ClockMonitor
+from rigid_body_ros.node.drain import PollingNode
 from rigid_body_ros.node.monitor_inputs import MonitorInputs
-from rigid_body_ros.node.parameters import NodeParameters
+from rigid_body_ros.node.parameters import NodeParameters, one_line_errors
 from rigid_body_ros.node.process import main as run
+from rigid_body_ros.node.timers import timer
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.alarms import ERROR, Judgement, WARN
 
@@ -44,7 +42,7 @@ _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
 _SEVERAL = 'messages of several publishers on one topic are treated as those of one sensor'
 
 
-class AttitudeMonitor(Node):
+class AttitudeMonitor(PollingNode):
     """
     Check a model against measurements, window by window.
 
@@ -85,14 +83,7 @@ class AttitudeMonitor(Node):
         self._torque = self.create_publisher(WrenchStamped, '~/residual_torque', 10)
         #: When the next diagnostics are due, in seconds on the monotonic clock.
         self._report_at = 0.0
-        self.create_timer(_WATCH_PERIOD, self._watch,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    @property
-    def subscriptions(self) -> Iterator[Subscription[Any]]:
-        """Return the subscriptions that an executor must wait for: all except the polled ones."""
-        polled = self._inputs.polled if hasattr(self, '_inputs') else []
-        return (one for one in super().subscriptions if one not in polled)
+        timer(self, _WATCH_PERIOD, self._watch)
 
     def _watch(self) -> None:
         """

@@ -16,18 +16,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
-from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.node import Node
 from rigid_body_ros import scene
-from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.component import AttitudeComponent
+from rigid_body_ros.node.drain import PollingNode
+from rigid_body_ros.node.outputs import OnLog
+from rigid_body_ros.node.parameters import one_line_errors
 
 
-class AttitudeNode(Node):
+class AttitudeNode(PollingNode):
     """
     Compute the attitude of a rigid body from torques on a topic, and publish it.
 
@@ -41,6 +39,9 @@ class AttitudeNode(Node):
     Parameters
     ----------
     node_name : str
+    on_log : callable, optional
+        Called with the name of a log, such as '~/committed', and each message of it. The log is
+        then not published.
     **kwargs
         Arguments of `rclpy.node.Node`, such as `namespace` or `parameter_overrides`.
 
@@ -51,14 +52,15 @@ class AttitudeNode(Node):
 
     """
 
-    def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
+    def __init__(self, node_name: str = scene.NODE, on_log: OnLog | None = None,
+                 **kwargs: Any) -> None:
         with one_line_errors():
             super().__init__(node_name, **kwargs)
         #: The component, from its activation until it has published the pending states. None
         #: before and after this time.
         self._component: AttitudeComponent | None = None
         try:
-            component = AttitudeComponent(self)
+            component = AttitudeComponent(self, on_log=on_log)
             component.activate()
         except BaseException:  # otherwise the node would stay in the graph
             self.destroy_node()
@@ -71,15 +73,3 @@ class AttitudeNode(Node):
             self._component.finish()
         self._component = None
         super().destroy_node()
-
-
-@contextmanager
-def one_line_errors() -> Iterator[None]:
-    """Convert rclpy errors about a node's arguments to InputErrors with one-line messages."""
-    try:
-        yield
-    except NameValidationException as error:
-        text, name, _ = str(error).splitlines()  # the last line marks a character in the name
-        raise InputError(f'{text} {name.strip()}') from error
-    except ParameterException as error:  # for example, if use_sim_time is not a Boolean
-        raise InputError(str(error)) from error

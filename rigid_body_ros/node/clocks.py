@@ -19,10 +19,13 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
+from builtin_interfaces.msg import Time
 from rclpy.clock import Clock
 from rclpy.node import Node
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.events import FUTURE, LATE, RejectedError
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 #: Diagnostics warn if the clock stands still for more than this many seconds.
 _MAX_PAUSE = 1.0
@@ -39,18 +42,24 @@ _SMALLEST_JUMP_NS = 10 ** 8
 #: If a stamp differs from the clock by more than this many nanoseconds, we assume that the stamp
 #: comes from another clock.
 OTHER_CLOCK_NS = 3600 * 10 ** 9
+#: How long to look for another publisher of /clock, and how long to wait for the name of this
+#: publisher once it has been found, in seconds.
+_DISCOVERY_TIME, _NAME_DELAY = 3.0, 0.5
+_CLOCK = '/clock'
 _ADVICE = ('; if the messages come from a bag, play it with --clock and set use_sim_time, or set '
            'time_source:=arrival')
 
 
-def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future') -> None:
+def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future',
+                max_past: float = 0.0) -> None:
     """
     Check that a stamp is close enough to the present time.
 
     Raises
     ------
     RejectedError
-        The stamp is ahead of the clock by more than `lead` seconds, or comes from another clock.
+        The stamp is ahead of the clock by more than `lead` seconds, or behind it by more than
+        `max_past` seconds (0: no limit), or comes from another clock.
 
     """
     ahead_ns = stamp_ns - now_ns
@@ -60,6 +69,9 @@ def check_stamp(stamp_ns: int, now_ns: int, lead: float, name: str = 'max_future
                             f'expected at most {name} ({lead:g} s){advice}')
     if advice:
         raise RejectedError(LATE, f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')
+    if -ahead_ns > duration_ns(max_past, 'max_past') > 0:
+        raise RejectedError(LATE, f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock, expected '
+                            f'at most max_past ({max_past:g} s)')
 
 
 class ArrivalStamps:
@@ -71,7 +83,8 @@ class ArrivalStamps:
     tick. Jumps do not count as ticks.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, is_simulated: bool = True) -> None:
+        self._is_simulated = is_simulated
         self._now_ns = self._tick_ns = self._newest_tick_ns = 0
         self._wall_tick_ns = 1
         self._wall_ns = time.monotonic_ns()
@@ -89,10 +102,13 @@ class ArrivalStamps:
         self._wall_tick_ns = max(1, wall_ns - self._wall_ns)
         self._now_ns, self._wall_ns = now_ns, wall_ns
 
-    def stamp(self) -> int:
-        """Return the stamp in ns for a message that arrives now."""
-        passed = (time.monotonic_ns() - self._wall_ns) / self._wall_tick_ns
-        stamp_ns = self._now_ns + round(min(passed, 1.0) * self._tick_ns)
+    def stamp(self, age_ns: int = 0) -> int:
+        """Return the stamp in ns for a message that arrived `age_ns` ago."""
+        passed_ns = time.monotonic_ns() - age_ns - self._wall_ns
+        if self._is_simulated:
+            ticks = max(-1.0, min(1.0, passed_ns / self._wall_tick_ns))
+            passed_ns = round(ticks * self._tick_ns)
+        stamp_ns = self._now_ns + passed_ns
         self._last_ns = max(self._last_ns + 1, stamp_ns)
         return self._last_ns
 
@@ -189,3 +205,52 @@ class ClockMonitor:
         if pause > _MAX_PAUSE:
             return [f'/clock has not advanced for {pause:.0f} s: it stands at {now_ns} ns']
         return []
+
+
+class ClockPublisher:
+    """
+    Publish simulated time on /clock, as the only node that does so.
+
+    Raises
+    ------
+    InputError
+        The node itself follows simulated time, or another node publishes /clock. `key` is the
+        parameter that asks for the clock.
+
+    """
+
+    def __init__(self, node: Node, key: str) -> None:
+        self._node = node
+        if node.get_parameter('use_sim_time').value:
+            raise InputError(f'{key}: expected use_sim_time false, because a node cannot follow '
+                             'the clock that it publishes')
+        until = time.monotonic() + _DISCOVERY_TIME
+        while time.monotonic() < until:
+            if node.count_publishers(_CLOCK):
+                time.sleep(_NAME_DELAY)
+                info = node.get_publishers_info_by_topic(_CLOCK)[0]
+                raise InputError(f'{key}: expected no other publisher of {_CLOCK}, found '
+                                 f'{info.node_name}')
+            time.sleep(0.05)
+        self._publisher = node.create_publisher(ClockMessage, _CLOCK, 10)
+
+    def publish(self, time_ns: int) -> None:
+        """Publish a time."""
+        self._publisher.publish(ClockMessage(clock=message_of(time_ns)))
+
+    @property
+    def has_rival(self) -> bool:
+        """Return whether another node publishes /clock, too."""
+        return self._node.count_publishers(_CLOCK) > 1
+
+    def destroy(self) -> None:
+        """Stop publishing, because of a rival."""
+        self._node.destroy_publisher(self._publisher)
+        self._node.get_logger().error(f'{_CLOCK}: another node publishes it, too; this node stops '
+                                      'publishing it')
+
+
+def message_of(time_ns: int) -> Time:
+    """Return a time as a message."""
+    seconds, nanoseconds = divmod(time_ns, 10 ** 9)
+    return Time(sec=seconds, nanosec=nanoseconds)

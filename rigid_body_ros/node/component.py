@@ -16,19 +16,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import partial
 import time
 from typing import Any
 
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.checkpoint import Checkpoint
@@ -38,32 +34,30 @@ from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import BARE_WRENCH, MessageType, PX4_TYPES, TORQUE_VECTOR, WRENCH
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback, published, subscription
+from rigid_body_ros.node.drain import DrainCallback, PollingNode, published, subscription
 from rigid_body_ros.node.lockstep import Lockstep
-from rigid_body_ros.node.outputs import Publishers
-from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
+from rigid_body_ros.node.outputs import OnLog, Publishers
+from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters, one_line_errors
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.node.sources import BODY, check_topics, COMMANDS, sources_of, TorqueTopic
+from rigid_body_ros.node.timers import timer
 from rigid_body_ros.scene.parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
 #: Real time uses best-effort QoS, which is compatible with any publisher. Lockstep uses reliable
 #: QoS, because a lost torque would stop the loop.
-_TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
-               LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
+_REALTIME_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+_LOCKSTEP_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 #: The types that torques may have. In lockstep, a torque must have the stamp of the state to which
 #: it responds.
-_TORQUES = {LOCKSTEP: (WRENCH, TORQUE_VECTOR),
-            REALTIME: (WRENCH, BARE_WRENCH, TORQUE_VECTOR, PX4_TYPES['VehicleTorqueSetpoint'])}
+_LOCKSTEP_TORQUES = WRENCH, TORQUE_VECTOR
+_TORQUES = WRENCH, BARE_WRENCH, TORQUE_VECTOR, PX4_TYPES['VehicleTorqueSetpoint']
+_MODES: dict[str, type[Lockstep | Realtime]] = {REALTIME: Realtime, LOCKSTEP: Lockstep}
 #: When a node ends, it may spend at most this many seconds on publishing the pending states.
 _END_TIME = 0.8
 #: How often to check for silent sources, and how often to publish diagnostics, in seconds. The
 #: second period is a multiple of the first.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
-#: Period of the worker's timer, in seconds. Because a slice of work takes longer than this, the
-#: next slice follows immediately. There is idle time between two slices only if all waiting
-#: torques are early, which means that they wait for the clock.
-_WORK_PERIOD = 0.001
 
 
 class AttitudeComponent:
@@ -72,10 +66,12 @@ class AttitudeComponent:
 
     Parameters
     ----------
-    node : Node
+    node : PollingNode
         A node whose parameters describe the scene. All callbacks join the node's default group.
     is_managed : bool
         Whether the scene parameters may change after the component is destroyed.
+    on_log : callable, optional
+        See `Publishers`.
 
     Raises
     ------
@@ -84,8 +80,9 @@ class AttitudeComponent:
 
     """
 
-    def __init__(self, node: Node, is_managed: bool = False) -> None:
-        self._node, others = node, _entities(node)
+    def __init__(self, node: PollingNode, is_managed: bool = False,
+                 on_log: OnLog | None = None) -> None:
+        self._node, self._on_log, others = node, on_log, _entities(node)
         #: The entities (publishers, subscriptions, services and timers) that `activate` has
         #: created, followed by those that the constructor has created.
         self._active: set[Any] = set()
@@ -105,13 +102,15 @@ class AttitudeComponent:
         path, name = self._scene.checkpoint, self._node.get_fully_qualified_name()
         self._checkpoint = Checkpoint(path, self._scene, name) if path else None
         self._announce()
-        with _one_line_errors():
-            self._diagnostics = Diagnostics(self._node, self._sources)
+        with one_line_errors():
+            self._diagnostics = Diagnostics(self._node, self._sources,
+                                            self._scene.stamp_offset_warning)
             self._inputs = Inputs(self._scene, self._diagnostics)
-            self._outputs = Publishers(self._node, self._scene, self._sources, self._diagnostics)
-            mode = Lockstep if self._scene.mode == LOCKSTEP else Realtime
-            self._mode = mode(self._node, self._parameters, self._inputs, self._outputs,
-                              self._diagnostics, self._checkpoint)
+            self._outputs = Publishers(self._node, self._scene, self._sources, self._diagnostics,
+                                       self._on_log)
+            self._mode = _MODES[self.mode](
+                self._node, self._parameters, self._inputs, self._outputs, self._diagnostics,
+                self._checkpoint)
         #: The sources that were silent at the last check.
         self._silent: set[int] = set()
         #: When the next diagnostics are due, in seconds on the monotonic clock.
@@ -134,10 +133,10 @@ class AttitudeComponent:
         """
         others = _entities(self._node)
         try:
-            with _one_line_errors():
+            with one_line_errors():
                 self._connect()
         finally:
-            self._active = _entities(self._node) - others
+            self._active |= _entities(self._node) - others
 
     def _connect(self) -> None:
         self._mode.activate()
@@ -147,22 +146,13 @@ class AttitudeComponent:
             self._node.get_logger().info(
                 f'QoS overrides of other nodes are ignored: {listed(others)}')
         self._node.create_service(Trigger, '~/reset', self._on_reset)
-        self._timer(_WATCH_PERIOD, self._watch)
-        #: A timer that runs only while torques are waiting to be applied or a state is waiting to
-        #: be published. Its callback does one slice of work in each cycle of the executor.
-        self._worker = self._timer(_WORK_PERIOD, self._work)
-
-    def _timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        # Give each timer its own clock. When a timer is reset, EventsExecutor calls the overdue
-        # timers on the same clock twice, and these timers then pause to make up for the extra
-        # calls.
-        return self._node.create_timer(period, callback,
-                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
+        timer(self._node, _WATCH_PERIOD, self._watch)
 
     def deactivate(self) -> None:
         """Unsubscribe and stop publishing, but keep the motion."""
-        self._mode.connect({}, lambda: None)
+        self._mode.connect({})
         self._mode.deactivate()
+        self._node.polled = ()
         self._destroy(self._active)
 
     def finish(self) -> None:
@@ -173,13 +163,17 @@ class AttitudeComponent:
             return
         begin = time.monotonic()
         until, half_time = begin + _END_TIME, begin + 0.5 * _END_TIME
+        self._mode.take()
         while not self._mode.process() and time.monotonic() < half_time:
             pass  # keep the other half of the time for committing the remaining states
         now_ns = self._mode.now_ns() if self._mode.run.epoch else 0
         self._mode.end(until)
+        last = self._mode.run.committed
         if self._checkpoint:
             self._save(self._checkpoint.save_last)
         self._report({}, now_ns)
+        self._node.get_logger().info('the motion ends; the last committed state is '
+                                     + (f'that at {last.time_ns} ns' if last else 'none'))
         if not self._outputs.deliver(until):
             self._node.get_logger().warning('the end of the log may be lost: its subscribers have '
                                             f'not acknowledged it within {_END_TIME:g} s')
@@ -233,37 +227,40 @@ class AttitudeComponent:
         if len(self._drains) < len(self._sources):
             self._drains = {source.number: self._drains.get(source.number) or self._drain(source)
                             for source in self._sources}
-            self._torques = {number: drain.subscription for number, drain in self._drains.items()}
-            self._active.update(self._torques.values())
-            self._mode.connect(self._torques, self._start_worker)
+            self._mode.connect(self._drains)
+            torques = {drain.subscription for drain in self._drains.values()}
+            self._active |= torques
+            self._node.polled = torques if self.mode != LOCKSTEP else ()
 
     def _drain(self, source: TorqueTopic) -> DrainCallback:
         kind, ros_type = self._types[source.number]
         callback = DrainCallback(partial(self._on_torque, source, kind),
                                  partial(self._diagnostics.count_lost, source.number),
-                                 self._start_work, self._scene.mode == REALTIME)
+                                 self._mode.work)
         callback.subscription = subscription(
             self._node, ros_type, source.topic, callback,
             # An inertia is sent only once, so the connection must not lose it.
-            _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode])
+            _LOCKSTEP_QOS if self.mode == LOCKSTEP or source.number == BODY else _REALTIME_QOS)
         return callback
 
     def _follow_type(self, source: TorqueTopic) -> list[str]:
         """
         Unsubscribe from a topic of torques if its publishers have another type.
 
-        Return the reason if the type cannot be received. `_listen` then subscribes with the new
-        type. It cannot do so in the same callback, because the executor keeps the old subscription
-        until the callback returns, and Fast DDS allows a topic only one type in a process.
+        Return the reason if the type cannot be received. Otherwise, `_listen` then subscribes with
+        the new type. It cannot do so in the same callback, because the executor keeps the old
+        subscription until the callback returns, and Fast DDS allows a topic only one type in a
+        process.
         """
-        topic, number = self._torques[source.number].topic_name, source.number
+        number, topic = source.number, self._topic(source.number)
+        kinds = (source.message,) if source.message is not WRENCH else \
+            _LOCKSTEP_TORQUES if self.mode == LOCKSTEP else _TORQUES
         try:
-            found = published(self._node, topic, _TORQUES[self._scene.mode])
+            found = published(self._node, topic, kinds)
         except InputError as error:
             return [str(error)]
-        if found and found != self._types[number]:
+        if found and found[0] is not self._types[number][0]:
             self._types[number] = found
-            del self._torques[number]
             self._node.destroy_subscription(self._drains.pop(number).subscription)
             name = found[0].name
             note = '; they are normalized, not in N m' if name.startswith('px4_msgs') else ''
@@ -272,33 +269,20 @@ class AttitudeComponent:
 
     @property
     def _listening(self) -> list[Subscription]:
-        return [*self._torques.values(), self._states]
+        return [*(drain.subscription for drain in self._drains.values()), self._states]
+
+    def _topic(self, source: int) -> str:
+        return self._drains[source].subscription.topic_name
 
     def _on_torque(self, source: TorqueTopic, kind: MessageType, data: bytes, sender: Sender,
-                   _: int) -> None:
+                   received_ns: int) -> None:
         self._diagnostics.count(RECEIVED, source.number)
         try:
             if kind is not source.message:
                 data = wrench_of(kind, data)
-            self._mode.enqueue(data, sender, source.number)
+            self._mode.enqueue(data, sender, source.number, received_ns)
         except RejectedError as rejected:
             self._diagnostics.reject(rejected, source.number)
-
-    def _start_work(self) -> None:
-        if self._worker.is_canceled():  # otherwise the running timer continues the work
-            self._work()
-        else:
-            self._mode.catch_up()
-
-    def _work(self) -> None:
-        if self._mode.process():
-            self._worker.cancel()
-        else:
-            self._start_worker()
-
-    def _start_worker(self) -> None:
-        if self._worker.is_canceled():  # resetting a running timer would postpone it
-            self._worker.reset()
 
     def _on_state(self, data: bytes) -> None:
         stamp_ns = None
@@ -324,7 +308,7 @@ class AttitudeComponent:
 
         Diagnostics are also published as soon as a source falls silent or sends again.
         """
-        with _one_line_errors():
+        with one_line_errors():
             self._listen()
         now_ns = self._mode.now_ns()
         silent = {torque.source: torque for torque in self._mode.run.silent(now_ns)}
@@ -345,13 +329,15 @@ class AttitudeComponent:
                 problems, self._drains, self._listening, self._outputs.publishers,
                 self._mode.several_publishers), now_ns)
         self._silent = {*silent}
-        self._mismatches = {source.number: self._follow_type(source) for source in self._sources
-                            if source.message is WRENCH}
+        for source in self._sources:
+            if is_due or not self._drains[source.number].heard:
+                self._mismatches[source.number] = self._follow_type(source)
+        self._outputs.flush()  # for listeners that came later, and before a state is saved
         if is_due and self._checkpoint:
             self._save(self._checkpoint.save)
 
     def _silence(self, torque: Torque, now_ns: int) -> str:
-        topic = self._torques[torque.source].topic_name
+        topic = self._topic(torque.source)
         axes = 'on the wheels' if torque.source == COMMANDS else f'in {torque.frame} axes'
         return (f'{topic}: no torque for {self._mode.run.age(torque.source, now_ns):.3g} s: the '
                 f'last one, {torque.values.tolist()} N m {axes}, still acts '
@@ -373,12 +359,3 @@ class AttitudeComponent:
 
 def _entities(node: Node) -> set[Any]:
     return {*node.publishers, *node.subscriptions, *node.services, *node.timers}
-
-
-@contextmanager
-def _one_line_errors() -> Iterator[None]:
-    """Convert rclpy errors, for example about an invalid QoS override, to InputErrors."""
-    try:
-        yield
-    except (RuntimeError, AssertionError, ParameterException) as error:
-        raise InputError(' '.join(str(error).split())) from error

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 import math
+import statistics
 import time
 from typing import TYPE_CHECKING
 
@@ -28,45 +29,19 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile
 from rclpy.subscription import Subscription
-from rigid_body_ros.live.events import (
-    APPLIED,
-    CAUSES,
-    CLIPPED,
-    FORCE,
-    LOST,
-    MISSED,
-    NOT_COMPUTABLE,
-    OF_RESETS,
-    RECEIVED,
-    RejectedError,
-    rejections,
-    REPLACED,
-    STATES,
-    STATES_REJECTED,
-    TIME_JUMP,
-    TOO_FAST,
-    UNSAVED,
-    UNSENT,
-    WAITING,
-)
+from rigid_body_ros.live import events
 from rigid_body_ros.live.torque_queue import Sender
-from rigid_body_ros.node.drain import DrainCallback
+from rigid_body_ros.node.drain import DrainCallback, full_name
 from rigid_body_ros.node.sources import BODY, COMMANDS, TorqueTopic
 
 if TYPE_CHECKING:  # moved to rclpy.endpoint_info in Lyrical
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _SEVERAL_PUBLISHERS, _QOS = 'several publishers', 'incompatible QoS'
-_OF_TORQUES = (REPLACED, FORCE, LOST)
-_OF_COMMANDS = (REPLACED, CLIPPED, TOO_FAST, LOST)
-_OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, TIME_JUMP, STATES, STATES_REJECTED)
 #: Under this key, diagnostics report how long ago the newest torque of a source arrived.
 AGE = 'age of the newest torque (s)'
-#: If a count in `_ERRORS` has increased since the last report, the level of the status is ERROR.
-#: If a count in `_WARNINGS` or `_TORQUE_WARNINGS` has increased, the level is WARN.
-_ERRORS = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, STATES_REJECTED)
-_WARNINGS = (TIME_JUMP,)
-_TORQUE_WARNINGS = (REPLACED, TOO_FAST, LOST)
+#: Under these keys, diagnostics report how far the stamps of a source are ahead of the clock.
+OFFSETS = 'offset of stamps, median (s)', 'offset of stamps, largest (s)'
 #: Log messages of the same kind are at least this many seconds apart.
 _LOG_PERIOD = 5.0
 
@@ -93,7 +68,13 @@ class Diagnostics:
     applied, has been rejected for one of the counted causes, or is still waiting.
     """
 
-    def __init__(self, node: Node, sources: Sequence[TorqueTopic]) -> None:
+    def __init__(self, node: Node, sources: Sequence[TorqueTopic],
+                 largest_offset: float = 0.0) -> None:
+        self._largest_offset = largest_offset
+        #: By source, how far the stamps since the last report are ahead of the clock, ns, and the
+        #: median and the largest value of the last report that had any, s.
+        self._offsets_ns: dict[int, list[int]] = {}
+        self._offsets: dict[int, tuple[float, float]] = {}
         self._node, self._sources = node, {source.number: source for source in sources}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # The topic is latched, so that a subscription that connects later also gets the result.
@@ -115,12 +96,16 @@ class Diagnostics:
         """Count events that concern the torques of a source. Do not log these events."""
         self._torques[source][name] += number
 
+    def offset(self, source: int, ahead_ns: int) -> None:
+        """Record how far the stamp of a torque is ahead of the clock on its arrival, ns."""
+        self._offsets_ns.setdefault(source, []).append(ahead_ns)
+
     def accept_state(self, result: str, stamp_ns: int) -> None:
         """Count an initial state that was accepted and began an epoch, and publish the result."""
-        self._motion[STATES] += 1
+        self._motion[events.STATES] += 1
         self._acknowledge(result, stamp_ns, is_error=False)
 
-    def reject(self, rejected: RejectedError, source: int) -> None:
+    def reject(self, rejected: events.RejectedError, source: int) -> None:
         """Count a torque that was rejected, and log the reason."""
         cause, counts = rejected.cause, self._torques[source]
         counts[cause] += 1
@@ -139,29 +124,39 @@ class Diagnostics:
 
         Only the first such force is logged, because ignoring a force is not a fault.
         """
-        self._torques[source][FORCE] += 1
-        if sum(counts[FORCE] for counts in self._torques.values()) == 1:
+        self._torques[source][events.FORCE] += 1
+        if sum(counts[events.FORCE] for counts in self._torques.values()) == 1:
             self._node.get_logger().info('the force of a WrenchStamped is ignored, as it has no '
                                          'lever arm about the centre of mass; diagnostics count '
                                          'such forces')
 
-    def reject_state(self, rejected: RejectedError, stamp_ns: int | None) -> None:
+    def reject_state(self, rejected: events.RejectedError, stamp_ns: int | None) -> None:
         """Count an initial state that was rejected, and log and publish the reason."""
         reason = f'{rejected.cause}: {rejected}'
-        self.event(STATES_REJECTED, f'initial_state rejected: {reason}')
+        self.event(events.STATES_REJECTED, f'initial_state rejected: {reason}')
         self._acknowledge(reason, stamp_ns, is_error=True)
 
     def _acknowledge(self, text: str, stamp_ns: int | None, is_error: bool) -> None:
         stamp = {} if stamp_ns is None else {'stamp': stamp_ns}
         self._results.publish(self.status('initial_state', is_error, False, text, stamp))
 
-    def count_lost(self, source: int, number: int) -> None:
-        """Count the torques lost between two torques of a publisher, and log a warning."""
+    def count_lost(self, source: int, number: int, is_first: bool = False) -> None:
+        """
+        Count the torques lost between two torques of a publisher, and log a warning.
+
+        If the second torque is the first that was received from this publisher, only log how many
+        came before, because the node may have been started later.
+        """
+        if is_first:
+            self._node.get_logger().info(
+                f'{self._sources[source].topic}: the first {self._sources[source].what} received '
+                f'from a publisher is its number {number + 1}; the earlier ones were not received')
+            return
         counts = self._torques[source]
-        counts[LOST] += number
-        self._log(f'{LOST} {source}', f'{self._sources[source].what}s{self._place(source)} lost '
-                  f'so far: {counts[LOST]}; the network dropped them, or they arrive faster than '
-                  'this machine can process them')
+        counts[events.LOST] += number
+        self._log(f'{events.LOST} {source}', f'{self._sources[source].what}s{self._place(source)} '
+                  f'lost so far: {counts[events.LOST]}; the network dropped them, or they arrive '
+                  'faster than this machine can process them')
 
     def _place(self, source: int) -> str:
         return f' on {self._sources[source].topic}' if len(self._sources) > 1 else ''
@@ -214,7 +209,7 @@ class Diagnostics:
         found = [info for info in found if not _is_replaced(info, found, drain.heard)]
         if len(found) == 1:
             return []
-        names = ', '.join(sorted(_full_name(info) for info in found))
+        names = ', '.join(sorted(full_name(info) for info in found))
         problem = f'{topic}: {len(found)} publishers: {names}; {several}'
         self._log(f'{_SEVERAL_PUBLISHERS} {topic}', problem)
         return [problem]
@@ -224,14 +219,14 @@ class Diagnostics:
         # Compare the QoS profiles that DDS reports, because these contain no unresolved defaults.
         endpoints = getattr(self._node, f'get_{own}_info_by_topic')(topic)
         profile = next((info.qos_profile for info in endpoints
-                        if _full_name(info) == self._node.get_fully_qualified_name()), None)
+                        if full_name(info) == self._node.get_fully_qualified_name()), None)
         problems = []
         for info in peers if profile else ():
             pair = (profile, info.qos_profile) if own == 'publishers' else \
                 (info.qos_profile, profile)
             compatible, reason = qos_check_compatible(*pair)
             if compatible == QoSCompatibility.ERROR:
-                problems.append(f'{topic}: {_full_name(info)} is not connected: '
+                problems.append(f'{topic}: {full_name(info)} is not connected: '
                                 f'{reason.removeprefix("ERROR: ").rstrip("; ")}')
         if problems:
             self._log(f'{_QOS} {topic}', '; '.join(problems))
@@ -263,13 +258,14 @@ class Diagnostics:
 
         """
         statuses = [self._torque_status(source, problems.get(source, []), {
-            WAITING: waiting[source], AGE: _age(ages[source])}) for source in self._sources]
+            events.WAITING: waiting[source], AGE: _seconds(ages[source])})
+            for source in self._sources]
         counts, new = self._motion, self._motion.increments()
-        errors = [f'{name}: {new[name]}' for name in _ERRORS if new[name]]
-        warnings = [f'{name}: {new[name]}' for name in _WARNINGS if new[name]]
+        errors = [f'{name}: {new[name]}' for name in events.ERRORS if new[name]]
+        warnings = [f'{name}: {new[name]}' for name in events.MOTION_WARNINGS if new[name]]
         statuses.append(self.status(
             'motion', bool(errors), bool(warnings), '; '.join(errors + warnings) or epoch,
-            {name: counts[name] for name in _OF_MOTION}))
+            {name: counts[name] for name in events.OF_MOTION}))
         array = DiagnosticArray(status=[*statuses, *others])
         array.header.stamp = stamp
         self._publisher.publish(array)
@@ -277,16 +273,36 @@ class Diagnostics:
     def _torque_status(self, source: int, problems: list[str],
                        present: Mapping[str, object]) -> DiagnosticStatus:
         counts, new = self._torques[source], self._torques[source].increments()
-        rejected = [f'{rejections(cause)}: {new[cause]}' for cause in CAUSES if new[cause]]
-        warnings = problems + [f'{name}: {new[name]}' for name in _TORQUE_WARNINGS if new[name]]
-        is_error = any(new[cause] for cause in CAUSES if cause not in OF_RESETS)
+        problems = problems + self._offset_problems(source)
+        if source in self._offsets:
+            present = {**present, **dict(zip(OFFSETS, map(_seconds, self._offsets[source])))}
+        rejected = [f'{events.rejections(cause)}: {new[cause]}'
+                    for cause in events.CAUSES if new[cause]]
+        warnings = problems + [f'{name}: {new[name]}'
+                               for name in events.TORQUE_WARNINGS if new[name]]
+        is_error = any(new[cause] for cause in events.CAUSES if cause not in events.OF_RESETS)
         return self.status(
             self._sources[source].status, is_error, bool(rejected or warnings),
-            '; '.join(rejected + warnings) or 'OK',
-            {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
-             **{rejections(cause): counts[cause] for cause in CAUSES}, **present,
+            '; '.join([*(rejected + warnings or ['OK']), *(
+                f'{name}: {new[name]}' for name in (events.UNSTAMPED,) if new[name])]),
+            {events.RECEIVED: counts[events.RECEIVED], events.APPLIED: counts[events.APPLIED],
+             **{events.rejections(cause): counts[cause] for cause in events.CAUSES}, **present,
              **{name: counts[name] for name in
-                (_OF_COMMANDS if source == COMMANDS else _OF_TORQUES)}})
+                (events.OF_COMMANDS if source == COMMANDS else events.OF_TORQUES)}})
+
+    def _offset_problems(self, source: int) -> list[str]:
+        if found := self._offsets_ns.get(source):
+            self._offsets[source] = 1e-9 * statistics.median(found), 1e-9 * max(found, key=abs)
+            found.clear()
+        median, _ = self._offsets.get(source, (0.0, 0.0))
+        if not abs(median) > self._largest_offset > 0.0:
+            return []
+        topic = self._node.resolve_topic_name(self._sources[source].topic)
+        side = 'ahead of' if median > 0.0 else 'behind'
+        problem = (f'{topic}: the stamps are {abs(median):.3g} s {side} the clock (median): is '
+                   'the clock of the sender right?')
+        self._log(f'{OFFSETS[0]} {source}', problem)
+        return [problem]
 
     def status(self, name: str, is_error: bool, is_warning: bool, message: str,
                values: Mapping[str, object]) -> DiagnosticStatus:
@@ -308,7 +324,7 @@ class Diagnostics:
             self._node.get_logger().warning(text)
 
 
-def _age(seconds: float | None) -> str:
+def _seconds(seconds: float | None) -> str:
     return 'none yet' if seconds is None else f'{seconds:.3f}'
 
 
@@ -323,8 +339,4 @@ def _is_replaced(info: TopicEndpointInfo, peers: Iterable[TopicEndpointInfo],
     # that publisher runs out.
     _, last = heard.get(bytes(info.endpoint_gid), (0.0, math.inf))
     return any(heard.get(bytes(peer.endpoint_gid), (0.0, 0.0))[0] > last
-               for peer in peers if _full_name(peer) == _full_name(info))
-
-
-def _full_name(info: TopicEndpointInfo) -> str:
-    return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+               for peer in peers if full_name(peer) == full_name(info))

@@ -12,16 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Raw subscriptions, with a callback that empties the queue and counts lost messages."""
+"""Raw subscriptions, which count lost messages, and which a node may poll in batches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from copy import copy
 from importlib import import_module
 import inspect
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -35,6 +35,9 @@ try:
     from rclpy.event_handler import SubscriptionEventCallbacks
 except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
+
+if TYPE_CHECKING:  # moved to rclpy.endpoint_info in Lyrical
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 #: One call takes messages for at most this many seconds.
 _BUDGET = 0.02
@@ -61,10 +64,12 @@ def published(node: Node, topic: str,
 
     Raise InputError if the type is not one of `kinds`, or if its package is not installed.
     """
-    names = {info.topic_type for info in node.get_publishers_info_by_topic(topic)}
-    by_name = {kind.name: kind for kind in kinds}
+    found = node.get_publishers_info_by_topic(topic)
+    names, by_name = {info.topic_type for info in found}, {kind.name: kind for kind in kinds}
     if len(names) > 1 or not names <= by_name.keys():
-        raise InputError(f'{topic}: expected one of {listed(by_name)}, found {listed(names)}')
+        wrong = [info for info in found if info.topic_type not in by_name] or found
+        nodes = listed(sorted(f'{info.topic_type} from {full_name(info)}' for info in wrong))
+        raise InputError(f'{topic}: expected one of {listed(by_name)}, found {nodes}')
     for name in names:
         package, _, last = name.split('/')
         try:
@@ -74,15 +79,32 @@ def published(node: Node, topic: str,
     return None
 
 
+def full_name(info: TopicEndpointInfo) -> str:
+    """Return the full name of the node that an endpoint belongs to."""
+    return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+
+
+class PollingNode(Node):
+    """
+    A node that polls some of its subscriptions, for which an executor does not wait.
+
+    Waking an executor for every message takes more time than all other work on the message.
+    """
+
+    polled: Collection[Subscription[Any]] = ()
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription[Any]]:
+        """Return the subscriptions that an executor must wait for."""
+        return (one for one in super().subscriptions if one not in self.polled)
+
+
 class DrainCallback:
     """
-    A callback that takes all waiting messages from a subscription, and counts lost messages.
+    A callback that takes the messages of a subscription, and counts lost messages.
 
     Publishers number their messages, so a gap in the numbers means that messages were lost. Either
     the network dropped them, or the queue of the subscription was full.
-
-    An executor passes only one message at a time. With `takes_all`, the callback then also takes
-    all other messages that are waiting, so that the queue is empty before other work starts.
 
     Parameters
     ----------
@@ -91,12 +113,10 @@ class DrainCallback:
         received the message, ns on the system clock. The time is 0 if the middleware does not
         report it.
     on_gap : callable
-        Called with the number of lost messages when there is a gap.
+        Called with the number of lost messages when there is a gap, and with whether the gap comes
+        before the first message of a publisher.
     on_empty : callable, optional
-        Called after the messages have been taken.
-    takes_all : bool
-        Whether to take all waiting messages. If false, the callback takes only the message that
-        the executor passes.
+        Called after a message that the executor has passed.
 
     Attributes
     ----------
@@ -114,40 +134,42 @@ class DrainCallback:
     __signature__ = inspect.signature(lambda message, info: None)
 
     def __init__(self, on_message: Callable[[bytes, Sender, int], None],
-                 on_gap: Callable[[int], None],
-                 on_empty: Callable[[], None] = lambda: None, takes_all: bool = True) -> None:
+                 on_gap: Callable[[int, bool], None],
+                 on_empty: Callable[[], None] = lambda: None) -> None:
         self._on_message, self._on_empty, self._on_gap = on_message, on_empty, on_gap
-        self._takes_all = takes_all
         self._last_number: dict[Sender, int] = {}
         self.heard: dict[Sender, tuple[float, float]] = {}
         self.subscription: Subscription
 
     def __call__(self, *taken: Any) -> None:
-        """Take the given message and, with `takes_all`, all messages waiting after it."""
+        """Take a message that an executor has received."""
+        # EventsExecutor passes one tuple (message, information), while other executors pass two
+        # arguments.
+        message, info = taken if len(taken) == 2 else taken[0]
         with self.subscription.handle:
-            # EventsExecutor passes one tuple (message, information), while other executors pass
-            # two arguments.
-            self._take(taken if len(taken) == 2 else taken[0])
+            self._pass_on(message, info)
         self._on_empty()
 
-    def poll(self) -> None:
-        """Take all waiting messages. Use this method if no executor spins the subscription."""
-        with self.subscription.handle:
-            self._take(self._next())
+    def _pass_on(self, message: bytes, info: dict[str, Any]) -> None:
+        self._on_message(message, self._sender(info), info['received_timestamp'])
 
-    def _take(self, found: tuple[bytes, dict[str, Any]] | None) -> None:
+    def _waiting(self) -> Iterator[tuple[bytes, dict[str, Any]]]:
         # Without a time limit, the loop would not end if messages arrive faster than we take them.
-        until = time.monotonic() + _BUDGET
-        while found is not None:
-            message, info = found
-            self._on_message(message, self._sender(info), info['received_timestamp'])
-            if not self._takes_all or time.monotonic() > until:
-                break
-            found = self._next()
+        until, subscription = time.monotonic() + _BUDGET, self.subscription
+        with subscription.handle:
+            while found := subscription.handle.take_message(subscription.msg_type, True):
+                yield found
+                if time.monotonic() > until:
+                    break
 
-    def _next(self) -> tuple[bytes, dict[str, Any]] | None:
-        subscription = self.subscription
-        return subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    @staticmethod
+    def poll(drains: Collection[DrainCallback]) -> None:
+        """Take the waiting messages of several subscriptions, in the order of their arrival."""
+        found = [(drain, *taken) for drain in drains for taken in drain._waiting()]
+        if len(drains) > 1:
+            found.sort(key=lambda taken: taken[2]['received_timestamp'])
+        for drain, *taken in found:
+            drain._pass_on(*taken)
 
     def _sender(self, info: dict[str, Any]) -> Sender:
         number, identity = info.get('publication_sequence_number'), info.get('publisher_gid')
@@ -157,7 +179,8 @@ class DrainCallback:
         if sender is None and self.subscription.handle.get_publisher_count() > 1:
             self._last_number.clear()  # we cannot tell which publisher a number comes from
             return UNKNOWN_SENDER
-        previous = self._last_number.pop(sender, number - 1)
+        is_first = sender not in self._last_number
+        previous = self._last_number.pop(sender, 0 if sender else number - 1)
         self._last_number[sender] = number
         now = time.monotonic()
         self.heard[sender] = self.heard.get(sender, (now, now))[0], now
@@ -165,5 +188,5 @@ class DrainCallback:
             oldest = next(iter(self._last_number))
             del self._last_number[oldest], self.heard[oldest]
         if number > previous + 1:
-            self._on_gap(number - previous - 1)
+            self._on_gap(number - previous - 1, is_first)
         return sender

@@ -25,9 +25,9 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node import process
-from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.component import AttitudeComponent
-from rigid_body_ros.node.parameters import declare, given_parameters
+from rigid_body_ros.node.drain import PollingNode
+from rigid_body_ros.node.parameters import declare, given_parameters, one_line_errors
 from rigid_body_ros.runtime.parameters import checked, Parameter
 
 _FAILURE = TransitionCallbackReturn.FAILURE
@@ -35,7 +35,7 @@ _AUTOSTART = Parameter('autostart', False, '', 'whether the node configures and 
                        'itself when it starts')
 
 
-class AttitudeLifecycleNode(LifecycleNode):
+class AttitudeLifecycleNode(PollingNode, LifecycleNode):
     """
     Compute the attitude of a rigid body in a node with a managed lifecycle.
 
@@ -153,6 +153,7 @@ class AttitudeLifecycleNode(LifecycleNode):
     def _deactivate(self) -> None:
         assert self._component
         self._component.deactivate()
+        self.get_logger().info('deactivated: the motion goes on under the last torques')
 
     def _clean_up(self) -> None:
         if self._component:

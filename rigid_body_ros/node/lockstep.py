@@ -29,11 +29,8 @@ import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
-from rclpy.publisher import Publisher
 from rigid_body_ros import messages
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import listed
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live.closed_loop import DuplicateFilter, RepublishPolicy
 from rigid_body_ros.live.events import APPLIED, DIFFERS, FUTURE, RejectedError, REPLACED, STALE
@@ -41,21 +38,24 @@ from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import Snapshot
 from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.node.clocks import ClockMonitor
-from rigid_body_ros.node.mode import Mode
+from rigid_body_ros.node.clocks import ClockMonitor, ClockPublisher, message_of
+from rigid_body_ros.node.drain import DrainCallback, full_name
+from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.node.sources import BODY, sources_of
-from rosgraph_msgs.msg import Clock
+from rigid_body_ros.node.timers import timer
 from std_srvs.srv import SetBool
 
-#: How often to check whether the state should be republished, in seconds.
-_CHECK_PERIOD = 0.1
+#: How often to commit states and to check whether the state should be republished, and how long to
+#: leave other callbacks between two slices of work, in seconds.
+_CHECK_PERIOD, _WORK_PERIOD = 0.1, 0.001
+#: How long to wait for a torque that follows immediately, in seconds. A simple controller responds
+#: within 0.4 ms.
+_SOON = 6e-4
+#: If so many torques did not follow so soon, wait only at one of as many.
+_TRIES = 100
 #: Diagnostics warn if no torque arrives for more than this many seconds, or if computing a
 #: response takes more than this many seconds.
 _WARN_AFTER = 1.0
-#: How long to look for another publisher of /clock, and how long to wait for the name of this
-#: publisher once it has been found, in seconds.
-_DISCOVERY_TIME, _NAME_DELAY = 3.0, 0.5
-_CLOCK = '/clock'
 
 
 class Lockstep(Mode):
@@ -69,16 +69,15 @@ class Lockstep(Mode):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._clock = self._clock_publisher() if self._scene.publish_clock else None
+        self._clock = ClockPublisher(self._node, 'publish_clock') if self._scene.publish_clock \
+            else None
         self._monitor = ClockMonitor(self._node)
         self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
         history_ns = duration_ns(self._scene.history, 'history')
         #: The duplicate filter of each source, by source number.
         self._duplicates = {source.number: DuplicateFilter(history_ns)
                             for source in sources_of(self._parameters.scene)}
-        self._republishing = RepublishPolicy()
-        #: Whether the loop is paused. During a pause, torques wait in the queue.
-        self._is_paused = False
+        self._republishing, self._unmet = RepublishPolicy(), 0
         saved = self._checkpoint and self._checkpoint.start
         self._start = saved or self.run.initial(self._given_start_ns)
         #: The latest state, and the time at which this state began to wait for a torque, in
@@ -95,8 +94,9 @@ class Lockstep(Mode):
     def activate(self) -> None:
         """Publish the state repeatedly until torques arrive, and offer a service for pausing."""
         self._since = time.monotonic()
-        self._node.create_timer(_CHECK_PERIOD, self._republish,
-                                clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        timer(self._node, _CHECK_PERIOD, self._check)
+        #: A timer that runs only while torques are waiting. Its callback does one slice of work.
+        self._worker = timer(self._node, _WORK_PERIOD, self._work)
         self._node.create_service(SetBool, '~/pause', self._on_pause)
 
     def deactivate(self) -> None:
@@ -105,7 +105,7 @@ class Lockstep(Mode):
     def set_rate(self, rate: float) -> None:
         """Do nothing, because the torques set the pace."""
 
-    def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
+    def enqueue(self, data: bytes, sender: Sender, source: int, received_ns: int = 0) -> None:
         """
         Queue a torque message from a source. `process` will respond to it later.
 
@@ -120,7 +120,32 @@ class Lockstep(Mode):
 
     def process(self) -> bool:
         """Apply waiting torques for one slice of work. Return True if no work is left."""
-        return self._is_paused or super().process()
+        return self.is_paused or super().process()
+
+    def work(self) -> None:
+        """Work on the waiting torques, and on those that follow soon."""
+        if not self._worker.is_canceled():
+            return  # the running timer continues the work
+        self._work()
+        # Wait here for the next torque of a fast controller, because returning to the executor and
+        # being woken again takes half of the time of a step. Do not wait for a controller that is
+        # slow, or in the same executor.
+        self._unmet += 1
+        now, waits = time.monotonic(), self._unmet <= _TRIES or not self._unmet % _TRIES
+        soon, last = now + waits * _SOON, now + BUDGET
+        while now < min(soon, last) and self._worker.is_canceled() and not self.is_paused:
+            DrainCallback.poll(self._drains)
+            if has_arrived := bool(self._queue):
+                self._work()
+                self._unmet = 0
+            now = time.monotonic()
+            soon = now + _SOON if has_arrived else soon
+
+    def _work(self) -> None:
+        if self.process():
+            self._worker.cancel()
+        elif self._worker.is_canceled():  # resetting a running timer would postpone it
+            self._worker.reset()
 
     def set_state(self, state: State) -> str:
         """
@@ -171,26 +196,30 @@ class Lockstep(Mode):
 
     def problems(self) -> dict[int, list[str]]:
         """Return current problems by source. Problems of the loop belong to the first source."""
-        if self._clock is not None and self._node.count_publishers(_CLOCK) > 1:
-            self._node.destroy_publisher(self._clock)
+        if self._clock is not None and self._clock.has_rival:
+            self._clock.destroy()
             self._clock = None
-            self._node.get_logger().error(f'{_CLOCK}: another node publishes it, too; this node '
-                                          'stops publishing it')
         problems = {source: [] for source in self._torques}
         problems[next(iter(problems))] = self._monitor.problems() + self._stalls()
         silence = time.monotonic() - self._since
-        if not (self._is_paused or self.waiting.total()) and silence > _WARN_AFTER:
+        if not (self.is_paused or self.waiting.total()) and silence > _WARN_AFTER:
             for source in self._awaited():
-                problems[source].append(
-                    f'{self._torques[source].topic_name}: no torque for {silence:.0f} s: the '
-                    'controller has not responded to the state at '
-                    f'{self._latest.state.time_ns} ns')
+                problems[source].append(self._silence(self._torques[source].topic_name, silence))
         return problems
+
+    def _silence(self, topic: str, seconds: float) -> str:
+        names = listed(sorted({*map(full_name, self._node.get_publishers_info_by_topic(topic))}))
+        text = (f'{topic}: no torque for {seconds:.0f} s: the controller has not responded to the '
+                f'state at {self._latest.state.time_ns} ns; publishers: {names}')
+        if self._clock is None or self.run.epoch is not None:
+            return text
+        return (f'{text}; the clock stands at {self._latest.state.time_ns * 1e-9:g} s, and a '
+                'timer on /clock cannot start a lockstep loop')
 
     def _stalls(self) -> list[str]:
         waited = self._queue.waiting_time if not self._current else \
             time.monotonic() - self._current[1].since
-        if self._is_paused:
+        if self.is_paused:
             return ['paused: torques wait']
         if waited > _WARN_AFTER:
             return [f'computing the response to a torque has taken {waited:.0f} s so far']
@@ -209,14 +238,13 @@ class Lockstep(Mode):
         """Return the current time, or the last published time if this node publishes /clock."""
         if self._clock is None:
             return self._node.get_clock().now().to_msg()
-        return _time(self._latest.state.time_ns)
+        return message_of(self._latest.state.time_ns)
 
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._is_paused = request.data
-        self._wake()
-        response.success = True
-        response.message = 'paused: torques wait' if request.data else 'resumed'
-        return response
+    def pause(self, is_paused: bool) -> str:
+        """Pause the loop, or resume it, and return a description."""
+        text = super().pause(is_paused)
+        self.work()
+        return 'paused: torques wait' if is_paused else text
 
     def _begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         self._start = start
@@ -303,14 +331,16 @@ class Lockstep(Mode):
             self._stale_ns = None
         self._send(snapshot, is_repeated=False)
 
-    def _republish(self) -> None:
+    def _check(self) -> None:
+        # Do not commit states after each torque, because the controller waits for the next one.
+        self.settle()
         if self._republishing.is_due(*self._connected()) and not self.waiting.total():
             self._send(self._latest, is_repeated=True)
 
     def _send(self, snapshot: Snapshot, is_repeated: bool) -> None:
         time_ns = snapshot.state.time_ns
         if self._clock is not None:
-            self._clock.publish(Clock(clock=_time(time_ns)))
+            self._clock.publish(time_ns)
         self._outputs.publish(snapshot)
         self._republishing.published(is_repeated)
         if self._republishing.has_controller or self.run.epoch is not None:
@@ -325,22 +355,3 @@ class Lockstep(Mode):
         publishers = sum(torques.handle.get_publisher_count()
                          for source, torques in self._torques.items() if source != BODY)
         return publishers, self._outputs.subscription_count
-
-    def _clock_publisher(self) -> Publisher:
-        if self._node.get_parameter('use_sim_time').value:
-            raise InputError('publish_clock: expected use_sim_time false, because a node cannot '
-                             'follow the clock that it publishes')
-        until = time.monotonic() + _DISCOVERY_TIME
-        while time.monotonic() < until:
-            if self._node.count_publishers(_CLOCK):
-                time.sleep(_NAME_DELAY)
-                info = self._node.get_publishers_info_by_topic(_CLOCK)[0]
-                raise InputError(f'publish_clock: expected no other publisher of {_CLOCK}, '
-                                 f'found {info.node_name}')
-            time.sleep(0.05)
-        return self._node.create_publisher(Clock, _CLOCK, 10)
-
-
-def _time(time_ns: int) -> Time:
-    seconds, nanoseconds = divmod(time_ns, 10 ** 9)
-    return Time(sec=seconds, nanosec=nanoseconds)

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
 import time
 
 from rclpy.node import Node
@@ -28,9 +28,12 @@ from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.live.torque_queue import Queued, TorqueQueue
 from rigid_body_ros.node.diagnostics import Diagnostics
+from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import NodeParameters
+from rigid_body_ros.propagation.segment import OutOfTimeError
 from rigid_body_ros.scene.parameters import LOCKSTEP
+from std_srvs.srv import SetBool
 
 #: Length of a slice of work, in seconds. After each slice, the other callbacks get to run.
 BUDGET = 0.02
@@ -66,20 +69,34 @@ class Mode:
         self._queue = TorqueQueue(diagnostics, is_patient=self._scene.mode == LOCKSTEP)
         #: The torque subscriptions by source number. They are used to count the publishers.
         self._torques: Mapping[int, Subscription] = {}
+        self._drains: Collection[DrainCallback] = ()
         #: The torque that is being processed, followed by whether this torque has been applied,
         #: and whether the response to this torque has been published.
         self._current: tuple[Torque, Queued] | None = None
         self._is_applied = self._is_answered = False
-        self._wake: Callable[[], None] = lambda: None
+        #: Whether the motion is paused, so that torques wait.
+        self.is_paused = False
 
-    def connect(self, torques: Mapping[int, Subscription], wake: Callable[[], None]) -> None:
-        """
-        Set the torque subscriptions, and a function that wakes the worker.
+    def connect(self, drains: Mapping[int, DrainCallback]) -> None:
+        """Set the callbacks of the torque subscriptions, by source."""
+        self._torques = {source: drain.subscription for source, drain in drains.items()}
+        self._drains = drains.values()
 
-        `torques` contains the subscriptions by source. `wake` starts the work on waiting torques
-        immediately.
-        """
-        self._torques, self._wake = torques, wake
+    def take(self) -> None:
+        """Take the torques that have arrived, if the mode polls its subscriptions."""
+
+    def pause(self, is_paused: bool) -> str:
+        """Pause or resume the motion, and return a description. Not in real time."""
+        self.is_paused = is_paused
+        return 'resumed'
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        response.success, response.message = True, self.pause(request.data)
+        return response
+
+    def work(self) -> None:
+        """Work on the waiting torques. An executor calls this method after each torque."""
+        raise NotImplementedError
 
     @property
     def waiting(self) -> Counter[int]:
@@ -88,13 +105,6 @@ class Mode:
         if self._current and not self._is_applied:
             waiting[self._current[1].source] += 1
         return waiting
-
-    def catch_up(self) -> None:
-        """
-        Publish any state that is overdue.
-
-        The component calls this method while so many messages arrive that all timers are late.
-        """
 
     def process(self) -> bool:
         """Apply waiting torques for one slice of work. Return True if no work is left."""
@@ -105,9 +115,17 @@ class Mode:
                 if self._current:
                     self._finish(*self._current, until)
                     self._current = None
-        except TimeoutError as error:
+        except OutOfTimeError as error:
             self._miss_deadline(error)
         return not (self._current or len(self._queue))
+
+    def settle(self) -> None:
+        """Commit the states that are final, and publish the log. Nobody waits for either."""
+        try:
+            self.run.commit(time.monotonic() + BUDGET)
+        except OutOfTimeError as error:
+            self._miss_deadline(error)
+        self._outputs.flush()
 
     def end(self, until: float | None = None, kept: str = LATE) -> None:
         """
@@ -117,9 +135,7 @@ class Mode:
         for the next epoch. The deadline for committing the states of the epoch is `until`, in
         seconds on the monotonic clock. If `until` is None, the deadline is 0.2 s from now.
         """
-        if self._current and self._is_applied:  # computing the response took too long
-            self.run.log(self._current[0])
-        elif self._current:
+        if self._current and not self._is_applied:
             self._queue.put(self._current[1])  # to be rejected
         self._current, self._is_applied, self._is_answered = None, False, False
         self._queue.end(kept)
@@ -146,9 +162,9 @@ class Mode:
         if not self._is_answered:
             self._respond(torque, until)
             self._is_answered = True
-        self.run.commit(until)
+        if self.run.must_commit:
+            self.run.commit(until)
         self._is_applied = self._is_answered = False
-        self.run.log(torque)
 
     def _read(self, queued: Queued) -> Torque | None:
         """
@@ -168,7 +184,7 @@ class Mode:
     def _refuse(self, torque: Torque) -> None:
         """Respond to a torque that cannot be applied."""
 
-    def _miss_deadline(self, error: TimeoutError) -> None:
+    def _miss_deadline(self, error: OutOfTimeError) -> None:
         """Report that a computation did not finish within one slice of work."""
 
     def _warn_away(self, seconds: float) -> None:

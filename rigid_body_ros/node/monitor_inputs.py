@@ -24,30 +24,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.live.events import (
-    APPLIED,
-    FRAME,
-    LATE,
-    MALFORMED,
-    NO_CLOCK,
-    NOT_FINITE,
-    RECEIVED,
-    RejectedError,
-    STALE,
-    TIME_JUMP,
-)
+from rigid_body_ros.live import events
 from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.torque_queue import Sender
-from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading, JumpDetector
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback, published, subscription
+from rigid_body_ros.node.drain import DrainCallback, PollingNode, published, subscription
+from rigid_body_ros.node.parameters import one_line_errors
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
 from rigid_body_ros.recording import measurements, Messages
 from rigid_body_ros.recording.account import Account
@@ -85,7 +73,7 @@ class MonitorInputs:
 
     Parameters
     ----------
-    node : Node
+    node : PollingNode
     scene : Scene
 
     Attributes
@@ -99,7 +87,7 @@ class MonitorInputs:
 
     """
 
-    def __init__(self, node: Node, scene: Scene) -> None:
+    def __init__(self, node: PollingNode, scene: Scene) -> None:
         self._node, self._scene = node, scene
         torques = sources_of(scene)
         parts = [measurements.parts_of('', name) for name in scene.values['monitor.measured']]
@@ -159,18 +147,6 @@ class MonitorInputs:
         """Return all subscriptions to torques and measurements."""
         return [drain.subscription for drain in self.drains.values()]
 
-    @property
-    def polled(self) -> list[Subscription]:
-        """
-        Return the subscriptions that `take` polls, and that an executor need not wait for.
-
-        Waking an executor for every message would take more time than all other work. With wall
-        time, waking up is unnecessary, because the middleware records when each message arrives,
-        so the subscriptions are polled. With simulated time, no subscription is polled, because
-        the node must read the clock when a message arrives.
-        """
-        return [] if self._is_simulated else self.subscriptions
-
     def ages(self) -> dict[int, float | None]:
         """Return the age in s of each source's newest message, or None before the first one."""
         return {number: 1e-9 * (self._reading.now_ns - self._newest_ns[number])
@@ -219,11 +195,14 @@ class MonitorInputs:
         with one_line_errors():
             drain.subscription = subscription(self._node, kind, source.topic, drain, _QOS)
         self.drains[number], self._waiting[number] = drain, []
+        if not self._is_simulated:  # otherwise, read the clock when a message arrives
+            self._node.polled = self.subscriptions
         self._takes[number] = decode, partial(put, number, drain.subscription.topic_name)
 
-    def _on_gap(self, source: int, number: int) -> None:
-        self.diagnostics.count_lost(source, number)
-        self._has_gap.add(source)
+    def _on_gap(self, source: int, number: int, is_first: bool) -> None:
+        self.diagnostics.count_lost(source, number, is_first)
+        if not is_first:
+            self._has_gap.add(source)
 
     def _on_message(self, source: int, data: bytes, sender: Sender, received_ns: int) -> None:
         is_after_gap = source in self._has_gap
@@ -251,8 +230,8 @@ class MonitorInputs:
             self._arrivals.tick(reading.now_ns)
         if reading.jump_ns and self._scene.on_time_jump != IGNORE:
             self.take()
-            self.diagnostics.event(TIME_JUMP, f'the clock jumped by {1e-9 * reading.jump_ns:.9g} '
-                                   's: the check begins again')
+            self.diagnostics.event(events.TIME_JUMP, 'the clock jumped by '
+                                   f'{1e-9 * reading.jump_ns:.9g} s: the check begins again')
             self._jump_ns, self._jumped_at = reading.jump_ns, now
             self._begin()
             # After a small jump, we cannot tell whether a message is from before or after the
@@ -276,17 +255,17 @@ class MonitorInputs:
         is_stamped = self._scene.time_source != ARRIVAL
         for source, arrived in self._waiting.items():
             if not self._is_simulated:
-                self.drains[source].poll()
-            self.diagnostics.count(RECEIVED, source, len(arrived))
+                DrainCallback.poll([self.drains[source]])
+            self.diagnostics.count(events.RECEIVED, source, len(arrived))
             decode, put = self._takes[source]
             stamps_ns, found = [], []
             for data, now_ns, arrival_ns, is_after_gap in arrived:
                 try:
                     if not now_ns:
-                        raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
+                        raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
                     message = decode(data if is_stamped else messages.unstamped(data))
                     stamp_ns = self._stamp(message.stamp_ns, now_ns, arrival_ns)
-                except RejectedError as rejected:
+                except events.RejectedError as rejected:
                     self.diagnostics.reject(rejected, source)
                     continue
                 if is_after_gap and source < _FIRST_MEASURED:
@@ -317,8 +296,8 @@ class MonitorInputs:
         if (abs(self._jump_ns) > 2 * self._history_ns
                 and abs(ahead_ns + self._jump_ns) < abs(ahead_ns)
                 and time.monotonic() < self._jumped_at + _PATIENCE):
-            raise RejectedError(STALE, f'stamped {stamp_ns} ns, before the clock jumped by '
-                                f'{1e-9 * self._jump_ns:.9g} s')
+            raise events.RejectedError(events.STALE, f'stamped {stamp_ns} ns, before the clock '
+                                       f'jumped by {1e-9 * self._jump_ns:.9g} s')
         return stamp_ns
 
     def _apply(self, source: int, topic: str, stamps_ns: NDArray[np.int64],
@@ -351,9 +330,9 @@ class MonitorInputs:
         # first one.
         usable = sent == self._measured.get(source, -1)
         for _ in range(int(np.sum(~usable))):
-            self.diagnostics.reject(RejectedError(
-                NOT_FINITE, 'expected a finite attitude, angular velocity or both, as in the '
-                'first message, found another'), source)
+            self.diagnostics.reject(events.RejectedError(
+                events.NOT_FINITE, 'expected a finite attitude, angular velocity or both, as in '
+                'the first message, found another'), source)
         self._accounts[source].add(stamps_ns[usable])
         self._count(source, stamps_ns[usable], self.monitor.measure(
             topic, stamps_ns[usable], attitude[usable], rates[usable]))
@@ -361,15 +340,15 @@ class MonitorInputs:
     def _count(self, source: int, stamps_ns: NDArray[np.int64], fits: NDArray[np.bool_]) -> None:
         """Count the messages selected by `fits` as applied, and all others as rejected (late)."""
         for stamp_ns in stamps_ns[~fits].tolist():
-            self.diagnostics.reject(RejectedError(
-                LATE, f'stamped {stamp_ns} ns, in a window that has been judged: a window is '
-                'judged when a message is newer than its end by history '
+            self.diagnostics.reject(events.RejectedError(
+                events.LATE, f'stamped {stamp_ns} ns, in a window that has been judged: a window '
+                'is judged when a message is newer than its end by history '
                 f'({self._scene.history:g} s)'), source)
         if fits.any():
             newest_ns = int(stamps_ns[fits].max())
             self._newest_ns[source] = max(self._newest_ns.get(source, 0), newest_ns)
             self._heard_at[source] = time.monotonic()
-            self.diagnostics.count(APPLIED, source, int(fits.sum()))
+            self.diagnostics.count(events.APPLIED, source, int(fits.sum()))
 
     def _measurement(self, data: bytes, kind: messages.MessageType) -> messages.Stamped:
         """
@@ -384,13 +363,13 @@ class MonitorInputs:
         try:
             message = kind.decode(data)
         except ValueError as error:
-            raise RejectedError(MALFORMED, str(error)) from error
+            raise events.RejectedError(events.MALFORMED, str(error)) from error
         self._check_frame(kind, message)
         return message
 
     def _check_frame(self, kind: messages.MessageType, message: messages.Stamped) -> None:
         if text := self._options.other_frames(kind, message.frame_id, message.child_frame_id):
-            raise RejectedError(FRAME, text)
+            raise events.RejectedError(events.FRAME, text)
 
     def complete_ns(self, now: float) -> int:
         """

@@ -16,10 +16,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Container, Sequence
 from contextlib import suppress
 from copy import copy
+from functools import partial
 import time
+from typing import Any
 
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
@@ -56,87 +59,115 @@ _LOG_QOS = QoSProfile(depth=LOG_DEPTH, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+_Encode = Callable[[State, State, Floats], bytes]
+OnLog = Callable[[str, bytes], None]
+#: The log of the committed states.
+COMMITTED = '~/committed'
+#: The topics that need more than the state of the body.
+IMU, APPLIED_TORQUE = 'imu/data', 'applied_torque'
+
+
 class Publishers:
     """
     All the publishers of a node.
 
     If the middleware fails to publish a message, for example because it has run out of memory,
-    `Diagnostics` counts and logs the failure.
+    `Diagnostics` counts and logs the failure. If `on_log` is given, it is called with the name of
+    the log and each message of it, and nobody else gets the log.
     """
 
-    def __init__(self, node: Node, scene: Scene, sources: Iterable[TorqueTopic],
-                 diagnostics: Diagnostics) -> None:
+    def __init__(self, node: Node, scene: Scene, sources: Sequence[TorqueTopic],
+                 diagnostics: Diagnostics, on_log: OnLog | None = None) -> None:
         self._node, self._diagnostics = node, diagnostics
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
         imu, variances = scene.imu, scene.odometry_variances
         #: The publisher of each state topic, and the function that encodes a snapshot for it.
         #: Odometry comes first, because controllers in lockstep are waiting for it.
-        self._states: list[tuple[Publisher, Callable[[State, State, Floats], bytes]]] = [
-            (self._publisher(Odometry, 'odometry'), lambda state, *_: (
-                messages.odometry(state, space, body, *variances))),
-            (self._publisher(QuaternionStamped, 'attitude'), lambda state, *_: (
-                messages.QUATERNION.encode(state.time_ns, space, state.attitude))),
-            (self._publisher(Vector3Stamped, 'euler_angles'), lambda state, *_: (
-                messages.VECTOR3.encode(state.time_ns, space,
-                                        euler.from_quaternion(state.attitude, sequence)))),
-            (self._publisher(Vector3Stamped, 'angular_velocity'), lambda state, *_: (
-                messages.VECTOR3.encode(state.time_ns, body, state.angular_velocity))),
-            (self._publisher(Imu, 'imu/data'), lambda state, sensed, _: (
-                messages.imu(state.time_ns, body, sensed, imu)))]
+        self._states: dict[str, tuple[Publisher, _Encode]] = {}
+
+        def add(kind: type, topic: str, encode: _Encode) -> None:
+            self._states[topic] = self._publisher(kind, topic), encode
+        add(Odometry, 'odometry', lambda state, *_: (
+            messages.odometry(state, space, body, *variances)))
+        add(QuaternionStamped, 'attitude', lambda state, *_: (
+            messages.QUATERNION.encode(state.time_ns, space, state.attitude)))
+        add(Vector3Stamped, 'euler_angles', lambda state, *_: (
+            messages.VECTOR3.encode(state.time_ns, space,
+                                    euler.from_quaternion(state.attitude, sequence))))
+        add(Vector3Stamped, 'angular_velocity', lambda state, *_: (
+            messages.VECTOR3.encode(state.time_ns, body, state.angular_velocity)))
+        add(Imu, IMU, lambda state, sensed, _: messages.imu(state.time_ns, body, sensed, imu))
         if scene.wheels:
-            self._states.append((
-                self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state, *_: (
-                    messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum))))
+            add(Vector3Stamped, 'rotor_momentum', lambda state, *_: (
+                messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum)))
         if scene.actuators:
-            self._states.append((
-                self._publisher(WrenchStamped, 'applied_torque'), lambda state, _, torque: (
-                    messages.wrench(state.time_ns, body, torque))))
+            add(WrenchStamped, APPLIED_TORQUE, lambda state, _, torque: (
+                messages.wrench(state.time_ns, body, torque)))
         if scene.named_wheels:
-            self._states.append((self._publisher(JointState, 'wheel_states'),
-                                 _wheel_states(scene.named_wheels)))
+            add(JointState, 'wheel_states', _wheel_states(scene.named_wheels))
         if scene.publish_tf:
-            self._states.append((self._publisher(_transform_type(), '/tf'), lambda state, *_: (
-                messages.transform(state, space, body))))
-        #: The publisher of each source's log, by source number.
-        self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)
-                          for source in sources}
-        self._kinds = {source.number: source.message for source in sources}
-        self._committed = self._publisher(Odometry, '~/committed', _LOG_QOS)
+            add(_transform_type(), '/tf', lambda state, *_: messages.transform(state, space, body))
+        self._sources, self._on_log = {source.number: source for source in sources}, on_log
+        #: The publisher of each log, and what it has not sent yet, because nobody listens. A
+        #: listener that comes later gets it.
+        self._logs: dict[str, tuple[Publisher, deque[Callable[[], bytes]]]] = {
+            log: (self._publisher(kind, log, _LOG_QOS), deque(maxlen=LOG_DEPTH))
+            for log, kind in (*((source.log, source.kind) for source in sources),
+                              (COMMITTED, Odometry))}
 
     @property
     def publishers(self) -> list[Publisher]:
         """Return all publishers of states and logs."""
-        return [*(publisher for publisher, _ in self._states), *self._accepted.values(),
-                self._committed]
+        return [publisher for publisher, _ in (*self._states.values(), *self._logs.values())]
 
     @property
     def subscription_count(self) -> int:
         """Return how many subscriptions are connected to the state topics."""
-        return sum(publisher.get_subscription_count() for publisher, _ in self._states)
+        return sum(publisher.get_subscription_count() for publisher, _ in self._states.values())
 
-    def publish(self, snapshot: Snapshot) -> None:
-        """Publish a snapshot on each state topic that has a subscription."""
-        for publisher, encode in self._states:
-            if publisher.get_subscription_count():
+    @property
+    def listened(self) -> set[str]:
+        """Return the state topics that have a subscription."""
+        return {topic for topic, (publisher, _) in self._states.items()
+                if publisher.handle.get_subscription_count()}
+
+    def publish(self, snapshot: Snapshot, listened: Container[str] | None = None) -> None:
+        """Publish a snapshot on the given state topics, by default on all that `listened` has."""
+        listened = self.listened if listened is None else listened
+        for topic, (publisher, encode) in self._states.items():
+            if topic in listened:
                 self._send(publisher, encode(*snapshot))
 
     def begin_log(self, start: State) -> None:
         """Publish the marker of a new epoch, with its start state, to every torque log."""
-        for source, publisher in self._accepted.items():
-            self._send(publisher, messages.epoch_marker(start, self._kinds[source]))
+        for source in self._sources.values():
+            self._log(source.log, messages.epoch_marker, start, source.message)
 
     def log_torque(self, torque: Torque) -> None:
         """Publish an accepted torque in the log of its source."""
-        encode = {BODY: messages.inertia, COMMANDS: self._kinds[torque.source].encode}.get(
-            torque.source, messages.wrench)
-        self._send(self._accepted[torque.source], encode(
-            torque.stamp_ns, self._frames[torque.frame], torque.values))
+        source = self._sources[torque.source]
+        encode = {BODY: messages.inertia, COMMANDS: source.message.encode}.get(
+            source.number, messages.wrench)
+        self._log(source.log, encode, torque.stamp_ns, self._frames[torque.frame], torque.values)
 
     def log_state(self, state: State) -> None:
         """Publish a committed state, which no later torque can change, in the log."""
-        self._send(self._committed, messages.odometry(
-            state, self._frames['space'], self._frames['body']))
+        self._log(COMMITTED, messages.odometry, state, self._frames['space'],
+                  self._frames['body'])
+
+    def _log(self, log: str, encode: Callable[..., bytes], *arguments: Any) -> None:
+        if self._on_log:
+            self._on_log(log, encode(*arguments))
+        else:
+            self._logs[log][1].append(partial(encode, *arguments))
+
+    def flush(self) -> None:
+        """Publish what the log contains and has not been sent yet, if somebody listens."""
+        for publisher, unsent in self._logs.values():
+            if unsent and publisher.handle.get_subscription_count():
+                while unsent:
+                    self._send(publisher, unsent.popleft()())
 
     def deliver(self, until: float) -> bool:
         """
@@ -145,8 +176,9 @@ class Publishers:
         `until` is the time on the monotonic clock at which to stop waiting, s. The result is False
         if a subscriber has not acknowledged the log by this time.
         """
+        self.flush()
         is_delivered = True
-        for publisher in (self._committed, *self._accepted.values()):
+        for publisher, _ in self._logs.values():
             remaining = max(0.0, until - time.monotonic())
             with suppress(RuntimeError):  # not every middleware supports acknowledgement
                 is_delivered &= publisher.wait_for_all_acked(Duration(seconds=remaining))
@@ -169,7 +201,7 @@ class Publishers:
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
-def _wheel_states(wheels: Sequence[Wheel]) -> Callable[[State, State, Floats], bytes]:
+def _wheel_states(wheels: Sequence[Wheel]) -> _Encode:
     """Return a function that encodes the speeds and efforts of named wheels."""
     kind = messages.joint_states([wheel.name for wheel in wheels])
     speeds = np.array([wheel.initial_speed for wheel in wheels])

@@ -16,8 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -26,6 +26,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -175,6 +176,18 @@ class NodeParameters:
             except InputError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """Convert rclpy errors, for example about a name or a QoS override, to InputErrors."""
+    try:
+        yield
+    except NameValidationException as error:
+        text, name, _ = str(error).splitlines()  # the last line marks a character in the name
+        raise InputError(f'{text} {name.strip()}') from error
+    except (RuntimeError, AssertionError, ParameterException) as error:
+        raise InputError(' '.join(str(error).split())) from error
 
 
 def declare(node: Node, given: Mapping[str, Any]) -> None:

@@ -12,48 +12,47 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Real-time mode, in which the node publishes the present state whenever a timer fires."""
+"""
+Real-time mode, in which the node publishes the present state whenever a timer fires.
+
+Nobody waits for the response to a torque, so the node takes torques in batches.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
+from rclpy.clock import JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.timer import Timer
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.live.events import (
-    EarlyError,
-    FUTURE,
-    LATE,
-    MISSED,
-    NO_CLOCK,
-    NOT_COMPUTABLE,
-    RejectedError,
-    TIME_JUMP,
-)
+from rigid_body_ros.live import events
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.node.clocks import (
-    ArrivalStamps,
-    check_stamp,
-    ClockMonitor,
-    JumpDetector,
-    OTHER_CLOCK_NS,
-)
+from rigid_body_ros.node import clocks
+from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.mode import BUDGET, Mode
+from rigid_body_ros.node.outputs import APPLIED_TORQUE, IMU
+from rigid_body_ros.node.timers import timer
+from rigid_body_ros.propagation.segment import OutOfTimeError
 from rigid_body_ros.scene.parameters import ARRIVAL, REBASE, RESET
 
+#: How often to take the torques that have arrived, in seconds. They are also taken before a state
+#: is published.
+_POLL_PERIOD = 0.02
 #: How long a torque waits for a /clock message that was sent before the torque but arrives after
 #: the torque, in seconds.
 _CLOCK_DELAY = 0.5
+#: If this process uses more than this share of a processor, the cause of a delay is its own work.
+_BUSY = 0.5
 
 
 class Realtime(Mode):
@@ -65,18 +64,21 @@ class Realtime(Mode):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._max_future_ns = duration_ns(self._scene.max_future, 'max_future')
-        self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(self._node)
+        self._monitor = clocks.ClockMonitor(self._node)
         self._is_simulated = self._node.get_parameter('use_sim_time').value
-        self._clock = JumpDetector(self._node.get_clock(), self._is_simulated,
-                                   duration_ns(self._scene.history, 'history'))
+        self._arrivals = clocks.ArrivalStamps(self._is_simulated)
+        self._clock = clocks.JumpDetector(self._node.get_clock(), self._is_simulated,
+                                          duration_ns(self._scene.history, 'history'))
         self._rate = self._scene.publish_rate
         self._timer: Timer | None = None
         self._jumps: JumpHandle | None = None
+        self._now_ns, self._taken_at = 0, 0.0
         #: The time in ns of a state that must be published as soon as it has been computed, or 0
-        #: if there is no such state.
-        self._deferred_ns = 0
-        #: When the next state will be overdue, in seconds on the monotonic clock.
-        self._overdue_at = 0.0
+        #: if there is no such state, and the time of the state that was published last.
+        self._deferred_ns = self._published_ns = 0
+        #: When a state was last published on time, in seconds on the monotonic clock, and the
+        #: processor time in seconds that this process had used by then.
+        self._on_time = time.monotonic(), time.process_time()
 
     def activate(self) -> None:
         """Begin to publish states, and begin an epoch if there is none."""
@@ -86,12 +88,16 @@ class Realtime(Mode):
             self._jumps = node_clock.create_jump_callback(
                 JumpThreshold(min_forward=ahead, min_backward=Duration(nanoseconds=-1),
                               on_clock_change=False),
-                pre_callback=self._hold_early_torques,
-                post_callback=lambda jump: self._update())
+                pre_callback=self.work,
+                post_callback=lambda jump: self.now_ns())
         # A timer on a wall clock stops when the clock is set back, so use a steady timer instead.
-        clock = node_clock if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self._node.create_timer(1.0 / self._rate, self._publish_now, clock=clock)
-        self._update()
+        self._timer = timer(self._node, 1.0 / self._rate, self._publish_now,
+                            node_clock if self._is_simulated else None)
+        self._poll_timer()
+
+    def _poll_timer(self) -> None:
+        timer(self._node, _POLL_PERIOD, self._poll)
+        self.now_ns()
 
     def deactivate(self) -> None:
         """Stop publishing. The owner of the node destroys the timer."""
@@ -106,9 +112,9 @@ class Realtime(Mode):
             self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
             self._timer.reset()  # otherwise the next call is due after the old period
 
-    def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
+    def enqueue(self, data: bytes, sender: Sender, source: int, received_ns: int = 0) -> None:
         """
-        Queue a torque message from a source.
+        Queue a torque message from a source, which the middleware received at `received_ns`.
 
         Raises
         ------
@@ -116,28 +122,33 @@ class Realtime(Mode):
             The clock has no time yet, or too many torques are waiting.
 
         """
-        self._valid_now_ns()
+        if not self._now_ns:
+            raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
         self._queue.check_room()
-        self._queue.put(Queued(source, data, sender, self._arrivals.stamp(), time.monotonic()))
+        age_ns = max(0, time.time_ns() - received_ns) if received_ns else 0
+        self._queue.put(Queued(source, data, sender, self._arrivals.stamp(age_ns),
+                               time.monotonic()))
 
-    def process(self) -> bool:
-        """Apply waiting torques for one slice of work. Return True if no work is left."""
-        for cause in (FUTURE, LATE):
-            while (first := self._queue.first_early(cause)) and not self._early_cause(first):
-                self._queue.release(cause)
-        is_done = super().process()
-        if self._deferred_ns and not (self._current or self._queue):
+    def take(self) -> None:
+        """Take the torques that have arrived."""
+        self._taken_at = time.monotonic()
+        self.now_ns()
+        self._queue.retry()
+        DrainCallback.poll(self._drains)
+
+    def work(self) -> None:
+        """Take and apply torques, and publish a state that could not be computed in time."""
+        self.take()
+        self.process()
+        self.settle()
+        if self._deferred_ns:
             self._publish(self._deferred_ns)
-        else:
-            self.catch_up()
-        return is_done and not self._deferred_ns
 
-    def catch_up(self) -> None:
-        """Publish the present state if many messages have delayed the timer for too long."""
-        # With simulated time, leave the publication to the timer, because the timer follows the
-        # clock, which may stand still.
-        if self._timer and not self._is_simulated and self._is_overdue:
-            self._publish_now()
+    def _poll(self) -> None:
+        # Before a state is published, torques are taken, too. Large batches take less time.
+        if self._deferred_ns or len(self._queue) \
+                or time.monotonic() > self._taken_at + _POLL_PERIOD:
+            self.work()
 
     def set_state(self, state: State) -> str:
         """
@@ -173,17 +184,13 @@ class Realtime(Mode):
         now_ns = self._valid_now_ns()
         try:
             torques = self.run.torques_since(now_ns)
-        except RejectedError:  # the clock was set back by `history` or more
+        except events.RejectedError:  # the clock was set back by `history` or more
             torques = []
         return self._begin(self.run.initial(now_ns), torques, 'reset')
 
-    def now_ns(self) -> int:
-        """Return the present time in ns, or 0 if the clock has no time yet."""
-        return self._update()
-
     def problems(self) -> dict[int, list[str]]:
         """Return current problems by source. Problems of the clock belong to the first source."""
-        now_ns, timeout = self._update(), self._scene.torque_timeout
+        now_ns, timeout = self.now_ns(), self._scene.torque_timeout
         problems = {source: [] for source in self._torques}
         problems[next(iter(problems))] = self._monitor.problems()
         for source, subscription in self._torques.items() if now_ns else ():
@@ -199,133 +206,93 @@ class Realtime(Mode):
         """Return the present time."""
         return self._node.get_clock().now().to_msg()
 
-    def end(self, until: float | None = None, kept: str = LATE) -> None:
+    def end(self, until: float | None = None, kept: str = events.LATE) -> None:
         """End the epoch as `Mode.end` does, and drop any state that is waiting to be published."""
         self._deferred_ns = 0
         super().end(until, kept)
 
     def _read(self, queued: Queued) -> Torque | None:
-        try:
-            return self._decoded(queued)
-        except EarlyError as early:
-            self._queue.hold(queued, early.cause)
-            return None
-
-    def _early_cause(self, queued: Queued) -> str | None:
-        """Return the reason why a torque is early, or None if it is not early."""
-        try:
-            self._decoded(queued)
-        except EarlyError as early:
-            return early.cause
-        except RejectedError:
-            pass  # `process` will reject and count this torque
-        return None
-
-    def _hold_early_torques(self) -> None:
-        """Before the epoch ends, hold all queued torques that are early at the present time."""
-        for queued in self._queue.pop_all():
-            cause = self._early_cause(queued)
-            if cause:
-                self._queue.hold(queued, cause)
-            else:
-                self._queue.put(queued)
-
-    def _decoded(self, queued: Queued) -> Torque:
-        """
-        Decode a torque, and check its stamp.
-
-        Raises
-        ------
-        EarlyError
-            The torque has to wait for the clock.
-        RejectedError
-            The torque or its stamp is not valid.
-
-        """
         data = messages.unstamped(queued.data) if self._scene.time_source == ARRIVAL \
             else queued.data
         torque = self._inputs.torque(data, queued.source)
         if not torque.stamp_ns:
             torque = torque._replace(stamp_ns=queued.arrived_ns)
-        if self._is_simulated:
-            self._check_early(torque.stamp_ns, queued)
-        else:
-            self._check_stamp(torque.stamp_ns, queued.arrived_ns)
+            if self._scene.time_source != ARRIVAL:
+                self._diagnostics.count(events.UNSTAMPED, torque.source)
+        now_ns = self._now_ns if self._is_simulated else queued.arrived_ns
+        try:
+            self._check_stamp(torque.stamp_ns, now_ns)
+            self.run.check_age(torque.stamp_ns)
+        except events.RejectedError as rejected:
+            # A torque may overtake a /clock message that was sent before it. Until this message
+            # arrives, the torque is ahead of the clock. If the /clock message sets the clock back,
+            # the torque is not ahead of the clock, but too old for the present epoch.
+            if not (self._is_simulated and torque.stamp_ns - now_ns < clocks.OTHER_CLOCK_NS
+                    and time.monotonic() - queued.since < _CLOCK_DELAY):
+                raise
+            self._queue.hold(queued, rejected.cause)
+            return None
+        self._diagnostics.offset(torque.source, torque.stamp_ns - queued.arrived_ns)
         return torque
 
-    def _check_early(self, stamp_ns: int, queued: Queued) -> None:
-        # A torque may overtake a /clock message that was sent before it. Until this message
-        # arrives, the torque is ahead of the clock. If the /clock message sets the clock back, the
-        # torque is not ahead of the clock, but too old for the present epoch.
-        now_ns = self._node.get_clock().now().nanoseconds
-        try:
-            self._check_stamp(stamp_ns, now_ns)
-            self.run.check_age(stamp_ns)
-        except RejectedError as rejected:
-            is_other_clock = stamp_ns - now_ns >= OTHER_CLOCK_NS
-            if is_other_clock or time.monotonic() - queued.since >= _CLOCK_DELAY:
-                raise
-            raise EarlyError(rejected.cause, str(rejected)) from rejected
-
-    @property
-    def _is_overdue(self) -> bool:
-        return time.monotonic() > self._overdue_at
-
     def _publish_now(self) -> None:
-        now_ns = self._update()
-        if not now_ns or now_ns < self.run.epoch.start.time_ns:
-            return
-        # Normally, waiting torques are applied before the state is published. But if the state is
-        # overdue, publish it without them. Otherwise a flood of torques would keep the node from
-        # publishing any state.
-        if (self._current or self._queue) and not self._is_overdue:
-            self._deferred_ns = now_ns
-        else:
-            self._publish(now_ns)
+        self._deferred_ns = 0
+        self.work()
+        if self._now_ns and self._now_ns >= self.run.epoch.start.time_ns:
+            self._publish(self._now_ns)
+        if not self._deferred_ns:
+            self._on_time = time.monotonic(), time.process_time()
 
     def _publish(self, time_ns: int) -> None:
         """
-        Publish the state at a given time.
+        Publish the state at a given time, or the newest state that one slice of work can compute.
 
-        If one slice of work is enough to compute the state, it is published immediately. Otherwise
-        `process` publishes it later. We cannot leave the state to the timer, because the timer
-        does not fire again while simulated time stands still. If torques are waiting, they may
-        change the state, so `process` publishes the state again once it has applied them.
+        In the second case, and if waiting torques may still change the state, `work` publishes it
+        again. We cannot leave this to the timer, because the timer does not fire again while
+        simulated time stands still.
         """
         self._deferred_ns = time_ns if self._current or self._queue else 0
-        began = time.monotonic()
-        try:
-            snapshot = self.run.snapshot(time_ns, began + BUDGET)
-        except TimeoutError as error:
-            self._miss_deadline(error)
-            self._deferred_ns = time_ns
-            # Wait for ten slices, so that most of the time is left for messages, services and
-            # torques.
-            self._overdue_at = began + 10.0 * BUDGET
-            self._wake()
+        listened = self._outputs.listened
+        if not listened:
             return
-        now = time.monotonic()
-        self._overdue_at = now + 1.0 / self._rate + 2.0 * (now - began)
+        needed = IMU in listened, APPLIED_TORQUE in listened
+        try:
+            snapshot = self.run.snapshot(time_ns, time.monotonic() + BUDGET, *needed)
+        except OutOfTimeError as error:
+            self._miss_deadline(error)
+            self._deferred_ns, time_ns = time_ns, error.reached_ns
+            if time_ns <= self._published_ns:  # a late torque changed earlier states
+                return
+            snapshot = self.run.snapshot(time_ns, math.inf, *needed)
         if snapshot is not None:
-            self._outputs.publish(snapshot)
+            self._published_ns = time_ns
+            self._outputs.publish(snapshot, listened)
 
-    def _miss_deadline(self, error: TimeoutError) -> None:
-        self._diagnostics.event(MISSED, 'cannot keep up: the body spins too fast, or late torques '
-                                f'force too much recomputation; {error}')
+    def _miss_deadline(self, error: OutOfTimeError) -> None:
+        elapsed = time.monotonic() - self._on_time[0]
+        share = (time.process_time() - self._on_time[1]) / max(elapsed, BUDGET)
+        why = 'the body spins too fast, or late torques force too much recomputation' \
+            if share > _BUSY else 'other processes keep the processor busy'
+        lag = (self._now_ns - error.reached_ns) * 1e-9
+        self._diagnostics.event(events.MISSED, (
+            f'cannot keep up: {why}; the states are {lag:.3g} s late, {self.waiting.total()} '
+            f'torques wait, and computing took {share:.0%} of the last {elapsed:.2g} s'))
 
     def _valid_now_ns(self) -> int:
-        now_ns = self._update()
-        if not now_ns:
-            raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
-        return now_ns
+        """Return the present time in ns, once the torques that arrived before are applied."""
+        self.work()
+        if not self._now_ns:
+            raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
+        return self._now_ns
 
-    def _update(self) -> int:
+    def now_ns(self) -> int:
         """
         Read the clock, and return its time in ns, or 0 if it has no time yet.
 
         If there is no epoch, or if the clock has jumped, the method may begin a new epoch.
         """
         now_ns, jump_ns = self._clock.read()
+        self._now_ns = now_ns
         if not now_ns:  # simulated time, before the first message has arrived on /clock
             return 0
         self._arrivals.tick(now_ns)
@@ -352,8 +319,9 @@ class Realtime(Mode):
     def _jump(self, latest_ns: int, now_ns: int) -> None:
         action, is_ahead = self._scene.on_time_jump, now_ns > latest_ns
         text = f'clock jumped {"ahead" if is_ahead else "back"}'
-        self._diagnostics.event(TIME_JUMP, f'the {text} by {abs(now_ns - latest_ns) * 1e-9:.9g} s '
-                                f'to {now_ns} ns; on_time_jump: {action}')
+        seconds = abs(now_ns - latest_ns) * 1e-9
+        self._diagnostics.event(events.TIME_JUMP, f'the {text} by {seconds:.9g} s to {now_ns} ns; '
+                                f'on_time_jump: {action}')
         if action == REBASE and self._rebase(latest_ns, now_ns, text):
             return
         if action in (REBASE, RESET):
@@ -366,8 +334,9 @@ class Realtime(Mode):
     def _rebase(self, latest_ns: int, now_ns: int, text: str) -> bool:
         state = self.run.last_state(latest_ns)
         if state is None:
-            self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the current state cannot be '
-                                    'computed; the motion starts again from the initial state')
+            self._diagnostics.event(events.NOT_COMPUTABLE, 'on_time_jump: the current state '
+                                    'cannot be computed; the motion starts again from the initial '
+                                    'state')
             return False
         # Shift the stamps by the jump, so that the torques keep their age. The age matters for the
         # torque timeout.
@@ -390,7 +359,8 @@ class Realtime(Mode):
         previous epoch.
         """
         if self.run.epoch is not None:  # otherwise the queued torques belong to the new epoch
-            self.end(kept=FUTURE if is_ahead else LATE)
+            self.end(kept=events.FUTURE if is_ahead else events.LATE)
+        self._published_ns = 0
         self.run.begin(start, torques)
         self._parameters.set_start(start)
         text = f'{reason}: a new epoch begins at {start.time_ns} ns'
@@ -398,4 +368,4 @@ class Realtime(Mode):
         return text
 
     def _check_stamp(self, stamp_ns: int, now_ns: int) -> None:
-        check_stamp(stamp_ns, now_ns, self._scene.max_future)
+        clocks.check_stamp(stamp_ns, now_ns, self._scene.max_future, max_past=self._scene.max_past)

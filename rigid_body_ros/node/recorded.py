@@ -23,26 +23,19 @@ import time
 from types import TracebackType
 from typing import NamedTuple
 
-from nav_msgs.msg import Odometry
 import rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.attitude_node import AttitudeNode
+from rigid_body_ros.node.outputs import COMMITTED
 from rigid_body_ros.node.sources import BODY, sources_of, TorqueTopic
 from rigid_body_ros.node.spinning import executor_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP
 
-_COMMITTED = '~/committed'
-#: The queue of a subscription is so deep that no message is lost, no matter how long the node
-#: computes.
-_QOS = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: How long to wait for the end of the log, and how often to check for it meanwhile, in seconds.
-_PATIENCE, _PERIOD = 5.0, 0.02
 #: If no further torque publisher appears for this many seconds, we assume that all publishers are
 #: connected.
 _QUIET = 3.0
@@ -82,7 +75,7 @@ class RecordedNode:
         self._listener = rclpy.create_node('attitude_regress', context=self._context)
         self._logs = {source.log: source for source in sources_of(scene)}
         #: The messages of the current epoch in each log.
-        self._received: dict[str, list[_Logged]] = {name: [] for name in (*self._logs, _COMMITTED)}
+        self._received: dict[str, list[_Logged]] = {name: [] for name in (*self._logs, COMMITTED)}
         self._elapsed_ns: dict[str, int] = {}
         self._topics = {_base(name): self._listener.resolve_topic_name(source.topic)
                         for name, source in self._logs.items() if source.number != BODY}
@@ -99,16 +92,12 @@ class RecordedNode:
         given = {name: value for name, value in self._scene.values.items()
                  if value != parameters[name].default}
         given.update(mode=LOCKSTEP, checkpoint='')
-        self._node = AttitudeNode(context=self._context, parameter_overrides=[
-            Parameter(name, value=value) for name, value in given.items()])
+        self._node = AttitudeNode(
+            context=self._context, on_log=self._keep, parameter_overrides=[
+                Parameter(name, value=value) for name, value in given.items()])
         self._node.get_logger().set_level(LoggingSeverity.WARN)
         #: The full name of each log. We store it, because a destroyed node cannot resolve names.
         self._names = {name: self._node.resolve_topic_name(name) for name in self._received}
-        # Do not let an executor spin these subscriptions, because messages in the executor's queue
-        # would outlive the node.
-        self._subscriptions = {name: self._listener.create_subscription(
-            source.kind if (source := self._logs.get(name)) else Odometry, self._names[name],
-            lambda data: None, _QOS, raw=True) for name in self._received}
         self._executor = executor_of(self._context)
         self._executor.add_node(self._node)
 
@@ -155,7 +144,6 @@ class RecordedNode:
         until = time.monotonic() + seconds
         while (rest := until - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=rest)
-        self._take()
 
     def _is_connected(self) -> bool:
         """Return whether every topic on which the node expects torques has a publisher."""
@@ -165,13 +153,6 @@ class RecordedNode:
             return not self._awaited.intersection(missing)
         return len(missing) < len(self._topics) and (
             not missing or time.monotonic() - self._since > _QUIET)
-
-    def _take(self) -> None:
-        """Take all waiting log messages."""
-        for name, subscription in self._subscriptions.items():
-            with subscription.handle:
-                while taken := subscription.handle.take_message(subscription.msg_type, True):
-                    self._keep(name, taken[0])
 
     def _keep(self, name: str, data: bytes) -> None:
         source, received = self._logs.get(name), self._received[name]
@@ -186,7 +167,7 @@ class RecordedNode:
 
     def finish(self) -> None:
         """
-        Shut down the node so that it commits its last states, and read the rest of its log.
+        Shut down the node so that it commits its last states.
 
         Raises
         ------
@@ -196,12 +177,7 @@ class RecordedNode:
         """
         self._executor.shutdown()
         self._node.destroy_node()
-        until = time.monotonic() + _PATIENCE
-        self._take()
-        while (pending := self._pending()) and time.monotonic() < until:
-            time.sleep(_PERIOD)
-            self._take()
-        if pending:
+        if pending := self._pending():
             raise InputError(f'expected a committed state at each torque, found none at '
                              f'{len(pending)} of them, the first at {min(pending)} ns; choose a '
                              'shorter history in the scene')
@@ -210,7 +186,7 @@ class RecordedNode:
         """Return the stamps of torques in the current epoch at which no state is committed yet."""
         torques = [name for name, source in self._logs.items() if source.number != BODY]
         due, final = ({one.stamp_ns for name in names for one in self._received[name]}
-                      for names in (torques, [_COMMITTED]))
+                      for names in (torques, [COMMITTED]))
         return due - final
 
     def write(self, path: str | Path, last_ns: int) -> None:
@@ -228,7 +204,7 @@ class RecordedNode:
                 topic = self._names[name]
                 writer.add_topic(topic, _message_type(self._logs.get(name)))
                 first = 0
-                if name == _COMMITTED:  # no markers in this log: look for the last start state
+                if name == COMMITTED:  # no markers in this log: look for the last start state
                     stamps = [one.stamp_ns for one in found]
                     first = len(stamps) - 1 - stamps[::-1].index(start_ns)
                 for one in found[first:]:

@@ -36,11 +36,11 @@ from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.segment import (
     NewBody,
+    OutOfTimeError,
     Sample,
     Segment,
     Sum,
     summed,
-    timed_out,
 )
 from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_of
 
@@ -234,7 +234,7 @@ class History:
             change.active = self._next(
                 self._active_at(before, change.time_ns, until), change, change.time_ns, until)
             if time.monotonic() > until:
-                raise timed_out(change.time_ns)
+                raise OutOfTimeError(change.time_ns)
 
     def _active_at(self, change: Change, time_ns: int, until: float) -> Active:
         """Return the segment and the wheels at a time between a change and the next change."""

@@ -40,7 +40,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.lags import friction_key, friction_terms, lag_terms, Lagging
 from rigid_body_ros.propagation.options import Options
-from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
+from rigid_body_ros.propagation.origin import Origin, origin_of
 from rigid_body_ros.propagation.summation import added
 from rigid_body_ros.propagation.timeline import held_row, momentum_at
 
@@ -126,10 +126,13 @@ def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
     return Sum(total, False, added(space), on_rotors)
 
 
-def timed_out(reached_ns: int) -> TimeoutError:
-    """Return the error to raise when the limit on the computing time is reached."""
-    return TimeoutError(f'the limit on the computing time was reached at {reached_ns} ns of the '
-                        'motion: call again to continue from there, or raise the limit')
+class OutOfTimeError(TimeoutError):
+    """Raised if the computing time reaches its limit; the state at `reached_ns` is known."""
+
+    def __init__(self, reached_ns: int) -> None:
+        super().__init__(f'the limit on the computing time was reached at {reached_ns} ns of the '
+                         'motion: call again to continue from there, or raise the limit')
+        self.reached_ns = reached_ns
 
 
 class Segment:
@@ -171,12 +174,19 @@ class Segment:
 
     def state_at(self, time_ns: int, until: float) -> State:
         """Return the state at a time; raise TimeoutError or ValueError as `Propagator.at` does."""
+        packed, grid_ns, grid = self._found(time_ns, until)
+        return State._as_computed(time_ns, packed, Origin(
+            self._rule, self._grid_ns[0], self._states[0], grid_ns, grid, self._rotors),
+            self._rotors_at(time_ns))
+
+    def _found(self, time_ns: int, until: float) -> tuple[Floats, int, Floats]:
+        """Return the state at a time, and the time and the state of the last grid point."""
         begin_ns, begin = self._grid_ns[0], self._states[0]
         if time_ns == begin_ns:
-            return self._state(time_ns, begin, begin_ns, begin)
+            return begin, begin_ns, begin
         if time_ns != self._latest[0]:  # the last output is often the start of the next segment
             self._compute(time_ns, until)
-        return self._state(*self._latest)
+        return self._latest[1:]
 
     def _compute(self, time_ns: int, until: float) -> None:
         """Compute and store the state at a time, starting from the last earlier grid point."""
@@ -192,18 +202,17 @@ class Segment:
             self._states.append(grid)
             self._discard_grid_points(grid_ns - self._history_ns)
         if not done:
-            raise timed_out(grid_ns)
+            raise OutOfTimeError(grid_ns)
         self._latest = time_ns, latest, grid_ns, grid
 
-    def _state(self, time_ns: int, packed: Floats, grid_ns: int, grid: Floats) -> State:
-        begin_ns, rotors = self._grid_ns[0], self._rotors
+    def _rotors_at(self, time_ns: int) -> Floats:
         terms = self._rows.terms
-        if terms is not None and terms.motors is not None:
-            rotors = momentum_at(self._rows.times_ns, terms.momentum, terms.motors,
-                                 np.array([time_ns]))[0]
-            rotors.flags.writeable = False
-        return State._as_computed(time_ns, packed, Origin(
-            self._rule, begin_ns, self._states[0], grid_ns, grid, self._rotors), rotors)
+        if terms is None or terms.motors is None:
+            return self._rotors
+        rotors = momentum_at(self._rows.times_ns, terms.momentum, terms.motors,
+                             np.array([time_ns]))[0]
+        rotors.flags.writeable = False
+        return rotors
 
     def _run(self, progress: NDArray[Any], time_ns: int, until: float) -> None:
         """Run the loop up to a time, or until the computing time is used up."""
@@ -222,7 +231,8 @@ class Segment:
 
         The new segment begins even if no torque changes.
         """
-        return without_origin(self.state_at(time_ns, until))
+        return State._as_computed(time_ns, self._found(time_ns, until)[0], None,
+                                  self._rotors_at(time_ns))
 
     def _discard_grid_points(self, horizon_ns: int) -> None:
         # Keep the grid points within the last `history`, because `at` continues from one of them

@@ -259,8 +259,9 @@ class Differences:
             torque = '' if self.torque is None else f'torque {self.torque:.2g} N m, '
             found.append(('largest', f'{torque}attitude {self.attitude:.2g} rad, rate '
                                      f'{self.rate:.2g} rad/s'))
-        return found + [('made by', f'{name} {there}, here {here}: the last bits may differ')
-                        for name, (there, here) in self.versions.items()]
+        return found if self.equal else found + [
+            ('made by', f'{name} {there}, here {here}: the last bits may differ')
+            for name, (there, here) in self.versions.items()]
 
     @property
     def _cause(self) -> str:

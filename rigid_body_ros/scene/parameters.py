@@ -145,6 +145,11 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may be ahead of the clock; '
               'the node rejects torques that are further ahead; in simulated time, it rejects '
               'them only after they have waited 0.5 s for the clock', (0.0, 3600.0)),
+    Parameter('max_past', 0.0, 's', 'how far the stamp of a torque may be behind the clock; the '
+              'node rejects older torques; 0 means as far as history permits', (0.0, LONGEST)),
+    Parameter('stamp_offset_warning', 0.1, 's', 'diagnostics warn if the stamps of a source are '
+              'off the clock by more than this (median), so that their torques act at the wrong '
+              'time; 0 turns the warning off', (0.0, LONGEST)),
     Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps: reset begins an epoch '
               'from the initial state, rebase begins one from the current state, and ignore '
               'continues the motion', choices=TIME_JUMPS),

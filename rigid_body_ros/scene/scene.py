@@ -105,6 +105,7 @@ class Scene:
     solver, tolerance, max_step = Value[str](), Value[float](), Value[float]()
     interpolation, torque_timeout = Value[str](), Value[float]()
     history, max_future, on_time_jump = Value[float](), Value[float](), Value[str]()
+    max_past, stamp_offset_warning = Value[float](), Value[float]()
     checkpoint, stale_after = Value[str](), Value[float]()
     publish_clock, publish_tf, publish_rate = Value[bool](), Value[bool](), Value[float]()
     euler_sequence, space_frame, wheels = Value[str](), Value[str](), Value[bool]()
