@@ -167,7 +167,8 @@ OPTIONAL = [
           'Published if `publish_tf` is true, which needs the package tf2_msgs: the transform '
           'from the space frame to the body frame. Its translation is zero.'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
-          'Published in lockstep if `publish_clock` is true: the stamp of each response.'),
+          'Published in lockstep if `publish_clock` is true: the stamp of each response. '
+          'Published in `mode: clock`: the simulated time.'),
 ]
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
@@ -189,7 +190,7 @@ CAUSES = {
               '`lockstep`, the stamp of the response, which is `step` later, would exceed the '
               'largest possible stamp.',
     'late': 'The stamp is behind the newest stamp by `history` or more, or behind the clock by '
-            'more than an hour.',
+            'more than `max_past` or an hour.',
     'overload': 'Too many torques are [waiting](node_behaviour.md#what-happens-to-a-torque).',
     'state not computable': 'The state at the stamp cannot be computed, because the body turns '
                             'too fast.',
@@ -252,11 +253,12 @@ the node never publishes NaN or infinity.
 `~/reset` (std_srvs/srv/Trigger) begins a new epoch with the initial state of the scene, including
 `initial_rotor_momentum`. In `realtime`, torques that are acting at that moment continue to act.
 
-`~/pause` (std_srvs/srv/SetBool) exists only in `lockstep`. After a call with `data: true`, torques
-wait, so the loop is paused. With `publish_clock`, this also pauses every program that follows the
-clock. A call with `data: false` lets the loop continue. A pause does not change a single bit of
-the responses. In `realtime`, the motion follows the clock, so to pause the motion, set
-`use_sim_time` and pause the program that publishes `/clock`.
+`~/pause` (std_srvs/srv/SetBool) does not exist in `realtime`. In `mode: clock`, it stops the
+clock, and `~/step` (std_srvs/srv/Trigger) advances a paused clock by one step. In `lockstep`,
+after a call with `data: true`, torques wait, so the loop is paused. With `publish_clock`, this
+also pauses every program that follows the clock. A call with `data: false` lets the loop continue.
+A pause does not change a single bit of the responses. In `realtime`, the motion follows the clock,
+so to pause the motion, set `use_sim_time` and pause the program that publishes `/clock`.
 
 ### Why is a torque rejected?
 

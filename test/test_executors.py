@@ -140,7 +140,7 @@ def test_nodes_of_one_process_have_their_own_names_and_parameters(context):
     ({'namespace': '1st'}, 'Invalid namespace: namespace must not'),
     ({'parameter_overrides': BODY[:1]}, 'inertia.iyy: expected a number (kg m^2), found none'),
     ({'parameter_overrides': [*BODY, Parameter('mode', value='fast')]},
-     "mode: expected one of realtime, lockstep, found 'fast'"),
+     "mode: expected one of realtime, lockstep, clock, found 'fast'"),
     ({'parameter_overrides': [*BODY, Parameter('mode')]}, 'mode: expected text, found none'),
     ({'parameter_overrides': [*BODY, Parameter('torque_topics', value=['a/', 'b'])]},
      "torque_topics: expected names of topics (letters, digits, _ and /), found 'a/'"),

@@ -60,7 +60,10 @@ CONFIGURATIONS = [
      '-p', 'rw.axis.x:=1.0', '-p', 'rw.inertia:=0.001', '-p', 'inertia_topic:=true',
      '-p', 'actuator.topics:=[torque]'),
     ('-p', 'use_sim_time:=true', '-p', 'wheels:=true',
-     *(('-p', 'publish_tf:=true') if find_spec('tf2_msgs') else ()))]
+     *(('-p', 'publish_tf:=true') if find_spec('tf2_msgs') else ())),
+    ('-p', 'mode:=clock')]
+#: Offered only if simulation_interfaces is installed.
+SIMULATION = ('reset_simulation', 'step_simulation', 'set_simulation_state', 'get_entity_state')
 #: Together, these use every topic of the monitor except the measured topics.
 MONITORED = [('-p', 'monitor.measured:=[/measured]', '-p', 'monitor.attitude_noise:=0.001',
               '-p', 'monitor.rate_noise:=0.001', '-p', 'use_sim_time:=true',
@@ -162,6 +165,8 @@ def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, node, co
     used['subscriber'].add('/robot_description')
     if node is not MONITOR and not find_spec('tf2_msgs'):
         used['publisher'].add('/tf')
+    if node is not MONITOR and not find_spec('simulation_interfaces'):
+        used['service'] |= {f'/attitude_node/{name}' for name in SIMULATION}
     assert used == {kind: {*names} for kind, names in policy.items()}
 
 

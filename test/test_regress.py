@@ -168,6 +168,15 @@ def test_equal_loops_are_equal(folder, tmp_path, capsys):
     assert str(folder) not in page
 
 
+def test_a_scene_may_ask_for_a_clock_and_for_another_mode(folder, tmp_path, capsys):
+    shutil.copy(folder / 'reference.mcap', tmp_path)
+    for mode in ('publish_clock: true', 'mode: clock'):
+        (tmp_path / 'scene.yaml').write_text(SCENE.replace(
+            'ros__parameters:', f'ros__parameters:\n    {mode}', 1))
+        assert run(tmp_path) == 0
+        assert 'last bits' not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize('name', ['proportional_gain', *at_night('derivative_gain')])
 def test_a_gain_that_is_off_by_one_unit_in_the_last_place_is_found(folder, tmp_path, capsys, name):
     changed = {name: math.nextafter(GAINS[name], 1.0)}

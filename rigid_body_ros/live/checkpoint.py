@@ -34,7 +34,7 @@ _FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
 #: Parameters and parameter groups that have no effect on the motion under given torques.
 _OTHERS = frozenset([
     'checkpoint', 'euler_sequence', 'history', 'imu', 'max_future', 'max_past', 'mode', 'monitor',
-    'odometry', 'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf',
+    'odometry', 'on_time_jump', 'publish_clock', 'publish_rate', 'publish_tf', 'real_time_factor',
     'stale_after', 'stamp_offset_warning', 'step', 'time_source'])
 #: A text longer than this many characters, such as a URDF, is replaced by its hash.
 _LONGEST_TEXT = 200

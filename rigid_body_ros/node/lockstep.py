@@ -214,7 +214,7 @@ class Lockstep(Mode):
         if self._clock is None or self.run.epoch is not None:
             return text
         return (f'{text}; the clock stands at {self._latest.state.time_ns * 1e-9:g} s, and a '
-                'timer on /clock cannot start a lockstep loop')
+                'timer on /clock cannot start a lockstep loop: use mode: clock')
 
     def _stalls(self) -> list[str]:
         waited = self._queue.waiting_time if not self._current else \

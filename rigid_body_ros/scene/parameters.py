@@ -38,7 +38,7 @@ _QUATERNION = 'initial attitude quaternion, body to space'
 _DAMPING = 'entry of the damping tensor D, body axes; the damping torque is -D w'
 _ROTORS = 'initial momentum of the rotors relative to the body, body axes'
 _VELOCITY = 'initial angular velocity, body axes'
-MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
+MODES = REALTIME, LOCKSTEP, CLOCK = 'realtime', 'lockstep', 'clock'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 #: The names of the quantities that can stay the same when the inertia changes; see `BodyLog`.
 INERTIA_CHANGES = KEEP_RATE, KEEP_MOMENTUM = 'keep_rate', 'keep_momentum'
@@ -122,10 +122,13 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'away; keep_momentum keeps the angular momentum, and the angular velocity jumps',
               choices=INERTIA_CHANGES),
     Parameter('mode', REALTIME, '', 'realtime publishes the motion at publish_rate; lockstep '
-              'answers a torque stamped t with the state at t + step',
+              'answers a torque stamped t with the state at t + step; clock publishes /clock, and '
+              'the motion at publish_rate of this clock, for controllers that run on a timer',
               choices=MODES),
     Parameter('step', 0.001, 's', 'in lockstep, time from the stamp of a torque to the stamp of '
-              'the state that answers it', (1e-9, LONGEST)),
+              'the state that answers it; in mode clock, the step of /clock', (1e-9, LONGEST)),
+    Parameter('real_time_factor', 1.0, '', 'in mode clock, simulated seconds per second; 0 means '
+              'as fast as the machine allows', (0.0, 1000.0)),
     Parameter('time_source', HEADER, '', 'when a torque takes effect: at the stamp in its header, '
               'or on arrival (for bags played without --clock)', choices=TIME_SOURCES),
     Parameter('solver', Options.solver, '', 'integration method', choices=SOLVERS),
@@ -191,7 +194,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('odometry.rate_variance', 0.0, 'rad^2/s^2', 'variance of each component of the '
               'angular velocity, for the covariance in odometry; 0 means unknown', (0.0, 1e9)),
     Parameter('publish_clock', False, '', 'whether the node publishes the time of each state on '
-              '/clock; only in lockstep'),
+              '/clock in lockstep; in mode clock it always does'),
     Parameter('publish_tf', False, '', 'whether the node also publishes the attitude on /tf, '
               'which needs the package tf2_msgs'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate at which the node publishes the motion; you can '

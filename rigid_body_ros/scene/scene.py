@@ -43,6 +43,7 @@ from rigid_body_ros.scene.parameters import (
     ARRIVAL,
     check_named,
     checked_names,
+    CLOCK,
     HEADER,
     LOCKSTEP,
     Names,
@@ -50,6 +51,7 @@ from rigid_body_ros.scene.parameters import (
     PARAMETERS,
     parameters_with,
     QOS,
+    REALTIME,
     WHEEL_NAMES,
     wheels_of,
 )
@@ -106,6 +108,7 @@ class Scene:
     interpolation, torque_timeout = Value[str](), Value[float]()
     history, max_future, on_time_jump = Value[float](), Value[float](), Value[str]()
     max_past, stamp_offset_warning = Value[float](), Value[float]()
+    real_time_factor = Value[float]()
     checkpoint, stale_after = Value[str](), Value[float]()
     publish_clock, publish_tf, publish_rate = Value[bool](), Value[bool](), Value[float]()
     euler_sequence, space_frame, wheels = Value[str](), Value[str](), Value[bool]()
@@ -287,9 +290,9 @@ class Scene:
         if self.mode == LOCKSTEP and self.time_source == ARRIVAL:
             raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to '
                              f'stamps, found {ARRIVAL!r}')
-        if self.publish_clock and self.mode != LOCKSTEP:
-            raise InputError(f'publish_clock: expected mode {LOCKSTEP!r}, in which the torques '
-                             f'set the time, found {self.mode!r}')
+        if self.publish_clock and self.mode == REALTIME:
+            raise InputError(f'publish_clock: expected mode {LOCKSTEP!r} or {CLOCK!r}, in which '
+                             f'the node sets the time, found {self.mode!r}')
         ahead_ns, behind_ns = (duration_ns(self.values[name], name)
                                for name in ('max_future', 'history'))
         if not ahead_ns < max(behind_ns, 1):

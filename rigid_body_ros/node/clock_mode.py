@@ -1,0 +1,144 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Clock mode, in which the node is the source of simulated time.
+
+The node publishes /clock in steps, and treats torques as in real time, by its own clock. Therefore
+controllers that run on a timer work with it.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.live import events
+from rigid_body_ros.node import simulation
+from rigid_body_ros.node.clocks import ArrivalStamps, ClockPublisher, message_of
+from rigid_body_ros.node.mode import BUDGET
+from rigid_body_ros.node.realtime import Realtime
+from rigid_body_ros.node.timers import timer
+from std_srvs.srv import SetBool, Trigger
+
+#: The shortest time between two calls of the timer, s. Several steps may fall into this time.
+_SHORTEST = 1e-3
+#: The time between two calls of the timer if the clock shall run as fast as possible, s.
+_FASTEST = 1e-6
+#: If the clock is late by more than this many seconds, it does not catch up, because a controller
+#: could not follow it.
+_LATEST = 0.1
+
+
+class ClockMode(Realtime):
+    """Publish /clock, and the state at the times of this clock, `publish_rate` times a second."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._publisher = ClockPublisher(self._node, 'mode: clock')
+        self._arrivals = ArrivalStamps(is_simulated=True)
+        self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
+        self._factor = self._scene.real_time_factor
+        saved = self._checkpoint and self._checkpoint.start
+        # A time of 0 would mean that there is no time yet.
+        self._time_ns = saved.time_ns if saved else self._given_start_ns or self._step_ns
+        self._first_ns = self._next_ns = self._time_ns
+        #: How far the clock is behind, s of simulated time.
+        self._owed = 0.0
+
+    def activate(self) -> None:
+        """Begin to publish the clock and states, and offer services to pause and to step."""
+        #: When `_owed` was determined, in seconds on the monotonic clock.
+        self._ticked_at = time.monotonic()
+        self._poll_timer()
+        timer(self._node, max(self._scene.step / self._factor, _SHORTEST) if self._factor
+              else _FASTEST, self._tick)
+        self._node.create_service(SetBool, '~/pause', self._on_pause)
+        self._node.create_service(Trigger, '~/step', self._on_step)
+        if simulation.IS_INSTALLED:
+            simulation.offer(self._node, self, self._scene)
+
+    def set_rate(self, rate: float) -> None:
+        """Change the publishing rate, Hz of simulated time."""
+        self._rate = rate
+
+    def pause(self, is_paused: bool) -> str:
+        """Stop the clock, or let it go on, and return a description."""
+        text = super().pause(is_paused)
+        return f'paused: {self._standing}' if is_paused else text
+
+    def rewind(self) -> str:
+        """Set the clock back to the start, begin a new epoch there, and return a description."""
+        self.work()
+        self._time_ns = self._next_ns = self._first_ns
+        self._publisher.publish(self._time_ns)
+        return self._begin(self.run.initial(self._time_ns), (), 'rewound')
+
+    @property
+    def _standing(self) -> str:
+        return f'the clock stands at {self._time_ns} ns'
+
+    def advance(self) -> None:
+        """Advance the clock by a step, and publish it, and the state if it is due or paused."""
+        self._time_ns += self._step_ns
+        self._publisher.publish(self._time_ns)
+        if self._time_ns >= self._next_ns or self.is_paused:
+            self._next_ns = max(self._next_ns, self._time_ns) \
+                + max(1, duration_ns(1.0 / self._rate, 'publish_rate'))
+            self._publish_now()
+
+    def stamp(self) -> Time:
+        """Return the present time."""
+        return message_of(self._time_ns)
+
+    def problems(self) -> dict[int, list[str]]:
+        """Return current problems by source. Problems of the clock belong to the first source."""
+        problems = super().problems()
+        problems[next(iter(problems))] += [text for text, holds in (
+            (f'paused: {self._standing}', self.is_paused),
+            ('/clock: another node publishes it, too', self._publisher.has_rival)) if holds]
+        return problems
+
+    def _tick(self) -> None:
+        now, step = time.monotonic(), self._scene.step
+        elapsed, self._ticked_at = now - self._ticked_at, now
+        if self.is_paused:
+            return
+        self._owed = self._owed + elapsed * self._factor if self._factor else step
+        late = self._owed / self._factor if self._factor else 0.0
+        if late > _LATEST + step:
+            self._owed = step
+            self._diagnostics.event(events.MISSED, f'the clock is {late:.3g} s late, and does not '
+                                    'catch up: this machine is too slow or too busy for '
+                                    f'real_time_factor {self._factor:g}')
+        while self._owed >= step and time.monotonic() < now + BUDGET:
+            self.advance()
+            self._owed -= step
+
+    def now_ns(self) -> int:
+        """Return the present time in ns."""
+        self._now_ns = self._time_ns
+        self._arrivals.tick(self._now_ns)
+        if self.run.epoch is None:
+            self._start(self._now_ns)
+        return self._now_ns
+
+    def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self.is_paused
+        if self.is_paused:
+            self.advance()
+        response.message = self._standing if self.is_paused else 'the clock runs: pause it first'
+        return response
