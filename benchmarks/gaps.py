@@ -15,7 +15,11 @@
 """
 Measure for how long the outputs of the node stop under torques at 1, 1.5 and 2 kHz.
 
-    python benchmarks/gaps.py
+    python benchmarks/gaps.py [--busy 1] [--log] [--idle] [--rounds 3]
+
+`--busy` keeps this many processors busy with other work. `--log` subscribes to the log, too.
+`--idle` instead compares the processor times of the two nodes when nobody sends or listens: the
+node with `config/robot_stack.yaml`, and the bare node with as many topics.
 
 The node and a bare rclpy node with the same executor (`timer_node.py`) alternate; each round
 starts one of them. A single process sends the torques and receives the outputs, because on two
@@ -37,7 +41,8 @@ The columns are:
 All values but `worst` and `late` are medians over the rounds.
 """
 
-from contextlib import contextmanager
+import argparse
+from contextlib import contextmanager, ExitStack
 import os
 from pathlib import Path
 import signal
@@ -48,17 +53,18 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
+from nav_msgs.msg import Odometry
 import numpy as np
 import psutil
 import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rigid_body_ros import messages
-from rigid_body_ros.node.diagnostics import APPLIED
+from rigid_body_ros.live.events import APPLIED
 
 HERE = Path(__file__).resolve().parent
 #: Rates of torques, Hz, number of rounds, and duration of the torques in a round, s.
-RATES, ROUNDS, SECONDS = (1000, 1500, 2000), 3, 5.0
+RATES, SECONDS = (1000, 1500, 2000), 5.0
 #: s; how long a node may take to start, to publish again after the torques, and to end.
 PATIENCE = 60.0
 OURS, BARE = 'ours', 'bare'
@@ -66,9 +72,15 @@ COMMANDS = {
     OURS: ['-c', 'from rigid_body_ros.commands import main; main.attitude_node()', '--ros-args',
            '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'),
            '-p', 'publish_rate:=100.0'],
-    BARE: [str(HERE / 'timer_node.py')]}
+    BARE: [str(HERE / 'timer_node.py'), '--ros-args']}
+IDLE = {OURS: [*COMMANDS[OURS][:4], str(HERE.parent / 'config' / 'robot_stack.yaml')],
+        BARE: [*COMMANDS[BARE], '-p', 'rate:=200.0', '-p', 'all_topics:=true']}
+#: s; how long an idle node is measured.
+IDLE_SECONDS = 10.0
+#: The largest ratios of processor times: for a torque at the lowest rate, and idle.
+PER_TORQUE, WHEN_IDLE = 1.5, 1.2
 #: The longest gap may be this long, s, or this many times as long as that of the bare node.
-GAP, TIMES = 0.1, 3.0
+GAP, GAP_BUSY, TIMES = 0.1, 0.25, 3.0
 
 
 class Round(NamedTuple):
@@ -103,7 +115,7 @@ class Round(NamedTuple):
 class Client:
     """Sends torques to a node, and receives its outputs and diagnostics."""
 
-    def __init__(self, process):
+    def __init__(self, process, is_logged):
         self._usage = psutil.Process(process.pid)
         self._node = rclpy.create_node('client')
         self._torque = self._node.create_publisher(WrenchStamped, 'torque', QoSProfile(
@@ -112,6 +124,11 @@ class Client:
             self._node.create_subscription(kind, topic, lambda data: None, 1000, raw=True)
             for kind, topic in ((QuaternionStamped, 'attitude'),
                                 (DiagnosticArray, '/diagnostics')))
+        self._log = [
+            self._node.create_subscription(kind, f'attitude_node/{topic}', lambda data: None,
+                                           10_000, raw=True)
+            for kind, topic in ((WrenchStamped, 'accepted_torque'), (Odometry, 'committed'))
+            if is_logged]
         #: Time of arrival, ns, and data of each output.
         self._outputs = []
         #: For each diagnosis: time of arrival, ns, data, and processor time of the node so far, s.
@@ -170,6 +187,8 @@ class Client:
 
     def _take(self):
         self._outputs += _taken(self._attitude)
+        for subscription in self._log:
+            list(_taken(subscription))
         for arrival_ns, data in _taken(self._diagnostics):
             times = self._usage.cpu_times()
             self._diagnoses.append((arrival_ns, data, times.user + times.system))
@@ -190,43 +209,83 @@ def _applied(data):
 
 
 @contextmanager
-def connected(name):
-    """Run a node, and connect a client."""
-    with subprocess.Popen([sys.executable, *COMMANDS[name]], stderr=subprocess.DEVNULL) as process:
-        client = Client(process)
+def running(command):
+    """Run a Python process within the context."""
+    with subprocess.Popen([sys.executable, *command], stderr=subprocess.DEVNULL) as process:
         try:
-            client.connect()
-            yield client
+            yield process
             process.send_signal(signal.SIGINT)
             process.wait(PATIENCE)
         finally:
             process.kill()
+
+
+@contextmanager
+def connected(name, is_logged=False):
+    """Run a node, and connect a client."""
+    log = ['-p', f'log:={str(is_logged).lower()}'] if name == BARE else []
+    with running([*COMMANDS[name], *log]) as process:
+        client = Client(process, is_logged)
+        try:
+            client.connect()
+            yield client
+        finally:
             client.destroy()
 
 
-def measure(domain):
+@contextmanager
+def busy(count):
+    """Keep some processors busy within the context."""
+    with ExitStack() as stack:
+        for _ in range(count):
+            stack.enter_context(running(['-c', 'while True: pass']))
+        yield
+
+
+def measure(domain, rounds=3, processors=0, is_logged=False):
     """Measure in a ROS domain; return the rounds by rate and node, each as an array."""
     os.environ |= {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
     rclpy.init()
-    rounds = {(rate, name): [] for rate in RATES for name in COMMANDS}
+    found = {(rate, name): [] for rate in RATES for name in COMMANDS}
     try:
-        for _ in range(ROUNDS):
-            for (rate, name), found in rounds.items():
-                with connected(name) as client:
-                    found.append(client.measure(rate))
+        with busy(processors):
+            for _ in range(rounds):
+                for (rate, name), each in found.items():
+                    with connected(name, is_logged) as client:
+                        each.append(client.measure(rate))
     finally:
         rclpy.try_shutdown()
-    return {key: np.array(found) for key, found in rounds.items()}
+    return {key: np.array(each) for key, each in found.items()}
 
 
-def printed(rounds):
+def idle(domain, rounds):
+    """Print the share of a processor that idle nodes use; return the exit status."""
+    os.environ |= {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
+    shares = {name: [] for name in IDLE}
+    for _ in range(rounds):
+        for name, command in IDLE.items():
+            with running(command) as process:
+                time.sleep(5.0)  # the start
+                usage = psutil.Process(process.pid)
+                before = usage.cpu_times()
+                time.sleep(IDLE_SECONDS)
+                after = usage.cpu_times()
+            shares[name].append((after.user + after.system - before.user - before.system)
+                                / IDLE_SECONDS)
+    ratio = np.median(np.divide(shares[OURS], shares[BARE]))
+    print(f'idle: ours {np.median(shares[OURS]):.1%}, bare {np.median(shares[BARE]):.1%} of a '
+          f'processor, ratio {ratio:.2f}{"  MISS" if ratio > WHEN_IDLE else ""}')
+    return int(ratio > WHEN_IDLE)
+
+
+def printed(rounds, gap=GAP):
     """Print a table that marks gaps beyond their limits; return the exit status."""
     print(f'{"":9}{"gap, ms":>8}{"worst":>8}{"bar":>8}{"by stamp":>10}{"outputs":>9}'
           f'{"age, ms":>9}{"99 %":>8}{"applied":>9}{"us each":>9}{"late, ms":>10}')
     status = 0
     for (rate, name), found in rounds.items():
         median, worst = Round(*np.median(found, axis=0)), Round(*np.max(found, axis=0))
-        bar = max(GAP, TIMES * np.max(rounds[rate, BARE], axis=0)[0])
+        bar = max(gap, TIMES * np.max(rounds[rate, BARE], axis=0)[0])
         is_missed = name == OURS and worst.gap > bar
         print(f'{rate:<5}{name:4}{median.gap * 1e3:8.0f}{worst.gap * 1e3:8.0f}'
               + (f'{bar * 1e3:8.0f}' if name == OURS else f'{"":8}')
@@ -234,12 +293,26 @@ def printed(rounds):
               f'{median.age_99 * 1e3:8.2f}{median.applied:9.0f}{median.processor * 1e6:9.0f}'
               f'{worst.late * 1e3:10.1f}{"  MISS" if is_missed else ""}')
         status |= is_missed
+    ratio = np.median(np.divide(*(rounds[RATES[0], name][:, Round._fields.index('processor')]
+                                  for name in (OURS, BARE))))
+    print(f'processor time per torque at {RATES[0]} Hz, ours / bare: {ratio:.2f}'
+          f'{"  MISS" if ratio > PER_TORQUE else ""}')
     return int(status)
 
 
 def main():
     """Measure, and print the table."""
-    return printed(measure(int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))))
+    parser = argparse.ArgumentParser(description=__doc__.strip().partition('\n')[0])
+    parser.add_argument('--busy', type=int, default=0, help='number of busy processors')
+    parser.add_argument('--log', action='store_true', help='subscribe to the log')
+    parser.add_argument('--idle', action='store_true', help='measure idle nodes instead')
+    parser.add_argument('--rounds', type=int, default=3)
+    arguments = parser.parse_args()
+    domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
+    if arguments.idle:
+        return idle(domain, arguments.rounds)
+    rounds = measure(domain, arguments.rounds, arguments.busy, arguments.log)
+    return printed(rounds, GAP if arguments.busy < 2 else GAP_BUSY)
 
 
 if __name__ == '__main__':

@@ -15,11 +15,12 @@
 """
 Measure the start of the node, from its command to its first state, and its memory.
 
-    python benchmarks/node_start.py [--before FOLDER] [--count 10]
+    python benchmarks/node_start.py [--before FOLDER] [--bare] [--count 10]
 
 Each start is a new process. On a busy machine, compare processor times. Memory is that of the
 process when its first state arrives: resident (VmRSS), and without what it shares with other
-processes (USS). `--before` alternates with another checkout.
+processes (USS). `--before` alternates with another checkout, and `--bare` with a bare rclpy node
+that publishes one topic. Set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 to measure without shared memory.
 """
 
 import argparse
@@ -38,6 +39,7 @@ import rclpy
 HERE = Path(__file__).resolve().parent.parent
 COMMAND = [sys.executable, '-c', 'from rigid_body_ros.commands import main; main.attitude_node()',
            '--ros-args', '--params-file', str(HERE / 'config' / 'tumbler.yaml')]
+BARE = [sys.executable, str(HERE / 'benchmarks' / 'timer_node.py'), '--ros-args']
 
 
 def environment_of(checkout, code):
@@ -47,13 +49,13 @@ def environment_of(checkout, code):
     return environment
 
 
-def start(node, environment):
+def start(node, environment, command=COMMAND):
     """Return the time and processor time, s, and the memory, MB, up to the first state."""
     namespace, received = f'/start_{time.monotonic_ns()}', []
     subscription = node.create_subscription(QuaternionStamped, f'{namespace}/attitude',
                                             received.append, 10)
     began = time.perf_counter()
-    process = subprocess.Popen([*COMMAND, '-r', f'__ns:={namespace}'], env=environment, cwd='/',
+    process = subprocess.Popen([*command, '-r', f'__ns:={namespace}'], env=environment, cwd='/',
                                stderr=subprocess.DEVNULL)
     try:
         while not received:
@@ -74,21 +76,24 @@ def main():
     """Print the medians."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--before', type=Path, help='another checkout to compare with')
+    parser.add_argument('--bare', action='store_true', help='compare with a bare rclpy node')
     parser.add_argument('--count', type=int, default=10, help='number of starts')
     arguments = parser.parse_args()
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
     checkouts = {'this': HERE} | ({'before': arguments.before.resolve()} if arguments.before
                                   else {})
+    commands = dict.fromkeys(checkouts, COMMAND) | ({'bare': BARE} if arguments.bare else {})
+    checkouts |= {'bare': HERE} if arguments.bare else {}
     rclpy.init()
     node = rclpy.create_node('observer')
     runs = {name: [] for name in checkouts}
     with TemporaryDirectory() as code:
-        for checkout in checkouts.values():  # compile bytecode first, as an installation does
-            start(node, environment_of(checkout, code))
+        for name, checkout in checkouts.items():  # compile bytecode first, as an installation does
+            start(node, environment_of(checkout, code), commands[name])
         for _ in range(arguments.count):
             for name, checkout in checkouts.items():
-                runs[name].append(start(node, environment_of(checkout, code)))
+                runs[name].append(start(node, environment_of(checkout, code), commands[name]))
     rclpy.try_shutdown()
     print(f'{"median":16}{"s":>8}{"CPU s":>8}{"RSS MB":>8}{"USS MB":>8}{"of":>5}')
     for name, rows in runs.items():
