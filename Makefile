@@ -1,5 +1,10 @@
 # Everything runs in .venv, which is created on first use; the node on Jazzy in .venv-jazzy.
-PYTHON ?= $(or $(shell command -v python3.11),$(shell command -v python3))
+# The Python of a version, such as 3.12, if it is installed, also by pyenv.
+python = $(firstword $(foreach path,python$(1) $(wildcard $(HOME)/.pyenv/versions/$(1).*/bin/python$(1)),$(shell $(path) -c 'import sys; print(sys.executable)' 2> /dev/null)))
+# ROS 2 Jazzy and Kilted run on Ubuntu 24.04, whose Python is 3.12.
+PYTHON ?= $(or $(call python,3.12),$(call python,3.11),$(shell command -v python3))
+# The other versions for which there are wheels of ROS 2.
+OTHERS := $(foreach version,3.10 3.11 3.13 3.14,$(if $(call python,$(version)),$(version)))
 VENV := .venv
 BIN := $(VENV)/bin
 JAZZY := .venv-jazzy
@@ -21,17 +26,26 @@ demo: $(VENV)/demo ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/done $(JAZZY)/done lint ## before a push: the tests of every behaviour, a few of the node on Jazzy
+	@echo "Testing with $$($(BIN)/python --version)"
 	$(BIN)/python -m pytest $(PARALLEL) -m "not nightly"
 	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m "ros and not nightly" $(SMOKE)
 
 check: $(VENV)/done lint ## while you work: the fast tests, without ROS
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not ros and not slow and not nightly"
 
-nightly: $(VENV)/done $(JAZZY)/done lint ## before a release: every test, on both ROS distributions
+nightly: $(VENV)/done $(JAZZY)/done lint $(OTHERS:%=python-%) ## before a release: every test, on both ROS distributions
 	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore %)
 	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros $(ALONE:%=--ignore %)
 	$(BIN)/python -m pytest $(ALONE)
 	$(JAZZY)/bin/python -m pytest $(ALONE)
+
+# The fast tests, and a few of the node, with another version of Python.
+python-%:
+	@echo "Testing with Python $*"
+	$(call python,$*) -m venv $(VENV)-$*
+	$(VENV)-$*/bin/python $(INSTALL) --editable '.[ros,test]'
+	$(VENV)-$*/bin/python -m pytest --numprocesses 2 --dist worksteal -m "not ros and not slow and not nightly"
+	$(VENV)-$*/bin/python -m pytest $(PARALLEL) -m "ros and not nightly" $(SMOKE)
 
 .PHONY: lint
 lint: $(VENV)/done
@@ -77,6 +91,6 @@ docs: $(VENV)/done ## the documentation as HTML
 	@echo "Open docs/_build/index.html"
 
 clean: ## remove the environment, compiled files and the output of the demo
-	rm -rf $(VENV) $(VENV)-release $(JAZZY) .arm dist demo docs/_build build install log *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-3.* $(VENV)-release $(JAZZY) .arm dist demo docs/_build build install log *.egg-info .*_cache .hypothesis
 	rm -f rigid_body_ros/engine/_compiled*.so
 	find . -name __pycache__ -prune -exec rm -rf {} +
