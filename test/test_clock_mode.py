@@ -107,6 +107,18 @@ def test_a_pause_stops_the_clock_and_a_step_advances_it(domain):
         assert live.stop() == 0
 
 
+def test_outputs_keep_their_rate_though_steps_do_not_divide_it(domain):
+    with LiveSession(TUMBLER, domain, *CLOCK, '-p', 'step:=0.003', '-p', 'real_time_factor:=0.1',
+                     '-p', 'start_time:=1') as live:
+        live.wait_until(lambda: len(live.received[ATTITUDE]) > 30, 'states')
+        assert live.stop() == 0
+        assert 'the clock is' not in live.words()
+    stamps = [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]
+    # The first ones may be lost before the connection is complete.
+    assert {*np.diff(stamps[3:]).tolist()} == {9_000_000, 12_000_000}
+    assert abs(np.mean(np.diff(stamps[3:])) - 1e7) < 3e6 / len(stamps)
+
+
 def test_the_clock_begins_at_the_start_time(domain):
     with LiveSession(TUMBLER, domain, *CLOCK, '-p', f'start_time:={100 * SECOND}') as live:
         first = decoded(live, COMMITTED, messages.ODOMETRY)[0]

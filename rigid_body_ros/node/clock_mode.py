@@ -96,8 +96,8 @@ class ClockMode(Realtime):
         self._time_ns += self._step_ns
         self._publisher.publish(self._time_ns)
         if self._time_ns >= self._next_ns or self.is_paused:
-            self._next_ns = max(self._next_ns, self._time_ns) \
-                + max(1, duration_ns(1.0 / self._rate, 'publish_rate'))
+            self._next_ns = max(self._next_ns + duration_ns(1.0 / self._rate, 'publish_rate'),
+                                self._time_ns + 1)
             self._publish_now()
 
     def stamp(self) -> Time:
@@ -118,8 +118,8 @@ class ClockMode(Realtime):
         if self.is_paused:
             return
         self._owed = self._owed + elapsed * self._factor if self._factor else step
-        late = self._owed / self._factor if self._factor else 0.0
-        if late > _LATEST + step:
+        late = (self._owed - step) / self._factor if self._factor else 0.0
+        if late > _LATEST:
             self._owed = step
             self._diagnostics.event(events.MISSED, f'the clock is {late:.3g} s late, and does not '
                                     'catch up: this machine is too slow or too busy for '
