@@ -120,7 +120,7 @@ def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
         singular[:, 2] *= np.sign(np.linalg.det(products))
         match = singular.sum(axis=1)
     else:
-        match = sum(correlated(wide, narrow) for wide, narrow in zip(computed, measured))
+        match = np.sum([correlated(*pair) for pair in zip(computed, measured)], axis=0)
     allowed = overlap >= _OVERLAP * count
     middle = len(overlap) // 2
     if not allowed.any():

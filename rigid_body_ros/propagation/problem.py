@@ -319,8 +319,8 @@ class Problem:
                              f'computes, found {found}')
         carrier, changes = self.named_wheels.carrier, self.changes
         start, _ = self.named_wheels.begun(self.start)
-        end_ns = self.efforts.times_ns.max(initial=self.start.time_ns) if self.efforts else \
-            self.start.time_ns
+        end_ns = int(self.efforts.times_ns.max(initial=self.start.time_ns)) if self.efforts \
+            else self.start.time_ns
         timelines = [part.wheels for part in self.propagate(at=[end_ns])._parts if part.wheels]
         return self.replaced(
             body=carrier(self.body), start=without_origin(start), wheels=joined_log(timelines),
