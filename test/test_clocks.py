@@ -499,6 +499,7 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
         live.dump_parameters(tmp_path / 'live.yaml')
         live.set_state(State(SECOND, (0, 0, 0, 1), (0, 0, 0)))  # far too late
         live.wait_until(lambda: 'initial_state rejected: late' in live.words(), 'its rejection')
+        live.wait_until(lambda: 7 * SECOND in accepted(live), 'the last torque')
         count = len(live.received[ACCEPTED])
         assert live.reset().success
         live.wait_until(lambda: len(live.received[ACCEPTED]) == count + 2, 'the new epoch')
