@@ -180,7 +180,7 @@ class DrainCallback:
             self._last_number.clear()  # we cannot tell which publisher a number comes from
             return UNKNOWN_SENDER
         is_first = sender not in self._last_number
-        previous = self._last_number.pop(sender, 0 if sender else number - 1)
+        previous = self._last_number.pop(sender, 0)
         self._last_number[sender] = number
         now = time.monotonic()
         self.heard[sender] = self.heard.get(sender, (now, now))[0], now
