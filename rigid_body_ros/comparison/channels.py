@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Compare the errors of one measured quantity with the noise of its sensor, and with its effect.
+Compare the errors of one measured quantity with the noise of its sensor.
 
 The spread is the standard deviation of the noise. It is estimated from how much the errors change
 between neighbouring samples. An incorrect model hardly affects this estimate, because the errors

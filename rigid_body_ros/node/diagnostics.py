@@ -280,11 +280,11 @@ class Diagnostics:
                     for cause in events.CAUSES if new[cause]]
         warnings = problems + [f'{name}: {new[name]}'
                                for name in events.TORQUE_WARNINGS if new[name]]
+        notes = [f'{events.UNSTAMPED}: {new[events.UNSTAMPED]}'] if new[events.UNSTAMPED] else []
         is_error = any(new[cause] for cause in events.CAUSES if cause not in events.OF_RESETS)
         return self.status(
             self._sources[source].status, is_error, bool(rejected or warnings),
-            '; '.join([*(rejected + warnings or ['OK']), *(
-                f'{name}: {new[name]}' for name in (events.UNSTAMPED,) if new[name])]),
+            '; '.join((rejected + warnings or ['OK']) + notes),
             {events.RECEIVED: counts[events.RECEIVED], events.APPLIED: counts[events.APPLIED],
              **{events.rejections(cause): counts[cause] for cause in events.CAUSES}, **present,
              **{name: counts[name] for name in

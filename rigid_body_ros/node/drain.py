@@ -115,8 +115,8 @@ class DrainCallback:
     on_gap : callable
         Called with the number of lost messages when there is a gap, and with whether the gap comes
         before the first message of a publisher.
-    on_empty : callable, optional
-        Called after a message that the executor has passed.
+    on_passed : callable, optional
+        Called after each message that an executor has passed, but not after polling.
 
     Attributes
     ----------
@@ -135,8 +135,8 @@ class DrainCallback:
 
     def __init__(self, on_message: Callable[[bytes, Sender, int], None],
                  on_gap: Callable[[int, bool], None],
-                 on_empty: Callable[[], None] = lambda: None) -> None:
-        self._on_message, self._on_empty, self._on_gap = on_message, on_empty, on_gap
+                 on_passed: Callable[[], None] = lambda: None) -> None:
+        self._on_message, self._on_passed, self._on_gap = on_message, on_passed, on_gap
         self._last_number: dict[Sender, int] = {}
         self.heard: dict[Sender, tuple[float, float]] = {}
         self.subscription: Subscription
@@ -148,7 +148,7 @@ class DrainCallback:
         message, info = taken if len(taken) == 2 else taken[0]
         with self.subscription.handle:
             self._pass_on(message, info)
-        self._on_empty()
+        self._on_passed()
 
     def _pass_on(self, message: bytes, info: dict[str, Any]) -> None:
         self._on_message(message, self._sender(info), info['received_timestamp'])

@@ -48,10 +48,11 @@ from std_srvs.srv import SetBool
 #: How often to commit states and to check whether the state should be republished, and how long to
 #: leave other callbacks between two slices of work, in seconds.
 _CHECK_PERIOD, _WORK_PERIOD = 0.1, 0.001
-#: How long to wait for a torque that follows immediately, in seconds. A simple controller responds
-#: within 0.4 ms.
+#: How long to wait for the next torque before returning to the executor, in seconds. A simple
+#: controller responds within 0.4 ms.
 _SOON = 6e-4
-#: If so many torques did not follow so soon, wait only at one of as many.
+#: Once the node has waited in vain this many times in a row, it waits only at every torque whose
+#: number is a multiple of this.
 _TRIES = 100
 #: Diagnostics warn if no torque arrives for more than this many seconds, or if computing a
 #: response takes more than this many seconds.
@@ -77,6 +78,7 @@ class Lockstep(Mode):
         #: The duplicate filter of each source, by source number.
         self._duplicates = {source.number: DuplicateFilter(history_ns)
                             for source in sources_of(self._parameters.scene)}
+        #: `_unmet` is the number of torques since the last that arrived while the node waited.
         self._republishing, self._unmet = RepublishPolicy(), 0
         saved = self._checkpoint and self._checkpoint.start
         self._start = saved or self.run.initial(self._given_start_ns)
