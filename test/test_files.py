@@ -366,5 +366,6 @@ def test_an_incomplete_file_gets_a_free_name(tmp_path):
     lambda path: files.check((path, '.png')),
     lambda path: protection.protected('scene', path).__enter__()])
 def test_a_path_with_a_null_byte_is_one_line(tmp_path, use, suffix):
-    with pytest.raises(InputError, match=r'a\\x00b.*: .*null (byte|character)|expected a name ending in'):
+    words = r'a\\x00b.*: .*null (byte|character)|expected a name ending in'
+    with pytest.raises(InputError, match=words):
         use(tmp_path / f'a\0b{suffix}')
