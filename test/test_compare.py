@@ -35,8 +35,8 @@ from rigid_body_ros import (
     Wheel,
 )
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.comparison.horizons import horizon
-from rigid_body_ros.comparison.motion import Recorded
+from rigid_body_ros.inference.horizons import horizon
+from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from scipy.integrate import solve_ivp

@@ -31,7 +31,7 @@ from rigid_body_ros import (
     Wheel,
 )
 from rigid_body_ros.identification import Experiment, identify
-from rigid_body_ros.identification.identifiability import triangle
+from rigid_body_ros.inference.certainty import triangle
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers

@@ -40,10 +40,10 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rigid_body_ros import messages, recording
 from rigid_body_ros.commands import main
+from rigid_body_ros.inference.monitor import Monitor, settings_of
 from rigid_body_ros.node.attitude_monitor import AttitudeMonitor
 from rigid_body_ros.recording import Writer
 from rigid_body_ros.recording.quantities import of_messages
-from rigid_body_ros.sensing.monitor import Monitor, settings_of
 from sensor_msgs.msg import Imu
 
 pytestmark = pytest.mark.ros

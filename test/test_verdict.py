@@ -21,8 +21,8 @@ from conftest import at_night
 import numpy as np
 import pytest
 from rigid_body_ros import TorqueLog
-from rigid_body_ros.identification.actuator import lagged
-from rigid_body_ros.sensing.noise import noise_of
+from rigid_body_ros.inference.actuator import lagged
+from rigid_body_ros.inference.noise import noise_of
 from scipy.integrate import solve_ivp
 from simulated import named, recordings
 

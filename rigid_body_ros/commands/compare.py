@@ -77,8 +77,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
     """Fit the start state, and judge whether the fitted model explains the measurements."""
-    from rigid_body_ros.comparison.align import is_asked
     from rigid_body_ros.identification.recorded import identified, read_experiment
+    from rigid_body_ros.inference.align import is_asked
     experiment = read_experiment(options.recording, scene, reading_of(options))
     names = ['start', *(f'{estimated}@{one.topic}' for kind, estimated in _FITTED.items()
                         for one in experiment.measured
@@ -127,7 +127,7 @@ def _add_arguments(parser: Parser) -> None:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    from rigid_body_ros.comparison.align import check_names
+    from rigid_body_ros.inference.align import check_names
     names = tuple(name.strip() for name in text.split(','))
     try:
         check_names(names)

@@ -103,8 +103,8 @@ def _suffix(output: str | None) -> str:
 
 
 def _add_arguments(parser: Parser) -> None:
-    from rigid_body_ros.identification.parameters import GRAVITY
-    from rigid_body_ros.identification.verdict import ACCEPT
+    from rigid_body_ros.inference.coordinates import GRAVITY
+    from rigid_body_ros.inference.verdict import ACCEPT
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
                         'several recordings of the same body are fitted together. The torques of '
@@ -164,7 +164,7 @@ def _prior(text: str) -> tuple[str, str]:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    from rigid_body_ros.identification.names import checked_names
+    from rigid_body_ros.inference.parameters import checked_names
     try:
         return checked_names([name.strip() for name in text.split(',')])
     except InputError as error:

@@ -29,15 +29,15 @@ The command `attitude_compare` reads and writes recordings with `recorded`. The 
 comes from `result`, and the page and the picture from `page`.
 """
 
-from rigid_body_ros.comparison.align import ALIGNMENTS
-from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.causes import Cause
 from rigid_body_ros.comparison.comparison import compare
-from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.result import Comparison, Errors
+from rigid_body_ros.inference.align import ALIGNMENTS
+from rigid_body_ros.inference.alignment import Alignment
+from rigid_body_ros.inference.horizons import Horizon
+from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import read_measured
-from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 __all__ = ['ALIGNMENTS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',
            'Measured', 'ResidualTorque', 'compare', 'read_measured']

@@ -29,12 +29,12 @@ from typing import Any, NamedTuple
 
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.comparison.align import START
 from rigid_body_ros.comparison.channels import ATTITUDE, Channel, channels_of, RATE, UNITS
-from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.comparison.result import compared, Comparison
 from rigid_body_ros.comparison.sensor_faults import Fault, faults
 from rigid_body_ros.comparison.torque_faults import explanations
+from rigid_body_ros.inference.align import START
+from rigid_body_ros.inference.motion import Motion
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime.terminal import no_progress, Track

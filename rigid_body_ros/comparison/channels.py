@@ -34,10 +34,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.comparison.result import Comparison
-from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation import Problem
-from rigid_body_ros.sensing.noise import (
+from rigid_body_ros.inference.noise import (
     ALARM,
     batches_of,
     chance,
@@ -45,6 +42,9 @@ from rigid_body_ros.sensing.noise import (
     FEWEST,
     noise_of,
 )
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
 
 #: Ratio of the standard deviation of normal noise to its median absolute value.
 _NORMAL = 1.4826

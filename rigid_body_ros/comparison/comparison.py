@@ -26,14 +26,16 @@ import numpy as np
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.comparison.align import align as aligned_by
-from rigid_body_ros.comparison.align import CLOCK
 from rigid_body_ros.comparison.causes import find_causes
 from rigid_body_ros.comparison.channels import channels_of, predictable_s
-from rigid_body_ros.comparison.coarse import LARGEST_OFFSET
-from rigid_body_ros.comparison.horizons import horizon, usual_horizons
-from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.comparison.result import compared, Comparison, Errors
+from rigid_body_ros.inference.align import align as aligned_by
+from rigid_body_ros.inference.align import CLOCK
+from rigid_body_ros.inference.guess import LARGEST_OFFSET
+from rigid_body_ros.inference.horizons import horizon, usual_horizons
+from rigid_body_ros.inference.monitor import is_checked, monitored, settings_of
+from rigid_body_ros.inference.motion import Motion, Recorded
+from rigid_body_ros.inference.residual_torque import residual_torque
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -45,8 +47,6 @@ from rigid_body_ros.recording.observed import Measurements, read_observed, Readi
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.sensing.monitor import is_checked, monitored, settings_of
-from rigid_body_ros.sensing.residual_torque import residual_torque
 
 #: The topics of `write`.
 ATTITUDE_ERROR, RATE_ERROR = '/error/rotation_vector', '/error/angular_velocity'

@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.comparison.result import Comparison, Errors, QUANTITIES
+from rigid_body_ros.inference.motion import Motion
+from rigid_body_ros.inference.torque_panels import residual_panels
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import moving_body
@@ -41,7 +42,6 @@ from rigid_body_ros.report.panels import (
 from rigid_body_ros.report.style import FIELDS
 from rigid_body_ros.report.text import scaled
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.sensing.torque_panels import residual_panels
 
 #: Median absolute value of a normal variable with a standard deviation of 1.
 _MEDIAN = 0.6745

@@ -24,17 +24,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
-from rigid_body_ros.comparison.align import align as aligned_by
-from rigid_body_ros.comparison.align import apart, errors_of, START
-from rigid_body_ros.comparison.alignment import Alignment
-from rigid_body_ros.comparison.horizons import Horizon
-from rigid_body_ros.comparison.motion import divided, inside, Motion
+from rigid_body_ros.inference.align import align as aligned_by
+from rigid_body_ros.inference.align import apart, errors_of, START
+from rigid_body_ros.inference.alignment import Alignment
+from rigid_body_ros.inference.horizons import Horizon
+from rigid_body_ros.inference.motion import divided, inside, Motion
+from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, numbers, rounded, scaled
-from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 #: The quantities that are compared. Each has a name, a unit, and an attribute of `Errors`.
 QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')

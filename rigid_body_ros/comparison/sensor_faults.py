@@ -27,13 +27,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
-from rigid_body_ros.comparison.align import CLOCK, is_asked, MOUNT
-from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.channels import ATTITUDE, Channel, RATE
-from rigid_body_ros.comparison.coarse import davenport
+from rigid_body_ros.inference.align import CLOCK, is_asked, MOUNT
+from rigid_body_ros.inference.alignment import Alignment
+from rigid_body_ros.inference.guess import davenport
+from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.noise import FEWEST
 
 #: A rotation that is within this angle of a swap of axes, rad, is described as a swap.
 _NEAR = 0.09

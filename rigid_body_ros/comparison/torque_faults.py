@@ -32,13 +32,13 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats, symmetric, written
 from rigid_body_ros.comparison.channels import Channel
 from rigid_body_ros.comparison.sensor_faults import axes_text, slope
+from rigid_body_ros.inference.noise import ALARM
+from rigid_body_ros.inference.residual_torque import measured_rates, ResidualTorque
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.noise import ALARM
-from rigid_body_ros.sensing.residual_torque import measured_rates, ResidualTorque
 
 #: `_BATCH` is the number of windows in a batch. The median of each batch is compared with the
 #: noise. `_FEWEST` is the minimum number of windows for the search.

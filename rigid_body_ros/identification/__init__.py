@@ -36,12 +36,12 @@ The command `attitude_identify` uses `recorded` to read and write files, and use
 """
 
 from rigid_body_ros.identification.estimation import identify
-from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.identifiability import Direction
-from rigid_body_ros.identification.residuals import Misfit, Residuals
 from rigid_body_ros.identification.result import Estimate, Identification
-from rigid_body_ros.identification.suspects import Suspect
-from rigid_body_ros.identification.verdict import Verdict
+from rigid_body_ros.inference.certainty import Direction
+from rigid_body_ros.inference.errors import Misfit, Residuals
+from rigid_body_ros.inference.experiment import Experiment
+from rigid_body_ros.inference.suspects import Suspect
+from rigid_body_ros.inference.verdict import Verdict
 
 __all__ = ['Direction', 'Estimate', 'Experiment', 'Identification', 'Misfit', 'Residuals',
            'Suspect', 'Verdict', 'identify']

@@ -23,26 +23,12 @@ import math
 import numpy as np
 from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.identification import residuals
-from rigid_body_ros.identification.actuator import applied
-from rigid_body_ros.identification.clock import likely_offset
-from rigid_body_ros.identification.experiment import (
-    channels_of,
-    Experiment,
-    local_state,
-    typical_rate,
-)
-from rigid_body_ros.identification.findings import examined, Findings
-from rigid_body_ros.identification.identifiability import Certainty, certainty
-from rigid_body_ros.identification.names import (
-    checked_names,
-    moments_of,
-    split_topic,
-    START,
-    unit_of,
-    WEIGHT,
-)
-from rigid_body_ros.identification.parameters import (
+from rigid_body_ros.identification.result import Estimate, Identification, without_effect
+from rigid_body_ros.inference import errors
+from rigid_body_ros.inference.actuator import applied
+from rigid_body_ros.inference.certainty import Certainty, certainty
+from rigid_body_ros.inference.clock import likely_offset
+from rigid_body_ros.inference.coordinates import (
     checked_priors,
     GRAVITY,
     lifted,
@@ -51,12 +37,26 @@ from rigid_body_ros.identification.parameters import (
     Physics,
     SHORT_LAG,
 )
-from rigid_body_ros.identification.result import Estimate, Identification, without_effect
-from rigid_body_ros.identification.sensors import topics_of
-from rigid_body_ros.identification.setup import Setup
-from rigid_body_ros.identification.solve import Solution, solve
-from rigid_body_ros.identification.verdict import ACCEPT, judged, tried
-from rigid_body_ros.identification.windows import AxialInertia
+from rigid_body_ros.inference.experiment import (
+    channels_of,
+    Experiment,
+    local_state,
+    typical_rate,
+)
+from rigid_body_ros.inference.findings import examined, Findings
+from rigid_body_ros.inference.growth import Solution, solve
+from rigid_body_ros.inference.parameters import (
+    checked_names,
+    moments_of,
+    split_topic,
+    START,
+    unit_of,
+    WEIGHT,
+)
+from rigid_body_ros.inference.sensors import topics_of
+from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.verdict import ACCEPT, judged, tried
+from rigid_body_ros.inference.windows import AxialInertia
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField
@@ -241,8 +241,8 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
                       numbers.names, numbers.values / numbers.scales)
     sigma = np.where(known.identifiable, np.sqrt(np.diag(known.covariance)) * numbers.scales,
                      np.inf)
-    ahead = residuals.of_validation(solution, every) if every else []
-    fitted = residuals.of_training(solution)
+    ahead = errors.of_validation(solution, every) if every else []
+    fitted = errors.of_training(solution)
     findings = findings.with_validation(every, ahead)
     findings = replace(findings, scores=[]) if faults else findings
     attempts = [] if faults else tried(findings, every)
@@ -255,15 +255,15 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
                                 float(numbers.guesses[i]), float(sigma[i]),
                                 bool(known.identifiable[i]), systematic.get(name, 0.0))
                  for i, name in enumerate(numbers.names)}
-    aligned = residuals.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
+    aligned = errors.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
                                    physics, setup.problems[0].start.time_ns)
     return Identification(
         setup.body(physics), physics.acting(setup.problems[0].fields),
         [_start(solution, number)[0] for number in range(len(setup.problems))],
         estimates, _covariance(known, numbers.scales),
         setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
-        residuals.Misfit.of(fitted, solution.problem.size),
-        residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
+        errors.Misfit.of(fitted, solution.problem.size),
+        errors.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged,
         verdict.with_reasons(without_effect(estimates.values())),
         any(log.torques.any() for problem in setup.problems for log in problem.logs),

@@ -24,9 +24,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.residuals import correlations, Residuals
 from rigid_body_ros.identification.result import Identification
+from rigid_body_ros.inference.errors import correlations, Residuals
+from rigid_body_ros.inference.experiment import Experiment
+from rigid_body_ros.inference.residual_torque import residual_torque, with_attitude
+from rigid_body_ros.inference.torque_panels import residual_panels
 from rigid_body_ros.report import matrix, moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page, table
@@ -38,8 +40,6 @@ from rigid_body_ros.report.panels import (
     torque_panels,
 )
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.sensing.residual_torque import residual_torque, with_attitude
-from rigid_body_ros.sensing.torque_panels import residual_panels
 
 #: Largest lag in the plot of an autocorrelation, s, and minimum number of lags in that plot.
 _LAG, _FEWEST = 2.0, 20

@@ -24,11 +24,11 @@ from typing import Any
 
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.identification.actuator import lagged
 from rigid_body_ros.identification.estimation import identify
-from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.names import NOT_IN_SCENES, split_topic, WEIGHT
 from rigid_body_ros.identification.result import Identification
+from rigid_body_ros.inference.actuator import lagged
+from rigid_body_ros.inference.experiment import Experiment
+from rigid_body_ros.inference.parameters import NOT_IN_SCENES, split_topic, WEIGHT
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.urdf import robot
 from rigid_body_ros.recording.observed import read_observed, Reading

@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats, symmetric
-from rigid_body_ros.identification.identifiability import Direction
-from rigid_body_ros.identification.parameters import second_moments
-from rigid_body_ros.identification.residuals import Misfit, Residuals
-from rigid_body_ros.identification.verdict import Verdict
+from rigid_body_ros.inference.certainty import Direction
+from rigid_body_ros.inference.coordinates import second_moments
+from rigid_body_ros.inference.errors import Misfit, Residuals
+from rigid_body_ros.inference.verdict import Verdict
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State

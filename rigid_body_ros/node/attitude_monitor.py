@@ -27,6 +27,7 @@ import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.inference.alarms import ERROR, Judgement, WARN
 from rigid_body_ros.node.clocks import ClockMonitor
 from rigid_body_ros.node.drain import PollingNode
 from rigid_body_ros.node.monitor_inputs import MonitorInputs
@@ -34,7 +35,6 @@ from rigid_body_ros.node.parameters import NodeParameters, one_line_errors
 from rigid_body_ros.node.process import main as run
 from rigid_body_ros.node.timers import timer
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.sensing.alarms import ERROR, Judgement, WARN
 
 NAME = 'attitude_monitor'
 #: How often to look for windows that have ended, and how often to publish diagnostics, in seconds.

@@ -29,6 +29,7 @@ from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.inference.monitor import Monitor, settings_of
 from rigid_body_ros.live import events
 from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.torque_queue import Sender
@@ -42,7 +43,6 @@ from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.quantities import KINDS, of_messages, QUANTITIES
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
-from rigid_body_ros.sensing.monitor import Monitor, settings_of
 
 #: Types of the functions that process messages. The first kind of function decodes one message.
 #: The second kind takes the stamps (in ns) and the contents of several messages.

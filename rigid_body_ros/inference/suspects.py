@@ -22,18 +22,18 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json
-from rigid_body_ros.identification.names import (
+from rigid_body_ros.inference.coordinates import Parameters, Physics, SHORT_LAG
+from rigid_body_ros.inference.fit import LeastSquares
+from rigid_body_ros.inference.growth import fitted, Solution
+from rigid_body_ros.inference.parameters import (
     moments_of,
     of_sensors,
     split_topic,
     START,
     WEIGHT,
 )
-from rigid_body_ros.identification.parameters import Parameters, Physics, SHORT_LAG
-from rigid_body_ros.identification.problem import LeastSquares
-from rigid_body_ros.identification.sensors import mount_of, topics_of
-from rigid_body_ros.identification.setup import Setup
-from rigid_body_ros.identification.solve import fitted, Solution
+from rigid_body_ros.inference.sensors import mount_of, topics_of
+from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.scene.fields import MOMENT
 
 #: Limits of a fit with a suspect: the maximum number of function evaluations, and the tolerance.

@@ -20,9 +20,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.residual_torque import residual_torque
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.residual_torque import residual_torque
 
 #: Largest clock offset to try, and spacing of the offsets, both in seconds.
 _LARGEST, _SPACING = 10.0, 0.02

@@ -31,11 +31,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.identifiability import triangle
-from rigid_body_ros.identification.names import WEIGHT
-from rigid_body_ros.identification.parameters import Physics
-from rigid_body_ros.identification.setup import Setup
-from rigid_body_ros.identification.windows import Window
+from rigid_body_ros.inference.certainty import triangle
+from rigid_body_ros.inference.coordinates import Physics
+from rigid_body_ros.inference.parameters import WEIGHT
+from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured

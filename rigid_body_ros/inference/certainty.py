@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels
-from rigid_body_ros.identification.names import field_of, LONGEST_DELAY
+from rigid_body_ros.inference.parameters import field_of, LONGEST_DELAY
 from rigid_body_ros.scene.fields import MOMENT
 
 #: Derivatives whose relative size is below these limits are rounding errors. `_ZERO` is the limit

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rigid_body_ros.common.arrays import COLUMNS, entries, Floats, ROWS, symmetric
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.identification.names import (
+from rigid_body_ros.inference.parameters import (
     components_of,
     field_of,
     KINDS,

@@ -22,14 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.comparison.align import errors_of
+from rigid_body_ros.inference.alarms import Judgement
+from rigid_body_ros.inference.align import errors_of
+from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime.terminal import no_progress, Track
-from rigid_body_ros.sensing.alarms import Judgement
-from rigid_body_ros.sensing.residual_torque import measured_rates
 
 #: The state at a restart is estimated from at most this many samples.
 _SAMPLES = 11

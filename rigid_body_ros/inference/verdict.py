@@ -22,14 +22,15 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.errors import listed
-from rigid_body_ros.identification.findings import (
+from rigid_body_ros.inference.errors import Misfit, of_validation
+from rigid_body_ros.inference.findings import (
     Findings,
     INERTIA_CHANGE,
     probability,
 )
-from rigid_body_ros.identification.residuals import Misfit, of_validation
-from rigid_body_ros.identification.solve import Solution
-from rigid_body_ros.identification.suspects import (
+from rigid_body_ros.inference.growth import Solution
+from rigid_body_ros.inference.noise import ALARM
+from rigid_body_ros.inference.suspects import (
     candidates,
     command_with,
     sum_of_squares,
@@ -38,7 +39,6 @@ from rigid_body_ros.identification.suspects import (
     with_suspect,
 )
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.noise import ALARM
 
 #: Default of `accept`, the largest acceptable systematic error of an estimate relative to its
 #: scale.

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
-from rigid_body_ros.sensing.windows import WindowError
+from rigid_body_ros.inference.window_error import WindowError
 
 OK, WARN, ERROR = range(3)
 #: Numbers of windows that are tested together.

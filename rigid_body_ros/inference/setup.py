@@ -21,10 +21,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.names import LONGEST_DELAY
-from rigid_body_ros.identification.parameters import Parameters, Physics
-from rigid_body_ros.identification.sensors import clocked
-from rigid_body_ros.identification.windows import AxialInertia, Window
+from rigid_body_ros.inference.coordinates import Parameters, Physics
+from rigid_body_ros.inference.parameters import LONGEST_DELAY
+from rigid_body_ros.inference.sensors import clocked
+from rigid_body_ros.inference.windows import AxialInertia, Window
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem

@@ -21,10 +21,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.motion import inside, Motion
+from rigid_body_ros.inference.motion import inside, Motion
+from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.residual_torque import measured_rates
 
 #: The largest clock offset that the search can find, s.
 LARGEST_OFFSET = 10.0

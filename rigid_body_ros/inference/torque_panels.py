@@ -21,11 +21,11 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.panels import limits, SINCE_FIRST
-from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 #: A residual torque that lasts longer than this, in seconds, is divided into segments of this
 #: length. Adjacent segments overlap by half their length.

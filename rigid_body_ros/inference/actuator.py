@@ -22,7 +22,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.identification.parameters import Physics
+from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.mechanics.torque import TorqueLog
 
 #: Lags shorter than this, in seconds, are ignored.

@@ -29,13 +29,13 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.identifiability import triangle
-from rigid_body_ros.identification.parameters import Parameters
-from rigid_body_ros.identification.problem import LeastSquares, Weights
-from rigid_body_ros.identification.residuals import ahead_of, Residuals
-from rigid_body_ros.identification.solve import Solution, states_at
+from rigid_body_ros.inference.certainty import triangle
+from rigid_body_ros.inference.coordinates import Parameters
+from rigid_body_ros.inference.errors import ahead_of, Residuals
+from rigid_body_ros.inference.fit import LeastSquares, Weights
+from rigid_body_ros.inference.growth import Solution, states_at
+from rigid_body_ros.inference.noise import Noise, noise_of
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.noise import Noise, noise_of
 
 #: What remains of a column after its projection onto other columns is subtracted counts as a
 #: rounding error if the norm of the remainder is at most this fraction of the column's norm.

@@ -31,13 +31,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import local_state
-from rigid_body_ros.identification.names import LONGEST_DELAY
-from rigid_body_ros.identification.parameters import Physics
-from rigid_body_ros.identification.problem import errors_of, LeastSquares, Weights
-from rigid_body_ros.identification.sensors import corrected
-from rigid_body_ros.identification.setup import Setup
-from rigid_body_ros.identification.windows import Window
+from rigid_body_ros.inference.coordinates import Physics
+from rigid_body_ros.inference.experiment import local_state
+from rigid_body_ros.inference.fit import errors_of, LeastSquares, Weights
+from rigid_body_ros.inference.parameters import LONGEST_DELAY
+from rigid_body_ros.inference.sensors import corrected
+from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured
 

@@ -22,8 +22,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.names import split_topic
-from rigid_body_ros.identification.parameters import Physics
+from rigid_body_ros.inference.coordinates import Physics
+from rigid_body_ros.inference.parameters import split_topic
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 

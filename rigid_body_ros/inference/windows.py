@@ -22,9 +22,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.actuator import applied
-from rigid_body_ros.identification.parameters import Physics
-from rigid_body_ros.identification.sensors import clocked, mounts
+from rigid_body_ros.inference.actuator import applied
+from rigid_body_ros.inference.coordinates import Physics
+from rigid_body_ros.inference.sensors import clocked, mounts
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses

@@ -25,6 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
+from rigid_body_ros.inference.alarms import Alarms, Judgement, NoiseLevel
+from rigid_body_ros.inference.window_error import SensorNoise, window_error
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -32,8 +34,6 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured, not_measured
-from rigid_body_ros.sensing.alarms import Alarms, Judgement, NoiseLevel
-from rigid_body_ros.sensing.windows import SensorNoise, window_error
 
 #: Reasons why a window is not judged.
 FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'

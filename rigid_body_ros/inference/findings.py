@@ -27,7 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.evidence import (
+from rigid_body_ros.inference.errors import Residuals
+from rigid_body_ros.inference.evidence import (
     explained,
     foresight,
     linear,
@@ -37,13 +38,9 @@ from rigid_body_ros.identification.evidence import (
     split_channels,
     widened,
 )
-from rigid_body_ros.identification.names import components_of
-from rigid_body_ros.identification.problem import LeastSquares
-from rigid_body_ros.identification.residuals import Residuals
-from rigid_body_ros.identification.solve import polished, Solution
-from rigid_body_ros.identification.suspects import candidates, extended
-from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.sensing.noise import (
+from rigid_body_ros.inference.fit import LeastSquares
+from rigid_body_ros.inference.growth import polished, Solution
+from rigid_body_ros.inference.noise import (
     ALARM,
     batches_of,
     chance,
@@ -51,6 +48,9 @@ from rigid_body_ros.sensing.noise import (
     FEWEST,
     Noise,
 )
+from rigid_body_ros.inference.parameters import components_of
+from rigid_body_ros.inference.suspects import candidates, extended
+from rigid_body_ros.recording.measured import Measured
 
 #: If the largest of the noise spreads exceeds the smallest by more than this factor, the fit is
 #: repeated with weights that are computed from the spreads.

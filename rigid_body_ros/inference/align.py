@@ -24,15 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.comparison import coarse
-from rigid_body_ros.comparison.alignment import Alignment
-from rigid_body_ros.comparison.motion import divided, inside, Motion, Recorded, span_of, States
+from rigid_body_ros.inference.alignment import Alignment
+from rigid_body_ros.inference.guess import guess
+from rigid_body_ros.inference.motion import divided, inside, Motion, Recorded, span_of, States
+from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.runtime import interrupts
-from rigid_body_ros.sensing.residual_torque import measured_rates
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
 #: The names of the alignments that can be fitted.
@@ -98,8 +98,8 @@ def align(motion: Motion, sensors: Sequence[Measured],
         return tuple(Alignment() for _ in sensors)
     clocks, mounts = ([is_asked(names, kind, sensor.topic) for sensor in sensors]
                       for kind in (CLOCK, MOUNT))
-    guesses = coarse.guess(motion, sensors, clocks, mounts)
-    fit = _Fit(motion, sensors, names, [Alignment(*guess) for guess in guesses], most)
+    guesses = guess(motion, sensors, clocks, mounts)
+    fit = _Fit(motion, sensors, names, [Alignment(*each) for each in guesses], most)
     if START in names:
         fit.grow()
     return fit.solved()
