@@ -64,9 +64,11 @@ def standing(live):
 @pytest.mark.parametrize('factor', [1.0, 10.0, 0.0, *at_night(0.1)])
 def test_a_controller_on_a_timer_runs_and_its_log_replays_to_the_same_bits(tmp_path, domain,
                                                                            factor):
-    with LiveSession(TUMBLER, domain, *CLOCK, '-p', f'real_time_factor:={factor}') as live:
+    # At a low rate, the outputs leave this process time for its timer on a busy machine.
+    with LiveSession(TUMBLER, domain, *CLOCK, '-p', f'real_time_factor:={factor}',
+                     '-p', 'publish_rate:=20.0') as live:
         controller = TimerController(live)
-        live.wait_until(lambda: len(controller.sent) > 50, '50 torques')
+        live.wait_until(lambda: len(controller.sent) > 20, '20 torques')
         standing(live)  # from now on, the controller sends nothing
         live.spin(0.5)
         live.wait_for_torques(len(controller.sent))
