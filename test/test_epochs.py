@@ -41,7 +41,7 @@ import pytest
 from rigid_body_ros import messages, read, recording, scene, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
-from rigid_body_ros.identification.recorded import read_experiment
+from rigid_body_ros.identification.recorded import read_experiments
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.observed import Reading
@@ -478,19 +478,21 @@ def test_measurements_of_other_epochs_are_left_out(two, tmp_path, start, count):
     found = json.loads((tmp_path / 'out.json').read_text())
     assert (found['samples'], found['left_out']) == (count, 71 - count)
     assert found['attitude_error_rad']['max'] < 1e-15
-    sensor, = read_experiment(two, scene.load(tmp_path / 'scene.yaml'),
-                              Reading((COMMITTED,))).measured
+    (_, observed), = read_experiments([two], scene.load(tmp_path / 'scene.yaml'),
+                                      Reading((COMMITTED,)))
+    sensor, = observed.sensors
     assert np.sum(sensor.stamps_ns >= start.time_ns) == count
 
 
 def test_the_part_of_an_epoch_ends_after_its_start_and_begins_with_it(two, tmp_path):
     assert called(tmp_path, 'compare', two, f'start_time: {SECOND_START.time_ns}') == 0
     run = scene.load(tmp_path / 'scene.yaml')
-    sensor, = read_experiment(two, run, Reading((COMMITTED,), until=0.5)).measured
+    (_, observed), = read_experiments([two], run, Reading((COMMITTED,), until=0.5))
+    sensor, = observed.sensors
     assert sensor.stamps_ns[-1] == SECOND_START.time_ns + SECOND // 2
     with pytest.raises(InputError, match='two.mcap: --from: expected no time to skip, because '
                                          'the log of a node begins at its start state'):
-        read_experiment(two, run, Reading((COMMITTED,), start=0.5))
+        read_experiments([two], run, Reading((COMMITTED,), start=0.5))
 
 
 @pytest.mark.slow

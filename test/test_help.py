@@ -26,7 +26,7 @@ import pytest
 from rigid_body_ros import commands, identify, read
 from rigid_body_ros.commands import main
 from rigid_body_ros.comparison.comparison import compare_recording
-from rigid_body_ros.identification.recorded import read_experiment
+from rigid_body_ros.identification.recorded import read_experiments
 from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import load
@@ -76,7 +76,7 @@ def test_the_version_is_that_of_the_package(capsys):
 @pytest.mark.parametrize(('name', 'result'), [
     ('attitude_replay', replay), ('attitude_compare', compare_recording),
     ('attitude_identify', lambda path, scene: identify(
-        scene.body, read_experiment(path, scene, Reading(('/mocap',)))))])
+        scene.body, read_experiments([path], scene, Reading(('/mocap',)))))])
 def test_a_command_prints_its_result_as_python_does(name, result, capsys):
     path, scene = RECORDINGS / 'flight.mcap', CONFIG / 'tumbler.yaml'
     options = ['--measured', '/mocap'] if name == 'attitude_identify' else []

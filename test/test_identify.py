@@ -22,7 +22,9 @@ from conftest import at_night
 import numpy as np
 import pytest
 from rigid_body_ros import (
+    Actuator,
     EffortLog,
+    Problem,
     propagate,
     RigidBody,
     State,
@@ -34,6 +36,7 @@ from rigid_body_ros.identification import Experiment, identify
 from rigid_body_ros.inference.certainty import triangle
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.observed import Measurements
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
 GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))
@@ -644,3 +647,24 @@ def test_triangular_factors(rows, columns):
     factor = triangle(matrix.T.copy())
     np.testing.assert_allclose(factor.T @ factor, matrix.T @ matrix, atol=1e-12)
     assert np.array_equal(factor, np.triu(factor))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('names', 'scene'), [
+    (['start', 'torque_lag'], None), (['start', 'torque_delay', 'torque_gain'], None),
+    (['inertia', 'start'], Actuator(delay=0.02, time_constant=0.1, limit=(0.015,) * 3))])
+def test_actuators_are_those_of_a_propagation(names, scene):
+    truth = tumble()
+    real = scene or Actuator(delay=0.03 * ('torque_delay' in names),
+                             time_constant=0.12 * ('torque_lag' in names))
+    problem = Problem(RigidBody(INERTIA), truth.start, truth.log, actuator=real)
+    motion = problem.propagate(at=truth.stamps_ns)
+    sensor = Measured('/imu', truth.stamps_ns, motion.attitude, motion.angular_velocity)
+    observed = (problem, Measurements([sensor])) if scene else truth.experiment(sensor)
+    found = identify(GUESS if scene else RigidBody(INERTIA), observed, estimate=names)
+    assert found.training.attitude_rms < 1e-9
+    for name, value in (('torque_lag', 0.12), ('torque_delay', 0.03), ('torque_gain', 1.0)):
+        if name in names:
+            assert found.estimates[name].value == pytest.approx(value, abs=1e-8)
+    if scene:
+        assert inertia_error(found) < 1e-8

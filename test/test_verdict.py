@@ -20,10 +20,7 @@ from campaign import fit, TRUE
 from conftest import at_night
 import numpy as np
 import pytest
-from rigid_body_ros import TorqueLog
-from rigid_body_ros.inference.actuator import lagged
 from rigid_body_ros.inference.noise import noise_of
-from scipy.integrate import solve_ivp
 from simulated import named, recordings
 
 
@@ -177,26 +174,3 @@ def test_the_noise_of_an_autoregression(coefficient, lasting):
     assert found.lasting == pytest.approx(lasting, rel=0.05)
     left = found.innovations(noise)
     assert abs(np.mean(left[1:] * left[:-1])) < 0.02 * np.mean(left ** 2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('interpolation', ['hold', 'linear'])
-@pytest.mark.parametrize('lag', [0.02, 0.3])
-def test_each_impulse_of_a_lag_is_exact(lag, interpolation):
-    random = np.random.default_rng(2)
-    log = TorqueLog(np.arange(8) * 50_000_000, random.normal(size=(8, 3)),
-                    interpolation=interpolation)
-    found = lagged(log, lag)
-
-    def slope(t, state):
-        torque = log.at([int(t * 1e9)])[0][0]
-        return np.concatenate([(torque - state[:3]) / lag, state[:3]])
-    state = np.zeros(6)
-    spans = np.diff(np.append(found.times_ns, 10 ** 9)) * 1e-9
-    impulse = np.concatenate([np.zeros((1, 3)), np.cumsum(found.torques * spans[:, None], axis=0)])
-    for k in range(7):
-        begin, end = log.times_ns[k:k + 2] * 1e-9
-        state = solve_ivp(slope, (begin, end - 1e-9), state, 'DOP853', rtol=1e-9,
-                          atol=1e-11).y[:, -1]
-        row = np.searchsorted(found.times_ns, log.times_ns[k + 1])
-        np.testing.assert_allclose(impulse[row], state[3:], atol=1e-8)

@@ -100,11 +100,11 @@ class Parser(argparse.ArgumentParser):
         examples = '\n  '.join(['examples, in a clone of the repository:', *self._examples])
         show(f'{self.format_help()}\n{examples}')
 
-    def add_scene(self) -> None:
-        """Add the option that selects the scene."""
-        self.add_argument('--scene', required=True, metavar='FILE',
+    def add_scene(self, without: str = '') -> None:
+        """Add the option that selects the scene; `without` says what is done if it is missing."""
+        self.add_argument('--scene', required=not without, metavar='FILE',
                           help='ROS 2 parameter file with the inertia and the initial state, as '
-                          'for attitude_node')
+                          f'for attitude_node{without}')
 
     def add_torques(self) -> None:
         """Add the options that select the topics for torques and for a changing inertia."""

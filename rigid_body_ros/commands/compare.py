@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
     load_scene,
@@ -29,67 +28,64 @@ from rigid_body_ros.commands.arguments import (
 from rigid_body_ros.commands.command import Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.terminal import progress, report
-
-if TYPE_CHECKING:
-    from rigid_body_ros.identification import Verdict
-    from rigid_body_ros.scene import Scene
 
 #: The exit status if the model does not explain the measurements.
 REJECTED = 4
-#: For each kind of alignment, the parameter that --check estimates together with the start state.
-_FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rigid_body_ros.comparison.comparison import compare_recording, write
+    from rigid_body_ros.comparison.comparison import compare_recording, compare_sensors, write
     from rigid_body_ros.comparison.page import draw, page
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
-        scene = load_scene(options)
-        unused = [name for name in ('check', 'start', 'until') if getattr(options, name)]
-        if unused and options.motion:
-            name = unused[0].replace('start', 'from')
-            raise InputError(f'--{name}: expected a motion that is computed, found --motion')
-        warn_of_units(options, [options.recording])
-        comparison = compare_recording(
-            options.recording, scene, reading_of(options), motion=options.motion,
-            align=options.align, horizons=options.horizon, track=progress('comparing', ' steps'))
+        scene = load_scene(options) if options.scene else None
+        _check_use(options)
+        align = {*options.align, *(['start'] if options.check else [])}
+        track = progress('comparing', ' steps')
+        if scene is None:
+            comparison = compare_sensors(options.recording, reading_of(options), align, track)
+        else:
+            warn_of_units(options, [options.recording])
+            comparison = compare_recording(
+                options.recording, scene, reading_of(options), motion=options.motion,
+                align=align, horizons=options.horizon, track=track)
         warn_of_samples(options, options.recording, comparison.torques, comparison.measured)
-        verdict = _verdict(options, scene) if options.check else None
-        facts = [*verdict.rows()] if verdict else []
         if options.output:
             with outputs.writing(options.output):
-                write(options.output, comparison, scene.body_frame)
+                write(options.output, comparison, scene.body_frame if scene else '')
         outputs.write_asked(
-            data=lambda: {**comparison.as_dict(), 'verdict': verdict and verdict.as_dict()},
+            data=comparison.as_dict,
             draw=lambda path: draw(path, comparison, name),
-            page=lambda line: page(comparison, name, scene, line, options.degrees, facts))
-    shown = [lines([f'{title:17}{text}']) for title, text in facts]
-    outputs.show('\n'.join([*shown, comparison.text(options.degrees)]), 17)
-    if not verdict or verdict.is_consistent:
+            page=lambda line: page(comparison, name, scene, line, options.degrees))
+    outputs.show(comparison.text(options.degrees), 17)
+    verdict = comparison.verdict
+    if not options.check or not verdict or verdict.is_consistent:
         return 0
     report(f'{options.command}: the model does not explain the measurements')
     return REJECTED
 
 
-def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
-    """Fit the start state, and judge whether the fitted model explains the measurements."""
-    from rigid_body_ros.identification.recorded import identified, read_experiment
-    from rigid_body_ros.inference.align import is_asked
-    experiment = read_experiment(options.recording, scene, reading_of(options))
-    names = ['start', *(f'{estimated}@{one.topic}' for kind, estimated in _FITTED.items()
-                        for one in experiment.measured
-                        if is_asked(options.align, kind, one.topic))]
-    return identified([options.recording], scene, [experiment], estimate=names).verdict
+def _check_use(options: argparse.Namespace) -> None:
+    """Raise InputError if an option needs a motion that is computed."""
+    what = 'a motion that is computed, found --motion' if options.motion else \
+        '--scene, found none'
+    if options.scene and not options.motion:
+        return
+    for name, option in (('check', 'check'), ('start', 'from'), ('until', 'until'),
+                         *(() if options.scene else (('horizon', 'horizon'),
+                                                      ('motion', 'motion')))):
+        if getattr(options, name):
+            raise InputError(f'--{option}: expected {what}')
 
 
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('recording', metavar='RECORDING',
                         help='recording of torques and measurements, as for attitude_replay')
-    parser.add_scene()
+    parser.add_scene('. Without a scene, the measured topics are compared with each other: the '
+                     'angular velocities, and other attitudes, with the attitudes of the topic '
+                     'that has the most of them')
     parser.add_measured(
         'measured topic (QuaternionStamped, PoseStamped, PoseWithCovarianceStamped, '
         'TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped with an angular velocity), '

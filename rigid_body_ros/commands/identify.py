@@ -32,7 +32,8 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
-    from rigid_body_ros.identification import Experiment, Identification
+    from rigid_body_ros.identification import Identification
+    from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
 
 #: The exit statuses of the command, which are explained in docs/commands.md.
@@ -66,24 +67,24 @@ def _status(found: Identification) -> tuple[int, str]:
 
 
 def _identified(options: argparse.Namespace,
-                scene: Scene) -> tuple[Identification, Experiment]:
-    """Identify parameters from all recordings; return the result and the first experiment."""
+                scene: Scene) -> tuple[Identification, Problem]:
+    """Identify parameters from all recordings; return the result and the first problem."""
     from rigid_body_ros.identification.recorded import identified, read_experiments
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
         warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, reading_of(options))
-    for path, experiment in zip(options.recording, experiments):
-        warn_of_samples(options, path, experiment.torques, experiment.measured)
+    for path, (_, observed) in zip(options.recording, experiments):
+        warn_of_samples(options, path, observed.torques, observed.sensors)
     found = identified(
         options.recording, scene, experiments, estimate=options.estimate,
         attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
         validate=options.validate, priors=dict(options.prior), gravity=options.gravity,
         accept=options.accept)
-    return found, experiments[0]
+    return found, experiments[0][0]
 
 
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
-           first: Experiment, scene: Scene, is_good: bool) -> list[str]:
+           first: Problem, scene: Scene, is_good: bool) -> list[str]:
     """Write the outputs, and return the names of the files; write the scene only if `is_good`."""
     from rigid_body_ros.identification.page import draw, page
     from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf

@@ -29,7 +29,6 @@ The command `attitude_compare` reads and writes recordings with `recorded`. The 
 comes from `result`, and the page and the picture from `page`.
 """
 
-from rigid_body_ros.comparison.causes import Cause
 from rigid_body_ros.comparison.comparison import compare
 from rigid_body_ros.comparison.result import Comparison, Errors
 from rigid_body_ros.inference.align import ALIGNMENTS
@@ -39,5 +38,5 @@ from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import read_measured
 
-__all__ = ['ALIGNMENTS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',
+__all__ = ['ALIGNMENTS', 'Alignment', 'Comparison', 'Errors', 'Horizon',
            'Measured', 'ResidualTorque', 'compare', 'read_measured']

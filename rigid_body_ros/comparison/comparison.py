@@ -26,16 +26,21 @@ import numpy as np
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.comparison.causes import find_causes
-from rigid_body_ros.comparison.channels import channels_of, predictable_s
+from rigid_body_ros.comparison.predictable import predictable_s
 from rigid_body_ros.comparison.result import compared, Comparison, Errors
 from rigid_body_ros.inference.align import align as aligned_by
-from rigid_body_ros.inference.align import CLOCK
+from rigid_body_ros.inference.align import CLOCK, MOUNT
+from rigid_body_ros.inference.findings import judged, Score, start_score
 from rigid_body_ros.inference.guess import LARGEST_OFFSET
 from rigid_body_ros.inference.horizons import horizon, usual_horizons
+from rigid_body_ros.inference.hypotheses import faults_of_samples
+from rigid_body_ros.inference.inputs import setup_of, setup_of_sensors
 from rigid_body_ros.inference.monitor import is_checked, monitored, settings_of
 from rigid_body_ros.inference.motion import Motion, Recorded
+from rigid_body_ros.inference.noise import FEWEST
+from rigid_body_ros.inference.parameters import SPACE, split_topic, START
 from rigid_body_ros.inference.residual_torque import residual_torque
+from rigid_body_ros.inference.verdict import scored, Verdict
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -51,6 +56,12 @@ from rigid_body_ros.scene import Scene
 #: The topics of `write`.
 ATTITUDE_ERROR, RATE_ERROR = '/error/rotation_vector', '/error/angular_velocity'
 RESIDUAL_TORQUE = '/residual_torque'
+#: A model is judged by at most this many samples of each sensor.
+_SAMPLES = 2000
+#: A model is judged in at most this many windows.
+_WINDOWS = 24
+#: The alignments that correct a parameter, by its kind.
+_ALIGNED = {START: START, 'clock_offset': CLOCK, 'mount': MOUNT, SPACE: MOUNT}
 
 
 def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
@@ -82,8 +93,7 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
         10 s, except those that are shorter than the time between two samples or longer than the
         measurement.
     causes : bool
-        Whether to look for likely causes of the errors. The search computes about ten more
-        motions.
+        Whether to judge the model, and to name what may be wrong.
     others
         Other keyword arguments of `Problem`, such as the wheels or the solver options. `changes`
         is not allowed.
@@ -133,9 +143,59 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
             comparison, residual_torque=residual_torque(problem, best),
             horizons=tuple(horizon(problem, aligned, seconds, track) for seconds in (
                 usual_horizons(aligned) if horizons is None else horizons)),
-            predictable_s=predictable_s(problem, [*channels_of(comparison)]))
-    return replace(comparison, causes=find_causes(motion, comparison, align, track)) \
+            predictable_s=predictable_s(comparison))
+    return replace(comparison, verdict=_verdict(problem, aligned, START not in align)) \
         if causes else comparison
+
+
+def _verdict(motion: Motion, aligned: Sequence[Measured], checks_start: bool) -> Verdict | None:
+    """
+    Judge a model, with any start, and its start, if the user asked for it.
+
+    Return None if the measurements are too short.
+    """
+    spacing_ns = motion.spacing_ns if isinstance(motion, Recorded) else 0
+    channels = [one for sensor in aligned for one in _thinned(sensor, spacing_ns).channels()
+                if len(one) >= FEWEST]
+    if not channels:
+        return None
+    is_computed = isinstance(motion, Problem)
+    setup = setup_of([motion], [channels], (START,)) if isinstance(motion, Problem) \
+        else setup_of_sensors(motion, channels)
+    findings = judged(replace(setup, most=_WINDOWS))
+    if isinstance(motion, Recorded):
+        whole = [one for sensor in aligned for one in sensor.channels() if len(one) > FEWEST]
+        faults = [Score(name, float(findings.solution.count), 0.0, text=text)
+                  for name, text in faults_of_samples(motion, whole)]
+        findings = replace(findings, scores=[*faults, *findings.scores])
+    # A wrong model may also move the start, so the start is suspected only if nothing else is.
+    is_right = not (findings.scores or findings.reasons)
+    if is_computed and checks_start and is_right and (
+            score := start_score(findings.solution)):
+        findings = replace(findings, scores=[score])
+    return scored(findings, _option if is_computed else _option_of_sensor)
+
+
+def _thinned(sensor: Measured, spacing_ns: int) -> Measured:
+    """Return at most `_SAMPLES` samples, at least `spacing_ns` apart."""
+    if len(sensor) < 2:
+        return sensor
+    usual_ns = int(np.median(np.diff(sensor.stamps_ns)))
+    return sensor.rows(slice(None, None, max(-(-len(sensor) // _SAMPLES),
+                                             -(-spacing_ns // usual_ns), 1)))
+
+
+def _option_of_sensor(name: str) -> str:
+    """Return the option that corrects the comparison of two sensors, or advice."""
+    kind = _ALIGNED.get(split_topic(name)[0])
+    return f'--align {kind} corrects that' if kind else 'calibrate the sensor'
+
+
+def _option(name: str) -> str:
+    """Return the option that corrects the comparison, or the command that fits a parameter."""
+    kind = _ALIGNED.get(split_topic(name)[0])
+    return f'--align {kind} corrects that' if kind else \
+        f'attitude_identify --estimate start,{name} fits it'
 
 
 def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,
@@ -202,6 +262,40 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     # A file name may contain bytes that cannot be decoded as text.
     return replace(found, recording=Path(path).name.encode(errors='replace').decode(),
                    left_out=found.left_out + left_out, torques=during.torques)
+
+
+def compare_sensors(path: str | Path, reading: Reading, align: Collection[str] = (),
+                    track: Track = no_progress) -> Comparison:
+    """
+    Compare the sensors of a recording with each other, without a model of the body.
+
+    The sensor with the most attitudes defines the motion, and the angular velocities of all
+    sensors, and the attitudes of the others, are compared with this motion.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, fewer than two quantities are measured, no sensor measures
+        attitudes, or the sensors do not overlap in time.
+
+    """
+    sensors = reading.sensors(path, None)
+    attitudes = [one for one in sensors if one.attitude is not None and len(one) >= FEWEST]
+    if not attitudes:
+        raise InputError(f'{path}: expected at least {FEWEST} attitudes to compare with, or '
+                         '--scene, found none')
+    best = max(attitudes, key=len)
+    others = [replace(one, attitude=None, attitude_covariance=None) if one is best else one
+              for one in sensors]
+    others = [one for one in others if one.attitude is not None
+              or one.angular_velocity is not None]
+    if not others:
+        raise InputError(f'{path}: {best.topic}: expected a second sensor to compare with, or '
+                         '--scene, found none')
+    motion = Recorded.of_attitudes(replace(best, angular_velocity=None))
+    found = compare_motion(motion, others, align, track=track,
+                           causes=not faults_of(None, sensors))
+    return replace(found, recording=Path(path).name.encode(errors='replace').decode())
 
 
 def read_motion(path: str | Path, scene: Scene) -> Recorded:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.result import Comparison, Errors, QUANTITIES
 from rigid_body_ros.inference.motion import Motion
+from rigid_body_ros.inference.noise import spread_of
 from rigid_body_ros.inference.torque_panels import residual_panels
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
@@ -43,12 +44,9 @@ from rigid_body_ros.report.style import FIELDS
 from rigid_body_ros.report.text import scaled
 from rigid_body_ros.scene import Scene
 
-#: Median absolute value of a normal variable with a standard deviation of 1.
-_MEDIAN = 0.6745
 
-
-def page(comparison: Comparison, name: str, scene: Scene, command: str,
-         degrees: bool = False, verdict: Sequence[tuple[str, str]] = ()) -> Page:
+def page(comparison: Comparison, name: str, scene: Scene | None, command: str,
+         degrees: bool = False) -> Page:
     """
     Return a page that shows a comparison.
 
@@ -59,15 +57,12 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
         body.
     name : str
         Name of the recording.
-    scene : Scene
+    scene : Scene, optional
         The scene of the motion.
     command : str
         The command line that made the comparison.
     degrees : bool
         Whether to show angles in degrees.
-    verdict : sequence of (str, str)
-        Rows of the form (name, text). The rows say whether the model explains the measurements
-        and, if the model does not, why. Empty if the user did not ask for a verdict.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
@@ -76,11 +71,12 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str,
     body = _body(motion, aligned, stamps_ns) if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
     panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
+    verdict = [*comparison.verdict.rows()] if comparison.verdict else []
     headline = '; '.join([*(said for _, said in verdict[:1]), _size(comparison, degrees)])
     return Page(f'{name}: {topics}', headline,
-                [*verdict[1:], ('recording', name), *comparison.rows(degrees), *shown],
-                [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
-                scene=scene, command=command)
+                [*verdict[1:], ('recording', name), *comparison.facts(degrees), *shown],
+                [*map(in_degrees, panels)] if degrees else panels, body,
+                scene.warnings if scene else (), scene=scene, command=command)
 
 
 def _size(comparison: Comparison, degrees: bool) -> str:
@@ -125,22 +121,17 @@ def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
         yield overlay_panel(f'{errors.topic}: {name}, body axes', unit, samples, measured,
                             computed, start_ns)
         values = getattr(errors, attribute)
+        noise = '±2 sigma of the noise of a sample', 2.0 * _noise(errors, values)
         yield error_panel(f'{errors.topic}: {label}, measured minus computed, body axes',
-                          error_unit, samples, values,
-                          ('±2 sigma of the noise of a sample', 2.0 * _noise(values)), start_ns)
+                          error_unit, samples, values, noise, start_ns)
 
 
-def _noise(errors: Floats) -> float:
-    """
-    Estimate the standard deviation of the noise in some errors.
-
-    The estimate is based on how far each sample is from the mean of its two neighbours. Slowly
-    changing errors, such as model errors, therefore hardly contribute.
-    """
-    if len(errors) < 3:
+def _noise(errors: Errors, values: Floats) -> float:
+    """Return the largest noise of the three axes, or 0 if there are too few samples."""
+    if len(values) < 3:
         return 0.0
-    scatter = errors[1:-1] - 0.5 * (errors[:-2] + errors[2:])
-    return float(np.median(np.abs(scatter))) / (_MEDIAN * np.sqrt(1.5))
+    seconds = np.asarray(1e-9 * (errors.times_ns - errors.times_ns[0]), float)
+    return float(spread_of(seconds, values, values is errors.rotation_vectors).max())
 
 
 def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:

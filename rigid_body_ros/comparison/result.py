@@ -25,11 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.inference.align import align as aligned_by
-from rigid_body_ros.inference.align import apart, errors_of, START
 from rigid_body_ros.inference.alignment import Alignment
 from rigid_body_ros.inference.horizons import Horizon
-from rigid_body_ros.inference.motion import divided, inside, Motion
+from rigid_body_ros.inference.motion import apart, divided, errors_of, inside, Motion
+from rigid_body_ros.inference.parameters import START
 from rigid_body_ros.inference.residual_torque import ResidualTorque
+from rigid_body_ros.inference.verdict import Verdict
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.account import Account
@@ -114,8 +115,9 @@ class Comparison:
         begins with the fitted start.
     recording : str
         Name of the recording; empty if there is no recording.
-    causes : tuple of Cause
-        Likely causes of the errors.
+    verdict : Verdict, optional
+        Whether the model, with any start, explains the measurements, and what may be wrong. None
+        if this was not asked for, or if the measurement is too short.
     torques : Account, optional
         What became of the recorded torques.
     predictable_s : float, optional
@@ -133,7 +135,7 @@ class Comparison:
     residual_torque: ResidualTorque | None
     motion: Motion
     recording: str = ''
-    causes: tuple[Any, ...] = ()
+    verdict: Verdict | None = None
     predictable_s: float | None = None
     torques: Account | None = None
 
@@ -200,7 +202,10 @@ class Comparison:
             'horizons': [_horizon_dict(horizon) for horizon in self.horizons],
             'residual_torque_N_m': statistics(torque.torques if torque else None),
             'predictable_s': self.predictable_s,
-            'likely_causes': [cause.as_dict() for cause in self.causes]}
+            'verdict': self.verdict and self.verdict.as_dict(),
+            # Deprecated: the suspects of the verdict under the name of earlier versions.
+            'likely_causes': [{'cause': one.name, 'text': one.text or one.command}
+                              for one in self.verdict.suspects] if self.verdict else []}
         if torque:
             found['residual_torque_N_m'] |= {'noise': torque.noise.tolist(),
                                              'window_s': torque.window_s}
@@ -214,8 +219,14 @@ class Comparison:
         return self.text()
 
     def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
+        """Generate the verdict and the facts, each as a name and a text."""
+        if self.verdict:
+            yield from self.verdict.rows()
+        yield from self.facts(degrees)
+
+    def facts(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
         """
-        Generate the rows of the summary, each as a name and a text.
+        Generate the facts of the summary, each as a name and a text.
 
         The name is empty in a row that continues the previous row.
         """
@@ -252,9 +263,6 @@ class Comparison:
             yield from _errors('residual torque', 1.0, 'N m', torque.torques)
             noise = numbers(torque.noise, 3, ', ')
             yield '', f'noise ({noise}) N m, in windows of {torque.window_s:.3g} s'
-        for cause in self.causes:
-            name = 'likely cause' if cause.explains else 'reduces'
-            yield name, f'{cause.text} ({cause.evidence})'
 
 
 def compared(motion: Motion, measured: Sequence[Measured],

@@ -35,11 +35,10 @@ The command `attitude_identify` uses `recorded` to read and write files, and use
 `page` to report the result.
 """
 
-from rigid_body_ros.identification.estimation import identify
+from rigid_body_ros.identification.estimation import Experiment, identify
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.errors import Misfit, Residuals
-from rigid_body_ros.inference.experiment import Experiment
 from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.inference.verdict import Verdict
 

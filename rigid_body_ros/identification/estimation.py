@@ -22,51 +22,85 @@ import math
 
 import numpy as np
 from rigid_body_ros.common.arrays import entries, Floats
-from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Estimate, Identification, without_effect
 from rigid_body_ros.inference import errors
-from rigid_body_ros.inference.actuator import applied
 from rigid_body_ros.inference.certainty import Certainty, certainty
-from rigid_body_ros.inference.clock import likely_offset
 from rigid_body_ros.inference.coordinates import (
     checked_priors,
     GRAVITY,
-    lifted,
-    Magnitudes,
-    Parameters,
-    Physics,
-    SHORT_LAG,
 )
-from rigid_body_ros.inference.experiment import (
-    channels_of,
-    Experiment,
-    local_state,
-    typical_rate,
-)
-from rigid_body_ros.inference.findings import examined, Findings
-from rigid_body_ros.inference.growth import Solution, solve
+from rigid_body_ros.inference.findings import Findings, judged
+from rigid_body_ros.inference.growth import Solution
+from rigid_body_ros.inference.inputs import channels_of, setup_of
 from rigid_body_ros.inference.parameters import (
     checked_names,
-    moments_of,
-    split_topic,
     START,
     unit_of,
     WEIGHT,
 )
-from rigid_body_ros.inference.sensors import topics_of
-from rigid_body_ros.inference.setup import Setup
-from rigid_body_ros.inference.verdict import ACCEPT, judged, tried
-from rigid_body_ros.inference.windows import AxialInertia
+from rigid_body_ros.inference.verdict import ACCEPT, tried, with_intervals
+from rigid_body_ros.inference.windows import acted
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.fields import UniformField
+from rigid_body_ros.mechanics.efforts import EffortLog
+from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import Logs, TorqueLog
+from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation import Options, Problem
+from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import faults_of, Measured
-from rigid_body_ros.scene.fields import MOMENT
+from rigid_body_ros.recording.observed import Measurements
 
 
-def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """
+    One recording: the torques that acted on the body, and the measurements.
+
+    Attributes
+    ----------
+    start : State
+        The initial state, or a guess of the initial state if 'start' is fitted. Measurements taken
+        before the start are ignored.
+    log : TorqueLog, sequence of TorqueLog or None
+        The torques, as for `propagate`.
+    measured : sequence of Measured
+        The measurements of the sensors.
+    wheels : TorqueLog or sequence of Wheel, optional
+        The torque on the rotors, or the named wheels, as for `propagate`. All recordings must have
+        the same wheels.
+    fields : sequence of Field
+        The fields, as for `propagate`. All recordings must have the same fields.
+    efforts : EffortLog, optional
+        Commands for the named wheels. The motion is first computed with the guess, to find out
+        which commands are refused because a wheel has reached its maximum speed.
+    torques : Account, optional
+        What became of the recorded torques.
+
+    """
+
+    start: State
+    log: Logs
+    measured: Sequence[Measured]
+    wheels: TorqueLog | Sequence[Wheel] | None = None
+    fields: Sequence[Field] = ()
+    efforts: EffortLog | None = None
+    torques: Account | None = None
+
+    def observed(self, body: RigidBody, torque_timeout: float) -> tuple[Problem, Measurements]:
+        """Return the problem of a body, and the measurements."""
+        problem = Problem(body, self.start, self.log, wheels=self.wheels, fields=self.fields,
+                          efforts=self.efforts, torque_timeout=torque_timeout)
+        return problem, Measurements([*self.measured], torques=self.torques)
+
+
+#: A recording of a body.
+Observed = Experiment | tuple[Problem, Measurements]
+
+
+def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
              estimate: Sequence[str] = ('inertia', START), attitude_noise: float | None = None,
              rate_noise: float | None = None, validate: float = 0.0,
              priors: Mapping[str, float | str] | None = None,
@@ -82,8 +116,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     ----------
     body : RigidBody
         Initial guess of the inertia and the damping. The inertia may be off by a factor of three.
-    experiments : Experiment or sequence of Experiment
-        Recordings of the same body.
+    experiments : Experiment, or (Problem, Measurements), or a sequence of these
+        Recordings of the same body. The body of a problem is replaced by `body`.
     estimate : sequence of str
         The parameters to fit. For the body and the torques, these are 'inertia' (all six entries)
         or 'inertia_diagonal' (the three diagonal entries), 'torque_gain' or 'torque_gains' (one
@@ -110,7 +144,7 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
         to the scale of the parameter. If effects missing from the model may cause a larger error,
         the model is rejected.
     torque_timeout : float, s
-        Longest time for which a torque sample acts, as for `propagate`.
+        Longest time for which a torque sample of an `Experiment` acts, as for `propagate`.
 
     Returns
     -------
@@ -131,41 +165,20 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
         raise InputError(f'validate: expected a fraction from 0 to less than 1, found {validate}')
     if WEIGHT in names and not np.any(gravity):
         raise InputError(f'gravity: expected a field other than zero for {WEIGHT}, found zeros')
-    experiments = [experiments] if isinstance(experiments, Experiment) else [*experiments]
-    if not experiments:
+    given = [experiments] if isinstance(experiments, (Experiment, tuple)) else [*experiments]
+    if not given:
         raise InputError('experiments: expected at least one recording, found none')
-    every = [channels_of(experiment) for experiment in experiments]
+    observed = [one.observed(body, torque_timeout) if isinstance(one, Experiment) else one
+                for one in given]
+    every = [channels_of(measurements.sensors, problem.start.time_ns)
+             for problem, measurements in observed]
     training = [_training(channels, validate) for channels in every]
-    problems, axial = zip(*(_carried(
-        Problem(body, one.start, one.log, wheels=one.wheels, fields=one.fields,
-                efforts=one.efforts, torque_timeout=torque_timeout), channels)
-        for one, channels in zip(experiments, training)))
-    if len({one and one.tensor.tobytes() for one in axial}) > 1:
-        raise InputError('experiments: expected the same wheels in all recordings, found others')
-    setup = replace(_setup([*problems], training, names, attitude_noise, rate_noise, gravity),
-                    axial=axial)
+    setup = setup_of([problem.replaced(body=body) for problem, _ in observed], training, names,
+                     attitude_noise, rate_noise, gravity)
     known = checked_priors(priors or {}, setup.parameters, setup.given)
-    solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
-    return _result(examined(solution), every if validate else [], accept,
-                   [fault for experiment in experiments
-                    for fault in faults_of(experiment.torques, experiment.measured)])
-
-
-def _carried(problem: Problem, channels: list[Measured]) -> tuple[Problem, AxialInertia | None]:
-    """
-    Replace the named wheels of a problem with rotors.
-
-    Return the new problem and the axial inertia of the wheels. In the new problem, the initial
-    rotor momentum is relative to the rotating body.
-    """
-    if not problem.named_wheels:
-        return problem, None
-    carried, start = problem.carried(), problem.start
-    tensor = problem.body.inertia - carried.body.inertia
-    _, rate = local_state(channels, start.time_ns, typical_rate(channels), start)
-    momentum = carried.start.rotor_momentum - tensor @ start.angular_velocity
-    return carried.replaced(start=State(start.time_ns, start.attitude, start.angular_velocity,
-                                        momentum)), AxialInertia(tensor, rate, start)
+    findings = judged(replace(setup, parameters=setup.parameters.with_priors(known)))
+    return _result(findings, every if validate else [], accept,
+                   [fault for _, one in observed for fault in faults_of(one.torques, one.sensors)])
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:
@@ -178,52 +191,6 @@ def _training(channels: list[Measured], validate: float) -> list[Measured]:
             raise InputError(f'{channel.topic}: expected samples before the part for validation, '
                              f'found {len(channel)}')
     return fitted
-
-
-def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple[str, ...],
-           attitude_noise: float | None, rate_noise: float | None,
-           gravity: Sequence[float]) -> Setup:
-    _check_topics(names, [channel for every in channels for channel in every])
-    rate = max(typical_rate(one) for one in channels)
-    torques = [np.sqrt(np.mean(np.sum(log.torques ** 2, axis=1)))
-               for problem in problems for log in problem.logs]
-    span_ns = max(float(one.stamps_ns[-1] - one.stamps_ns[0])
-                  for every in channels for one in every)
-    body, fields = problems[0].body, problems[0].fields
-    values = moments_of(names, fields)
-    for name in names:
-        kind, topic = split_topic(name)
-        if kind == 'clock_offset':
-            values[name] = np.array([_clock_offset(problems, channels, topic)])
-        elif kind == 'torque_lag':
-            values[name] = np.array([SHORT_LAG])
-    is_fitted = not {'inertia', 'inertia_diagonal'}.isdisjoint(names)
-    guess = Physics(lifted(body.inertia) if is_fitted else body.inertia, body.damping, values,
-                    gravity)
-    strengths = {f'{one.name}.{MOMENT}': float(np.linalg.norm(one.field)) for one in fields
-                 if isinstance(one, UniformField) and one.name and np.any(one.field)}
-    magnitudes = Magnitudes(rate, float(max(torques, default=0.0)), max(span_ns * 1e-9, 1e-9),
-                            strengths)
-    parameters = Parameters(names, guess, magnitudes)
-    return Setup(problems, channels, parameters, rate, START in names, attitude_noise, rate_noise,
-                 [None] * len(problems))
-
-
-def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
-    """Raise InputError if the topic in a name is unknown or lacks the required quantity."""
-    for name in names:
-        kind, topic = split_topic(name)
-        known = topics_of(kind, channels)
-        if topic and topic not in known:
-            raise InputError(f'estimate: {name}: expected a topic among {listed(known)}, found '
-                             f'{topic}')
-
-
-def _clock_offset(problems: list[Problem], channels: list[list[Measured]], topic: str) -> float:
-    """Guess the clock offset, in seconds, from the recording with the most samples."""
-    of_topic = [[one for one in every if topic in ('', one.topic)] for every in channels]
-    return likely_offset(*max(zip(problems, of_topic),
-                              key=lambda pair: sum(len(channel) for channel in pair[1])))
 
 
 def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: float,
@@ -249,7 +216,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
     moved = [{name: abs(value - before) for name, value, before in zip(
                  numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
              for _, fit in attempts]
-    verdict, systematic = judged(findings, [suspect for suspect, _ in attempts], moved,
+    verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved,
                                  dict(zip(numbers.names, numbers.scales)), accept)
     estimates = {name: Estimate(name, unit_of(name.partition('[')[0]), float(numbers.values[i]),
                                 float(numbers.guesses[i]), float(sigma[i]),
@@ -282,9 +249,8 @@ def _first_motion(solution: Solution, end_ns: int) -> Problem:
     momentum = given.start.rotor_momentum + physics.value('rotor_momentum') \
         + solution.problem.setup.axial_tensor @ start.angular_velocity
     start = State(start.time_ns, start.attitude, start.angular_velocity, momentum)
-    found = given.replaced(body=physics.body, start=start,
-                           log=applied(given.logs, physics, given.options.timeout_ns),
-                           fields=physics.acting(given.fields) or None)
+    found = acted(given, physics).replaced(body=physics.body, start=start,
+                                           fields=physics.acting(given.fields) or None)
     bias = physics.value('torque_bias')
     return found.biased(bias, end_ns) if bias.any() else found
 

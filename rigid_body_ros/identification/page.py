@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.inference.errors import correlations, Residuals
-from rigid_body_ros.inference.experiment import Experiment
 from rigid_body_ros.inference.residual_torque import residual_torque, with_attitude
 from rigid_body_ros.inference.torque_panels import residual_panels
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import matrix, moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page, table
@@ -47,7 +47,7 @@ _LAG, _FEWEST = 2.0, 20
 _NORMAL_95 = 1.96
 
 
-def page(fit: Identification, first: Experiment, name: str, scene: Scene,
+def page(fit: Identification, first: Problem, name: str, scene: Scene,
          command: str, degrees: bool = False) -> Page:
     """
     Return the page that reports an identification.
@@ -56,8 +56,8 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
     ----------
     fit : Identification
         The result, with at least one sample.
-    first : Experiment
-        The first recording. The page shows its motion, errors and torques.
+    first : Problem
+        The problem of the first recording, whose motion, errors and torques the page shows.
     name : str
         Name of the first recording.
     scene : Scene
@@ -90,7 +90,7 @@ def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:
                                  'fitted, with the state that fits best'
 
 
-def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
+def _panels(fit: Identification, first: Problem) -> Iterator[Panel]:
     quantities = fit.first_errors()
     if not quantities:
         return
@@ -99,7 +99,7 @@ def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
         lines = _lines(fit, parts, start_ns)
         yield from (replace(panel, lines=lines) for panel in _of_channel(parts, start_ns))
     end_ns = max(int(part.stamps_ns[-1]) for parts in quantities for part in parts)
-    yield from torque_panels(first.logs, start_ns, end_ns, fit.motion.options.timeout_ns)
+    yield from torque_panels(first.acting_logs, start_ns, end_ns, fit.motion.options.timeout_ns)
     yield from _of_torque(fit, start_ns)
     for parts in quantities:
         yield from _correlations(parts[0])
@@ -180,7 +180,7 @@ def _body(fit: Identification) -> dict[str, Any]:
         int(stamps_ns[0]), ghosts[0].stamps_ns, ghosts[0].values)}
 
 
-def draw(path: str | Path, fit: Identification, experiment: Experiment, name: str) -> None:
+def draw(path: str | Path, fit: Identification, problem: Problem, name: str) -> None:
     """
     Plot the errors and torques of the first recording over time, and save the plot as a PNG file.
 
@@ -193,8 +193,8 @@ def draw(path: str | Path, fit: Identification, experiment: Experiment, name: st
         The PNG file. The name can have any suffix. An existing file is overwritten.
     fit : Identification
         The result.
-    experiment : Experiment
-        The first recording.
+    problem : Problem
+        The problem of the first recording.
     name : str
         Name of the first recording, used in the title.
 
@@ -211,4 +211,4 @@ def draw(path: str | Path, fit: Identification, experiment: Experiment, name: st
         panels.append(figures.Series(f'{figures.literal(parts[0].topic)}:\n{quantity} error', unit,
                                      np.concatenate([part.kept_ns for part in parts]),
                                      np.concatenate([part.kept for part in parts])))
-    figures.errors(path, panels, (), experiment.logs, {}, name)
+    figures.errors(path, panels, (), problem.acting_logs, {}, name)

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from hashlib import sha256
 import math
 from pathlib import Path
@@ -26,38 +27,20 @@ from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.estimation import identify
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.inference.actuator import lagged
-from rigid_body_ros.inference.experiment import Experiment
 from rigid_body_ros.inference.parameters import NOT_IN_SCENES, split_topic, WEIGHT
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.urdf import robot
-from rigid_body_ros.recording.observed import read_observed, Reading
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.fields import FIELDS, values_of
 from rigid_body_ros.scene.scene import text_of
 
 
-def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:
-    """
-    Read the torques and the measurements of a recording, as `read_observed` does.
-
-    If the scene has actuators, the returned torques are the torques that act on the body, not the
-    commands to the actuators.
-    """
-    problem, measurements = read_observed(path, scene, reading, may_command=True)
-    logs, timeout_ns = list(problem.acting_logs), problem.options.timeout_ns
-    for k, actuator in enumerate(problem.actuators):
-        if actuator and actuator.time_constant:
-            logs[k] = lagged(logs[k], actuator.time_constant, timeout_ns)
-    wheels = problem.named_wheels.wheels if problem.named_wheels else problem.wheels
-    return Experiment(problem.start, logs, measurements.until_end(), wheels, problem.fields,
-                      problem.efforts, measurements.torques)
-
-
 def read_experiments(paths: Sequence[str | Path], scene: Scene,
-                     reading: Reading) -> list[Experiment]:
+                     reading: Reading) -> list[tuple[Problem, Measurements]]:
     """
-    Read several recordings, each with `read_experiment`.
+    Read several recordings, each with `read_observed`, up to the end of its motion.
 
     Raises
     ------
@@ -68,8 +51,10 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene,
     """
     experiments, known = [], dict[bytes, str]()
     for path in paths:
-        experiments.append(read_experiment(path, scene, reading))
-        for one in experiments[-1].measured:
+        problem, measurements = read_observed(path, scene, reading, may_command=True)
+        measurements = replace(measurements, sensors=measurements.until_end())
+        experiments.append((problem, measurements))
+        for one in measurements.sensors:
             columns = one.stamps_ns, one.attitude, one.angular_velocity
             digest = sha256(b''.join(column.tobytes() for column in columns
                                      if column is not None)).digest()
@@ -81,7 +66,8 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene,
     return experiments
 
 
-def identified(paths: Sequence[str | Path], scene: Scene, experiments: Sequence[Experiment],
+def identified(paths: Sequence[str | Path], scene: Scene,
+               experiments: Sequence[tuple[Problem, Measurements]],
                **options: Any) -> Identification:
     """
     Fit the recordings of a scene with `identify`, to which all options are passed.
@@ -93,7 +79,7 @@ def identified(paths: Sequence[str | Path], scene: Scene, experiments: Sequence[
 
     """
     try:
-        return identify(scene.body, experiments, torque_timeout=scene.torque_timeout, **options)
+        return identify(scene.body, experiments, **options)
     except ValueError as error:
         raise InputError(f'{paths[0]}: {error}') from error
 

@@ -28,6 +28,7 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.parameters import (
     components_of,
     field_of,
+    is_of_sensor,
     KINDS,
     SHIFTS,
     split_topic,
@@ -117,6 +118,12 @@ class Physics:
     def number(self, name: str, topic: str = '') -> float:
         """Return the value of a parameter with one component."""
         return float(self.value(name, topic)[0])
+
+    def of_motion(self) -> bytes:
+        """Return everything that changes the motion, as bytes: not the values of the sensors."""
+        return b''.join((self.inertia.tobytes(), self.damping.tobytes(), *(
+            value.tobytes() for name, value in self.values.items()
+            if not is_of_sensor(name))))
 
     def acting(self, fields: Sequence[Field]) -> list[Field]:
         """Return `fields` with fitted moments, followed by the weight if the weight is fitted."""

@@ -29,6 +29,7 @@ from rigid_body_ros.inference.growth import Solution
 from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 
 #: Largest lag at which an autocorrelation is computed, in samples.
@@ -220,6 +221,7 @@ def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> t
     rest = [channel.rows(slice(len(fitted), None))
             for channel, fitted in zip(channels, setup.channels[number])]
     whole, = setup.windows_of(number, channels, 2 ** 62, solution.physics)
+    assert isinstance(whole.problem, Problem)
     return k, replace(whole, problem=whole.problem.replaced(start=last.problem.start),
                       is_first=last.is_first, axial=last.axial, channels=rest,
                       rows=[slice(0, len(channel)) for channel in rest])

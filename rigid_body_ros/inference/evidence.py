@@ -33,13 +33,19 @@ from rigid_body_ros.inference.certainty import triangle
 from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import ahead_of, Residuals
 from rigid_body_ros.inference.fit import LeastSquares, Weights
-from rigid_body_ros.inference.growth import Solution, states_at
+from rigid_body_ros.inference.growth import polished, Solution, states_at
 from rigid_body_ros.inference.noise import Noise, noise_of
 from rigid_body_ros.recording.measured import Measured
 
 #: What remains of a column after its projection onto other columns is subtracted counts as a
 #: rounding error if the norm of the remainder is at most this fraction of the column's norm.
 _ROUNDING = 1e-5
+#: If the largest of the noise spreads exceeds the smallest by more than this factor, the fit is
+#: repeated with weights that are computed from the spreads.
+_UNEQUAL = 1.05
+#: Smallest noise that a fit assumes for any axis, as a fraction of the root-mean-square noise of
+#: all axes.
+_LEAST = 1e-3
 #: Maximum number of samples per channel in a window. This limits the memory that is needed.
 _LONGEST = 12_000
 #: Limits for the standard deviation of a predicted attitude, rad. Above `_LOST`, the prediction is
@@ -155,8 +161,8 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
 
     """
     old = solution.problem
-    most = max(len(channel) for channels in old.setup.channels for channel in channels)
-    parts = -(-max(pieces, -(-most // _LONGEST)) // len(old.windows))
+    samples = max(len(channel) for channels in old.setup.channels for channel in channels)
+    parts = -(-max(pieces, -(-samples // _LONGEST)) // len(old.windows))
     # The fitted motion jumps wherever a window of the solution begins. A window of the new problem
     # must therefore begin at each of these times, too.
     windows = old.setup.windows(solution.length_ns, solution.physics, parts)
@@ -206,6 +212,38 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
             parts[problem.windows[k].experiment][channel].append(part)
     return [[noise_of(each, share) if each else Noise(np.ones(3), np.empty(0), 1.0, 1.0)
              for each in every] for every in parts]
+
+
+def own_noises(solution: Solution) -> list[list[Noise]]:
+    """Estimate the noise of each channel of each recording from the errors of a fit."""
+    setup = solution.problem.setup
+    return noises(widened(solution, Parameters(setup.parameters.groups, solution.physics,
+                                               setup.parameters.magnitudes,
+                                               setup.parameters.priors)))
+
+
+def with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
+    """Return a fit with `weighted` weights, repeated if the noise spreads are not about equal."""
+    solution = weighted(solution, found)
+    sizes = np.concatenate([one for each in solution.weights.spreads for one in each])
+    return polished(solution) if sizes.max() > _UNEQUAL * sizes.min() else solution
+
+
+def weighted(solution: Solution, found: list[list[Noise]]) -> Solution:
+    """Return a fit with weights that account for the size and persistence of the errors."""
+    setup = solution.problem.setup
+    spreads: list[list[Floats]] = []
+    for channels, every in zip(setup.channels, found):
+        spreads.append([])
+        for channel, noise in zip(channels, every):
+            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
+            # Use relative sizes, because the next fit estimates the factor common to all axes. If
+            # a sensor is stuck, one axis may have no errors. That axis must not dominate the fit.
+            relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
+            sizes = np.ones(3) if given else np.maximum(relative, _LEAST)
+            spreads[-1].append(sizes * noise.lasting)
+    weights = replace(solution.weights, spreads=spreads)
+    return replace(solution, weights=weights, problem=solution.problem.weighted(weights))
 
 
 @dataclass(frozen=True, eq=False)

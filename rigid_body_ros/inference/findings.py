@@ -27,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import Residuals
 from rigid_body_ros.inference.evidence import (
     explained,
@@ -36,10 +37,13 @@ from rigid_body_ros.inference.evidence import (
     noises,
     solved,
     split_channels,
+    weighted,
     widened,
+    with_noise,
 )
 from rigid_body_ros.inference.fit import LeastSquares
-from rigid_body_ros.inference.growth import polished, Solution
+from rigid_body_ros.inference.growth import COARSEST, grown, lasts, polished, rough, Solution
+from rigid_body_ros.inference.hypotheses import marks, undone
 from rigid_body_ros.inference.noise import (
     ALARM,
     batches_of,
@@ -49,12 +53,11 @@ from rigid_body_ros.inference.noise import (
     Noise,
 )
 from rigid_body_ros.inference.parameters import components_of
+from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.suspects import candidates, extended
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 
-#: If the largest of the noise spreads exceeds the smallest by more than this factor, the fit is
-#: repeated with weights that are computed from the spreads.
-_UNEQUAL = 1.05
 #: Minimum number of windows in the search for a sudden change in the inertia. The search tests,
 #: for each window, whether the inertia changes at the beginning of the window.
 _PIECES = 16
@@ -63,9 +66,6 @@ _BATCH = 1.0
 #: A normal variable exceeds its mean by more than this many standard deviations with probability
 #: 1e-4.
 _FAR = 3.72
-#: Smallest noise that a fit assumes for any axis, as a fraction of the root-mean-square noise of
-#: all axes.
-_LEAST = 1e-3
 #: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s and as a fraction
 #: of the measured rates.
 _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
@@ -73,12 +73,20 @@ _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
 #: for angular velocities. If the typical rate is above 1 rad/s, the limit for angular velocities
 #: is multiplied by this rate.
 _TINY = 1e-9
+#: A suspect explains much if the chi-square would fall by more than this fraction of the number of
+#: errors: what is missing is then as large as the noise.
+LARGE = 0.5
+#: The noise of a recorded motion is not well known, so a suspect must lower the chi-square by more
+#: than this fraction of the number of errors.
+_VISIBLE = 0.15
+#: Starts that differ by less than this, rad or relative to the rate, count as equal.
+_SAME_START = 1e-7
 #: Largest plausible fractions of outliers among the samples of a sensor: for outliers that come in
 #: clusters, and for scattered outliers.
 _CLUSTERED, _SCATTERED = 0.03, 0.3
 #: A change in the inertia is suspected only if the fractions of outliers before and after the
-#: change differ by at least this much.
-_APART = 0.4
+#: change differ by at least this much, and not in this fraction of the samples at either end.
+_APART, _EDGE = 0.4, 0.1
 INERTIA_CHANGE = 'inertia_change'
 
 
@@ -97,8 +105,11 @@ class Score(NamedTuple):
     drop: float
     #: Probability of a drop at least this large if the parameter has no effect.
     p: float
-    #: Time of the change since the start, s, if the suspect is a change in the inertia.
-    seconds: float | None = None
+    #: The value of the parameter with which the drop would be largest, by component, in its units.
+    #: For a change in the inertia, its time since the start, s.
+    value: Sequence[float] = ()
+    #: A description, if the suspect is not a parameter.
+    text: str = ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,23 +153,67 @@ class Findings:
                        reasons=[*self.reasons, *(one for one in reasons if one)])
 
 
+def judged(setup: Setup) -> Findings:
+    """
+    Fit the model, and examine the errors.
+
+    If one fault of the recording explains why even short windows do not fit, the model is not
+    examined any further.
+    """
+    from scipy.special import chdtrc
+    few = rough(setup)
+    is_wrong = lasts(few) or few.length_ns < setup.shortest_ns
+    fault, drop = undone(setup) if is_wrong else (None, 0.0)
+    if fault is None:
+        solution = grown(setup, few)
+        return examined(polished(solution, *COARSEST) if setup.most else polished(solution))
+    return Findings(polished(few, *COARSEST), [Reason(fault.text, True)],
+                    [Score(fault.name, drop, float(chdtrc(1, drop)), text=fault.text)], {}, [])
+
+
 def examined(solution: Solution) -> Findings:
     """Examine the errors of a fit and return the findings."""
     setup = solution.problem.setup
     if _is_rounding(solution):
         return Findings(solution, [], [], {}, [])
     names, known = candidates(setup), setup.parameters.names
-    found = noises(widened(solution, extended(setup, solution.physics, names)))
-    solution = _with_noise(solution, found)
     problem = widened(solution, extended(setup, solution.physics, names))
+    found, before = noises(problem), solution
+    solution = weighted(solution, found) if setup.most else with_noise(solution, found)
+    problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
+        widened(solution, extended(setup, solution.physics, names))
+    scores = [*_marks(solution), *_scores(linear(problem), problem.parameters, known, names)]
+    best = max((one.drop for one in scores), default=0.0)
+    # A parameter that explains much of the other errors also explains the outliers.
+    breaks = _breaks(solution) if setup.is_computed and best <= LARGE * solution.count else ()
     own = extended(setup, solution.physics, [])
-    pieces, halves = widened(solution, own, _PIECES), widened(solution, own, 2)
-    scores = [*_scores(linear(problem), known, names),
-              *_largest(_changes(linear(pieces), known, pieces), _breaks(solution))]
-    reasons, drift = _halves(linear(halves), setup.parameters.scales)
+    pieces = widened(solution, own, _PIECES)
+    reasons, drift = _halves(linear(widened(solution, own, 2)), setup.parameters.scales) \
+        if known else ([], {})
+    if not setup.is_computed:
+        scores = [one for one in scores if one.drop > _VISIBLE * solution.count]
+    scores += _largest(_changes(linear(pieces), known, pieces) if known else (), breaks)
     reasons += [*_noise(solution, found), *_outliers(solution), *_correlated(solution, found)]
     return Findings(solution, reasons, sorted((one for one in scores if one.p < ALARM),
                                               key=lambda one: -one.drop), drift, found)
+
+
+def start_score(solution: Solution) -> Score | None:
+    """Return the score of the start, unless the fitted start is the given one within the noise."""
+    from scipy.special import chdtrc
+    problem, setup = solution.problem, solution.problem.setup
+    given, states, unknown = setup.start(0), problem.reference, problem.unknowns[0]
+    turned = so3.log(so3.multiply(so3.conjugate(states.attitude[0]), given.attitude))
+    faster = given.angular_velocity - states.angular_velocity[0]
+    change = np.append(turned, faster / setup.rate)[unknown]
+    if np.abs(change).max() < _SAME_START:
+        return None
+    slopes = problem.derivatives(0, solution.physics)[:len(unknown)]
+    drop = float(np.sum((change @ slopes) ** 2))
+    p = float(chdtrc(len(unknown), drop))
+    attitude = f'{np.linalg.norm(turned):.2g} rad and ' if len(unknown) > 3 else ''
+    return Score('start', drop, p, text='the start of the scene is not that of the motion: it is '
+                 f'off by {attitude}{np.linalg.norm(faster):.2g} rad/s') if p < ALARM else None
 
 
 def _is_rounding(solution: Solution) -> bool:
@@ -169,39 +224,34 @@ def _is_rounding(solution: Solution) -> bool:
                for channel, noise in zip(channels, every))
 
 
-def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
-    """
-    Return a fit with weights that account for the size and persistence of the errors.
-
-    The fit is repeated only if the noise spreads differ by more than the factor `_UNEQUAL`.
-    """
-    setup = solution.problem.setup
-    spreads: list[list[Floats]] = []
-    for channels, every in zip(setup.channels, found):
-        spreads.append([])
-        for channel, noise in zip(channels, every):
-            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            # Use relative sizes, because the next fit estimates the factor common to all axes. If
-            # a sensor is stuck, one axis may have no errors. That axis must not dominate the fit.
-            relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
-            sizes = np.ones(3) if given else np.maximum(relative, _LEAST)
-            spreads[-1].append(sizes * noise.lasting)
-    weights = replace(solution.weights, spreads=spreads)
-    solution = replace(solution, weights=weights, problem=solution.problem.weighted(weights))
-    sizes = np.concatenate([one for each in spreads for one in each])
-    return polished(solution) if sizes.max() > _UNEQUAL * sizes.min() else solution
+def _marks(solution: Solution) -> Iterator[Score]:
+    """Generate a score for each fault of some samples that explains the outliers of a channel."""
+    from scipy.special import chdtrc
+    for number, channels in enumerate(solution.problem.setup.channels):
+        for row in range(len(channels)):
+            for mark in marks(solution, number, row):
+                left = solution.errors[number][row][mark.rows]
+                drop = float(np.sum((left / solution.weights.sigma[number][row]) ** 2))
+                yield Score(mark.name, drop, float(chdtrc(left.size, drop)), text=mark.text)
 
 
-def _scores(given: Linearized, known: Sequence[str], names: Sequence[str]) -> Iterator[Score]:
-    """Generate a score for each suspect."""
+def _scores(given: Linearized, parameters: Parameters, known: Sequence[str],
+            names: Sequence[str]) -> Iterator[Score]:
+    """Generate a score for each parameter that was not estimated."""
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
     base = matrix[:, given.columns(known)]
+    guesses = parameters.values(parameters.guess)
     for name in names:
         unknown = [component for component in components_of(name) if component not in known]
-        drop, rank = explained(matrix[:, given.columns(unknown)], base, errors)
+        columns = given.columns(unknown)
+        drop, rank = explained(matrix[:, columns], base, errors)
         if rank:
-            yield Score(name, drop, float(chdtrc(rank, drop)))
+            change = solved(np.column_stack([matrix[:, columns], base]), errors)[0][:len(columns)]
+            value = (guesses[columns] + change * parameters.scales[columns]).tolist()
+            # No actuator acts before its command.
+            if name not in ('torque_delay', 'torque_lag') or value[0] >= 0.0:
+                yield Score(name, drop, float(chdtrc(rank, drop)), value)
 
 
 def _largest(*scores: Iterable[Score]) -> list[Score]:
@@ -224,7 +274,7 @@ def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> 
         drop, rank = explained(given.split(inertia, later), base, errors)
         # Only the best of many trial times is kept, so apply the Bonferroni correction.
         p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
-        yield Score(INERTIA_CHANGE, drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
+        yield Score(INERTIA_CHANGE, drop, p, [1e-9 * (window.anchor_ns - window.origin_ns)])
 
 
 def _breaks(solution: Solution) -> Iterator[Score]:
@@ -242,14 +292,15 @@ def _breaks(solution: Solution) -> Iterator[Score]:
             bad = np.cumsum(~inliers)
             count = np.arange(1, len(bad) + 1)
             after = (bad[-1] - bad) / np.maximum(len(bad) - count, 1)
-            apart = np.abs(bad / count - after)[FEWEST:-FEWEST]
+            edge = max(FEWEST, round(_EDGE * len(bad)))
+            apart = np.abs(bad / count - after)[edge:-edge]
             if not apart.size or apart.max() < _APART:
                 continue
-            row = FEWEST + int(np.argmax(apart))
+            row = edge + int(np.argmax(apart))
             seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
             left = error[~inliers] / level
             drop = float(np.nansum(left ** 2))
-            yield Score(INERTIA_CHANGE, drop, float(chdtrc(left.size, drop)), seconds)
+            yield Score(INERTIA_CHANGE, drop, float(chdtrc(left.size, drop)), [seconds])
 
 
 def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, float]]:

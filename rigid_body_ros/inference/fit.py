@@ -119,9 +119,10 @@ class LeastSquares:
         fits_attitude = setup.fits_attitude
         #: Indices of the unknown components of each state. Components 0 to 2 are the rotation
         #: vector of the attitude; components 3 to 5 are the angular velocity.
-        self.unknowns = [np.arange(0 if fits_attitude[window.experiment] else 3,
-                                   6 if setup.fits_start or not window.is_first else 0)
-                         for window in windows]
+        self.unknowns = [np.arange(
+            0 if fits_attitude[window.experiment] else 3,
+            6 if window.has_state and (setup.fits_start or not window.is_first) else 0)
+            for window in windows]
         self.guess = parameters.coordinates(parameters.guess)
         self.evaluations = 0
         #: Finite-difference steps for the shared parameters and for each state.
@@ -131,11 +132,15 @@ class LeastSquares:
         self._base: _Linearization | None = None
         self._trial: _Linearization | None = None
         self._rejected = 0
+        #: Caches of `derivatives`: the parameters of the last call, with the derivatives of a
+        #: window before they are weighted, and with the parameters after small steps.
+        self._slopes: dict[int, tuple[Physics, list[Floats]]] = {}
+        self._moved: tuple[Physics, list[list[Physics]]] | None = None
 
     def weighted(self, weights: Weights) -> LeastSquares:
         """Return a copy of this problem with the given weights."""
         other = LeastSquares(self.setup, self.windows, self.reference, weights)
-        other.steps = self.steps
+        other.steps, other._slopes = self.steps, self._slopes
         return other
 
     @property
@@ -385,24 +390,37 @@ class LeastSquares:
             scales.
 
         """
+        if k in self._slopes and self._slopes[k][0] is physics:
+            return self._scaled_slopes(k, self._slopes[k][1])
         window, unknown = self.windows[k], self.unknowns[k]
-        own, shared = len(unknown), self.parameters.size
+        own = len(unknown)
         steps = _FINAL * self.steps[0]
         steps[self.parameters.shifts] /= _FINAL
         step = np.append(_FINAL * self.steps[1][k, unknown], steps)
         moves = np.zeros((2, len(step), 6))
         moves[:, np.arange(own), unknown] = np.outer((1, 2), step[:own])
-        moved = [[physics] * own + [self.parameters.near(physics, times * unit * steps)
-                                    for unit in np.eye(shared)] for times in (1, 2)]
+        moved = [[physics] * own + each for each in self._near(physics, steps)]
         predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
             k, np.concatenate([np.zeros((1, 6)), *moves])))
         # Use one-sided differences, because a step in the other direction could lead to an
         # impossible body.
-        rows = self._rows(k, slopes(window, [one[0] for one in predicted], [
+        found = slopes(window, [one[0] for one in predicted], [
             (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
-            / (2.0 * step[:, None, None]) for one in predicted]))
+            / (2.0 * step[:, None, None]) for one in predicted])
+        self._slopes[k] = physics, found
+        return self._scaled_slopes(k, found)
+
+    def _scaled_slopes(self, k: int, found: list[Floats]) -> Floats:
+        rows, own = self._rows(k, found), len(self.unknowns[k])
         rows[own:] = self.parameters.from_plain(rows[own:])
         return rows
+
+    def _near(self, physics: Physics, steps: Floats) -> list[list[Physics]]:
+        """Return the parameters after one and after two steps of each shared parameter."""
+        if self._moved is None or self._moved[0] is not physics:
+            self._moved = physics, [[self.parameters.near(physics, times * unit * steps)
+                                     for unit in np.eye(len(steps))] for times in (1, 2)]
+        return self._moved[1]
 
 
 def errors_of(channels: Sequence[Measured], predicted: Sequence[Floats]) -> list[Floats]:

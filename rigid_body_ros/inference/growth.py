@@ -26,14 +26,17 @@ give a good fit.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.experiment import local_state
 from rigid_body_ros.inference.fit import errors_of, LeastSquares, Weights
+from rigid_body_ros.inference.guess import local_state
+from rigid_body_ros.inference.noise import NORMAL
 from rigid_body_ros.inference.parameters import LONGEST_DELAY
 from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.setup import Setup
@@ -47,8 +50,11 @@ _CLOSER = 8
 #: The first fit may have ended in the wrong minimum if adjacent errors have a correlation above
 #: this limit.
 _LASTING = 0.5
-#: Maximum number of windows in the first fit, which only needs to find approximate parameters.
-_FEW = 8
+#: Another state is much better if its median error is smaller by this factor.
+_MUCH_LESS = 0.5
+#: Maximum number of windows, and of evaluations, in the first fit, which only needs to find
+#: approximate parameters, and in a fit that only compares hypotheses.
+_FIRST, _SCREENED = (8, 30), (4, 10)
 #: Factors by which the windows may grow, in the order in which they are tried.
 _GROWTH = (8, 4, 2)
 #: Derivatives are useful only if the prediction errors are below this number. The unit is rad for
@@ -60,8 +66,13 @@ _FAST = 6
 #: A fit with longer windows is good if the errors grow by a factor of at most `_WORSE` in all
 #: windows together, and by a factor of at most `_WORST` in each single window.
 _WORSE, _WORST = 1.1, 2.0
+#: Arguments of `polished` for fits that must not take long: the number of fits, their tolerance,
+#: and their maximum number of evaluations.
+COARSE, COARSEST = (2, 1e-6, 20), (1, 1e-3, 10)
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
+#: If fewer samples than this fraction are within that limit, the limit says nothing.
+_RARE = 0.1
 #: Smallest standard deviation that the search for outliers assumes, rad or rad/s. Rounding errors
 #: are smaller than this and therefore never count as outliers.
 _NO_OUTLIER = 1e-8
@@ -73,8 +84,6 @@ _ROUNDING = 1e-11
 #: A new window that begins at most this long before an old window, ns, starts from the state of
 #: the old window. The times may differ slightly because a fit changes the clock offsets.
 _SAME_NS = 1_000_000
-#: Standard deviation of normal noise divided by its median magnitude.
-_NORMAL = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,47 +119,85 @@ class Solution:
     evaluations: int
     converged: bool
 
+    @property
+    def count(self) -> int:
+        """Return the number of errors, without those of outliers."""
+        return sum(3 * int(np.sum(kept & np.isfinite(errors[:, 0])))
+                   for inliers, every in zip(self.inliers, self.errors)
+                   for kept, errors in zip(inliers, every))
+
 
 def solve(setup: Setup) -> Solution:
-    """
-    Fit with longer and longer windows.
+    """Return the maximum-likelihood fit with the longest windows that still give a good fit."""
+    return polished(grown(setup))
 
-    Return the fit with the longest windows that still give a good fit.
-    """
-    solution = _rough(setup)
-    solution = fitted(solution, solution.length_ns, 1e-2, 12)
+
+def grown(setup: Setup, few: Solution | None = None) -> Solution:
+    """Fit with longer and longer windows, starting from `rough`, and return the last good fit."""
+    few = few or rough(setup)
+    solution = _first(setup, setup.windows(few.length_ns, few.physics), few.physics)
+    solution = fitted(solution, few.length_ns, 1e-2, 12)
+    if better := _restarted(solution):
+        solution = fitted(better, few.length_ns, 1e-2, 12, windows=better.problem.windows)
     while solution.length_ns < setup.longest_ns:
         longer = _longer(solution)
         if longer is None:
             break
         solution = longer
-    return polished(solution)
+    return solution
 
 
-def _rough(setup: Setup) -> Solution:
+def solved_whole(setup: Setup) -> Solution:
     """
-    Fit the parameters to a few of the shortest windows, and return a solution for all windows.
+    Fit each recording in one window, even if the model does not fit it well.
+
+    If the start is fitted, the fit begins with longer and longer windows.
+    """
+    guess = _guess(setup)
+    solution = grown(setup) if setup.fits_start else _first(
+        setup, setup.windows(setup.span_ns, guess), guess)
+    if solution.length_ns < setup.span_ns or not setup.fits_start:
+        solution = fitted(solution, setup.span_ns, *COARSE[1:])
+    return polished(solution, *COARSE)
+
+
+def rough(setup: Setup) -> Solution:
+    """
+    Fit the parameters to a few of the shortest windows.
 
     If the remaining errors persist over many samples, the fit may have ended in the wrong minimum.
     In that case, another guess comes from a fit to even shorter windows, in which errors have less
-    time to grow.
+    time to grow. Without parameters, the shorter windows remain if their errors are smaller.
     """
-    guess = setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
+    guess = _guess(setup)
     found = _from_few(setup, setup.shortest_ns, guess)
-    if _lasts(found):
+    if lasts(found) and setup.is_computed:
         closer = _from_few(setup, setup.shortest_ns // _CLOSER, guess)
-        found = min(found, _from_few(setup, setup.shortest_ns, closer.physics), key=_misfit)
-    return _first(setup, setup.windows(setup.shortest_ns, found.physics), found.physics)
+        if not setup.parameters.size:
+            is_much_less = misfit(closer) < misfit(found) + np.log(_MUCH_LESS)
+            return closer if is_much_less else found
+        found = min(found, _from_few(setup, setup.shortest_ns, closer.physics), key=misfit)
+    return found
 
 
-def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
+def screened(setup: Setup) -> Solution:
+    """Fit very few of the shortest windows, to compare the errors of different setups."""
+    return _from_few(setup, setup.shortest_ns, _guess(setup), _SCREENED)
+
+
+def _guess(setup: Setup) -> Physics:
+    return setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
+
+
+def _from_few(setup: Setup, length_ns: int, guess: Physics,
+              most: tuple[int, int] = _FIRST) -> Solution:
     """Fit a few windows, starting from states that are guessed from the measurements."""
     windows = setup.windows(length_ns, guess)
-    few = windows[::-(-len(windows) // _FEW)]
-    return fitted(_first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
+    few = windows[::-(-len(windows) // most[0])]
+    return fitted(_first(setup, few, guess), length_ns, 1e-2, most[1], windows=few)
 
 
-def _lasts(solution: Solution) -> bool:
+def lasts(solution: Solution) -> bool:
     """Return whether the errors of adjacent samples are strongly correlated in any channel."""
     for error, middle in _with_middles(solution):
         clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # so that outliers do not dominate
@@ -159,9 +206,20 @@ def _lasts(solution: Solution) -> bool:
     return False
 
 
-def _misfit(solution: Solution) -> float:
-    """Return a measure of the errors of a fit, for comparison with fits to the same samples."""
-    return sum(float(np.log(max(middle, _ROUNDING))) for _, middle in _with_middles(solution))
+def misfit(solution: Solution) -> float:
+    """
+    Return the sum of the logarithms of the errors of all channels, relative to their values.
+
+    The error of a channel is that of its worst axis.
+    """
+    return sum(float(np.log(max(max(map(_middle, error.T)) / _size(one.values), _ROUNDING)))
+               for every, channels in zip(solution.errors, solution.problem.setup.channels)
+               for error, one in zip(every, channels))
+
+
+def _size(values: Floats) -> float:
+    """Return the root-mean-square length of some vectors or quaternions."""
+    return max(float(np.sqrt(np.mean(np.sum(values ** 2, axis=1)))), 1e-12)
 
 
 def _with_middles(solution: Solution) -> list[tuple[Floats, float]]:
@@ -182,12 +240,17 @@ def _longer(solution: Solution) -> Solution | None:
     return None
 
 
-def polished(solution: Solution) -> Solution:
-    """Return the maximum-likelihood fit to all samples that are not outliers."""
+def polished(solution: Solution, rounds: int = 8, tolerance: float = 1e-7,
+             most: int = 50) -> Solution:
+    """
+    Return the maximum-likelihood fit to all samples that are not outliers.
+
+    The fit is repeated up to `rounds` times, until noise and outliers stay the same.
+    """
     whole = [[inlier.astype(float) for inlier in inliers] for inliers in solution.inliers]
     previous = replace(solution, weights=replace(solution.weights, roots=whole))
-    for _ in range(8):
-        solution = fitted(previous, previous.length_ns, 1e-7, 50, is_last=True)
+    for _ in range(rounds):
+        solution = fitted(previous, previous.length_ns, tolerance, most, is_last=True)
         same = all(np.array_equal(one, other) for a, b in zip(solution.inliers, previous.inliers)
                    for one, other in zip(a, b))
         if same and np.allclose(np.concatenate(solution.weights.sigma),
@@ -225,15 +288,42 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
 def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
             ) -> tuple[Floats, Floats]:
     """Return whichever of the given states best predicts the measurements in a window."""
+    return states[int(np.argmin(_medians(window, physics, *states)))]
+
+
+def _medians(window: Window, physics: Physics, *states: tuple[Floats, Floats]) -> Floats:
+    """Return the sum of the median errors of all channels in a window, for each given state."""
     predicted = window.predict([physics] * len(states),
                                Poses(*(np.array(values) for values in zip(*states))))
-    errors = [np.median(np.linalg.norm(one, axis=2), axis=1)
-              for one in errors_of(window.channels, predicted) if one.shape[1]]
-    return states[int(np.argmin(np.sum(errors, axis=0)))]
+    return np.sum([np.median(np.linalg.norm(one, axis=2), axis=1)
+                   for one in errors_of(window.channels, predicted) if one.shape[1]], axis=0)
+
+
+def _restarted(solution: Solution) -> Solution | None:
+    """
+    Start windows where the window before ends, if that predicts their measurements much better.
+
+    A window may have been fitted to bad samples at its beginning. Return None if this helps no
+    window.
+    """
+    old, physics, is_better = solution.problem, solution.physics, False
+    states = [*zip(old.reference.attitude, old.reference.angular_velocity)]
+    for k, (before, window) in enumerate(pairwise(old.windows), 1):
+        if window.is_first or not window.has_state:
+            continue
+        near = before.state_at(physics, *states[k - 1], window.anchor_ns)
+        own, other = _medians(window, physics, states[k], near)
+        if other < _MUCH_LESS * own:
+            states[k], is_better = near, True
+    if not is_better:
+        return None
+    problem = LeastSquares(old.setup, old.windows, Poses(*(
+        np.array(values) for values in zip(*states))), old.weights)
+    return _solution(problem, physics, solution.length_ns, solution.evaluations)
 
 
 def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
-           is_last: bool = False, windows: list[Window] | None = None) -> Solution:
+           is_last: bool = False, windows: Sequence[Window] | None = None) -> Solution:
     """Fit with windows of a given length, starting from the previous fit."""
     from scipy.optimize import least_squares
     setup = _with_fitted_rates(previous)
@@ -272,7 +362,7 @@ def _with_fitted_rates(solution: Solution) -> Setup:
     return replace(setup, axial=axial) if any(axial) else setup
 
 
-def states_at(solution: Solution, windows: list[Window]) -> Poses:
+def states_at(solution: Solution, windows: Sequence[Window]) -> Poses:
     """Return the states of a solution at the beginning of each given window."""
     old, pairs = solution.problem, []
     begins = [(one.experiment, one.anchor_ns) for one in old.windows]
@@ -297,10 +387,9 @@ def _solution(problem: LeastSquares, physics: Physics, length_ns: int, evaluatio
         distances = [np.nan_to_num(np.linalg.norm(error, axis=1)
                                    / max(level, noise or 0.0, _NO_OUTLIER))
                      for error, level, noise in zip(every, levels, given)]
-        inlier = [distance <= _OUTLIER for distance in distances]
+        inlier = [_inliers(distance, error) for distance, error in zip(distances, every)]
         if is_last:
-            levels = [max(float(np.sqrt(np.nanmean(error[one] ** 2))) * share,
-                          _floor(channel, setup))
+            levels = [max(_rms(error[one]) * share, _floor(channel, setup))
                       for error, one, channel in zip(every, inlier, channels)]
         inliers.append(inlier)
         sigma.append([noise or level for noise, level in zip(given, levels)])
@@ -311,15 +400,29 @@ def _solution(problem: LeastSquares, physics: Physics, length_ns: int, evaluatio
     return Solution(length_ns, problem, physics, errors, weights, inliers, evaluations, converged)
 
 
+def _inliers(distances: Floats, error: Floats) -> NDArray[np.bool_]:
+    """Return a mask of the samples that are not outliers, which nearly all cannot be."""
+    inliers, finite = distances <= _OUTLIER, np.isfinite(error[:, 0])
+    if finite.any() and np.mean(inliers[finite]) < _RARE:
+        return np.ones(len(inliers), bool)
+    return np.asarray(inliers)
+
+
 def _level(error: Floats, channel: Measured, setup: Setup, share: float) -> float:
     """Return an outlier-resistant estimate of the standard deviation of a channel's errors."""
-    return max(_NORMAL * _middle(error) * share, _floor(channel, setup))
+    return max(NORMAL * _middle(error) * share, _floor(channel, setup))
 
 
 def _middle(error: Floats) -> float:
     """Return the median magnitude of errors, ignoring samples outside windows, which are NaN."""
     finite = np.abs(error[np.isfinite(error)])
     return float(np.median(finite)) if finite.size else 0.0
+
+
+def _rms(error: Floats) -> float:
+    """Return the root-mean-square error, ignoring samples outside windows, which are NaN."""
+    finite = error[np.isfinite(error)]
+    return float(np.sqrt(np.mean(finite ** 2))) if finite.size else 0.0
 
 
 def _floor(channel: Measured, setup: Setup) -> float:

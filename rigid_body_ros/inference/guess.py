@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Find a first guess of the clock offset and the mounting of a sensor, from the data alone."""
+"""Guess clock offsets, mountings and states from the data, for a fit to begin with."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.motion import inside, Motion
-from rigid_body_ros.inference.residual_torque import measured_rates
+from rigid_body_ros.inference.residual_torque import measured_rates, residual_torque
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 
 #: The largest clock offset that the search can find, s.
@@ -36,6 +38,15 @@ _OVERLAP = 0.5
 #: and the smallest cost. A minimum that exceeds the smallest cost by no more than this is a tie.
 #: Among tied minima, the search chooses the one with the smallest absolute offset.
 _SAME = 0.01
+#: A state is estimated from about this many samples.
+_LOCAL = 25
+#: Spacing of the offsets that `likely_offset` tries, s.
+_SPACING = 0.02
+#: Approximate number of samples used to evaluate each offset.
+_ROWS = 500
+#: A clock offset is accepted only if the fraction of the torque that stays unexplained at this
+#: offset is less than `_BETTER` times the fraction that stays unexplained at zero offset.
+_BETTER = 0.8
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -203,3 +214,122 @@ def davenport(attitudes: Floats) -> Floats:
 def _weights(distances: Floats) -> Floats:
     scale = 2.0 * float(np.median(distances))
     return 1.0 / np.maximum(distances / max(scale, 1e-12), 1.0)
+
+
+def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
+    """
+    Return the clock offset for which the logged torques best explain the measured motion.
+
+    The torque required for a given motion is a linear function of the entries of the inertia. For
+    each trial offset, linear least squares therefore finds the best inertia, and no guess of the
+    inertia is needed.
+
+    Parameters
+    ----------
+    problem : Problem
+        The model. Its inertia is not used.
+    sensors : sequence of Measured
+        The measurements. Only one sensor is used: the gyro with the most samples or, if there is
+        no gyro, the sensor with the most samples.
+
+    Returns
+    -------
+    float, s
+        The offset to add to the stamps of the measurements. It is 0 unless some other offset
+        explains the torques much better.
+
+    """
+    sensor = max(sensors, key=lambda one: (one.angular_velocity is not None, len(one)))
+    residual = residual_torque(problem, sensor)
+    if residual is None or not residual.logged.any():
+        return 0.0
+    seconds = 1e-9 * (residual.times_ns - residual.times_ns[0])
+    rows = slice(None, None, -(-len(seconds) // _ROWS))
+    largest = min(LARGEST_OFFSET, _OVERLAP * seconds[-1])
+    offsets = _SPACING * np.arange(-int(largest / _SPACING), int(largest / _SPACING) + 1)
+    left = np.array([_unexplained(seconds[rows] + offset, residual.of_inertia[rows], seconds,
+                                  residual.logged) for offset in offsets])
+    best = int(np.argmin(left))
+    return float(offsets[best]) if left[best] < _BETTER * left[len(left) // 2] else 0.0
+
+
+def _unexplained(times: Floats, of_inertia: Floats, seconds: Floats, logged: Floats) -> float:
+    """Return the fraction of the torque at the given times (s) that no inertia can explain."""
+    inside = (times >= 0.0) & (times <= seconds[-1])
+    torques = np.stack([np.interp(times[inside], seconds, column) for column in logged.T], axis=1)
+    matrix, wanted = of_inertia[inside].reshape(-1, 6), torques.ravel()
+    total = float(wanted @ wanted)
+    if not total:
+        return 1.0
+    errors = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    return float(errors @ errors) / total
+
+
+def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
+                fallback: State) -> tuple[Floats, Floats]:
+    """
+    Estimate the attitude and angular velocity at a given time from nearby measurements.
+
+    Parameters
+    ----------
+    channels : sequence of Measured
+        The measurements, already converted to the torque clock and to body axes.
+    time_ns : int
+        The time at which the state is wanted.
+    rate : float, rad/s
+        Typical angular velocity.
+    fallback : State
+        A state that provides the quantities that were not measured.
+
+    Returns
+    -------
+    attitude, angular_velocity : array, shape (4,) and (3,)
+
+    """
+    attitude, velocity = fallback.attitude, fallback.angular_velocity
+    has_rate = False
+    for channel in channels:
+        if channel.is_attitude or has_rate:
+            continue
+        near = _near(channel, time_ns, rate)
+        if len(near):
+            velocity = _robust_line((near.stamps_ns - time_ns) * 1e-9, near.values)[0]
+            has_rate = True
+    for channel in (one for one in channels if one.is_attitude):
+        near = _near(channel, time_ns, rate)
+        if not len(near):
+            continue
+        middle = near.values[np.argsort(near.stamps_ns)[len(near) // 2]]
+        turned = so3.log(so3.multiply(so3.conjugate(middle), near.values))
+        here, slope = _robust_line((near.stamps_ns - time_ns) * 1e-9, turned)
+        attitude = so3.multiply(middle, so3.exp(here))
+        velocity = velocity if has_rate else slope
+        break
+    return attitude, velocity
+
+
+def _near(channel: Measured, time_ns: int, rate: float) -> Measured:
+    span_ns = int(0.5e9 / rate)
+    centre = int(np.searchsorted(channel.stamps_ns, time_ns))
+    near = channel.rows(slice(max(centre - _LOCAL // 2, 0), centre + _LOCAL))
+    distances = np.abs(near.stamps_ns - time_ns)
+    closest = np.sort(distances)[:3]
+    return near.rows(distances <= max(span_ns, int(closest.max(initial=0))))
+
+
+def _robust_line(seconds: NDArray[np.floating], values: Floats) -> tuple[Floats, Floats]:
+    """
+    Fit a low-order polynomial to each column, giving less weight to outliers.
+
+    Return the values of the polynomials and their slopes at time zero.
+    """
+    degree = 0 if len(seconds) < 3 else 1 if len(seconds) < 7 else 2
+    columns = np.vander(seconds, degree + 1, increasing=True)
+    weights: Floats = np.ones(len(seconds))
+    coefficients: Floats = np.zeros((degree + 1, 3))
+    for _ in range(8):
+        root = np.sqrt(weights)[:, None]
+        coefficients = np.linalg.lstsq(columns * root, values * root, rcond=None)[0]
+        errors = np.linalg.norm(values - columns @ coefficients, axis=1)
+        weights = 1.0 / (1.0 + (errors / (2.0 * np.median(errors) + 1e-12)) ** 2)
+    return coefficients[0], coefficients[1] if degree else np.zeros(3)

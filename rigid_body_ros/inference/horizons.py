@@ -23,7 +23,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.alarms import Judgement
-from rigid_body_ros.inference.align import errors_of
+from rigid_body_ros.inference.motion import errors_of
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
@@ -181,7 +181,8 @@ def _line(columns: Floats, values: Floats) -> Floats:
     """Fit a linear combination of columns to values, giving less weight to outliers."""
     weights = np.ones((len(values), 1))
     for _ in range(3):
-        found = np.linalg.lstsq(weights * columns, weights * values, rcond=None)[0]
+        weighted = weights ** 2 * columns
+        found = np.linalg.solve(weighted.T @ columns, weighted.T @ values)
         distances = np.linalg.norm(values - columns @ found, axis=1, keepdims=True)
         limit = max(2.0 * float(np.median(distances)), 1e-300)
         weights = np.minimum(limit / np.maximum(distances, limit), 1.0)

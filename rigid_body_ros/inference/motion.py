@@ -21,12 +21,20 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.mechanics import hermite
+from rigid_body_ros.mechanics import hermite, so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.recording.measured import Measured
+
+#: Lengths of the parts that `Recorded.of_attitudes` tries, s; minimum number of samples in a part;
+#: and by how much the errors may exceed those of the next shorter parts.
+_PARTS, _FEWEST, _AS_GOOD = (1.0, 0.5, 0.25, 0.125, 0.06, 0.0), 5, 1.15
+#: An attitude is an outlier if both steps to its neighbours exceed the usual step by this factor.
+_ALONE = 10.0
 
 
 class Recorded:
@@ -37,9 +45,15 @@ class Recorded:
     ----------
     samples : Measured
         The samples of the motion. They must contain both attitudes and angular velocities.
+    source : Measured, optional
+        The attitudes that `of_attitudes` was given.
+    spacing_ns : int
+        The errors of samples of the motion that are further apart than this, ns, are independent.
 
     Attributes
     ----------
+    source : Measured, optional
+    spacing_ns : int
     start : State
         The earliest state.
     end_ns : int
@@ -47,13 +61,48 @@ class Recorded:
 
     """
 
-    def __init__(self, samples: Measured) -> None:
+    def __init__(self, samples: Measured, source: Measured | None = None,
+                 spacing_ns: int = 0) -> None:
+        self.source, self.spacing_ns = source, spacing_ns
         stamps_ns, attitude, rates = samples.stamps_ns, samples.attitude, samples.angular_velocity
         assert attitude is not None
         assert rates is not None
         self._stamps_ns, self._poses = stamps_ns, Poses(attitude, rates)
         self.start = State(int(stamps_ns[0]), attitude[0], rates[0])
         self.end_ns = int(stamps_ns[-1])
+
+    @classmethod
+    def of_attitudes(cls, sensor: Measured) -> Recorded:
+        """
+        Return the motion that a sensor of attitudes measures, at least five of them.
+
+        Its states are those in the middle of parts of the measurement, in each of which rotation
+        vectors follow a polynomial. The parts are as long as polynomials fit. Single outliers are
+        left out.
+        """
+        steps = so3.angle_between(sensor.values[:-1], sensor.values[1:])
+        alone = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))
+        sensor = sensor.rows(alone <= _ALONE * np.median(steps))
+        spacing = max(1e-9 * float(np.median(np.diff(sensor.stamps_ns))), 1e-9)
+        halves = [min(max(round(0.5 * length / spacing), _FEWEST // 2), (len(sensor) - 1) // 2)
+                  for length in _PARTS]
+        fits = [_polynomials(sensor, half) for half in dict.fromkeys(halves)]
+        longest = next((k for k, (fit, shorter) in enumerate(pairwise(fits))
+                        if fit[1] <= _AS_GOOD * shorter[1]), len(fits) - 1)
+        # In the next shorter parts, the errors of the polynomials are far below the noise.
+        motion, _ = fits[min(longest + 1, len(fits) - 1)]
+        return cls(motion, sensor, int(np.median(np.diff(motion.stamps_ns))))
+
+    #: A recorded motion has no torques. A window asks for them, and for the two methods below.
+    fields = logs = ()
+
+    def between(self, *_: object) -> Recorded:
+        """Return the same motion."""
+        return self
+
+    def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return zeros, shape (m, 3)."""
+        return np.zeros((len(times_ns), 3))
 
     def propagate(self, *, at: NDArray[np.int64]) -> Poses:
         """Return the states at the given times, interpolated by `hermite.between`."""
@@ -63,6 +112,31 @@ class Recorded:
         part = (at - stamps_ns[rows]) * 1e-9 / span
         return Poses(*hermite.between((attitude[rows], rates[rows]),
                                       (attitude[rows + 1], rates[rows + 1]), span, part))
+
+
+def _polynomials(sensor: Measured, half: int) -> tuple[Measured, float]:
+    """
+    Fit polynomials to parts of `2 * half + 1` attitudes, of second or third degree.
+
+    Return the states in the middle of the parts, and an estimate of the noise of the attitudes.
+    """
+    seconds, attitude = 1e-9 * (sensor.stamps_ns - sensor.stamps_ns[0]), sensor.values
+    # Parts do not overlap, because the acceleration between overlapping parts would only be noise.
+    middle = np.arange(half, len(sensor) - half, 2 * half + 1)
+    around = middle[:, None] + np.arange(-half, half + 1)
+    turns = so3.log(so3.multiply(so3.conjugate(attitude[middle])[:, None], attitude[around]))
+    times = seconds[around] - seconds[middle, None]
+    length = float(np.median(np.ptp(times, axis=1)))
+    columns = (times[..., None] / length) ** np.arange(3 if half < 4 else 4)
+    normal = np.einsum('nki,nkj->nij', columns, columns)
+    found = np.linalg.solve(normal, np.einsum('nki,nkx->nix', columns, turns))
+    left = np.median(np.sum((turns - columns @ found) ** 2, axis=(1, 2)))
+    free = 3.0 * (around.shape[1] - columns.shape[2])
+    usual = free * (1.0 - 2.0 / (9.0 * free)) ** 3  # the median of a chi-square
+    # The derivative of a small rotation vector is the angular velocity in body axes.
+    motion = Measured(sensor.topic, sensor.stamps_ns[middle],
+                      so3.multiply(attitude[middle], so3.exp(found[:, 0])), found[:, 1] / length)
+    return motion, float(np.sqrt(left / usual))
 
 
 #: `Motion` is the type of a motion that measurements can be compared with. `States` is the type of
@@ -96,3 +170,31 @@ def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
     ends = np.cumsum([0, *map(len, sensors)]).tolist()
     every = Poses(states.attitude, states.angular_velocity)
     return [every.rows(slice(*part)) for part in pairwise(ends)]
+
+
+def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
+    """
+    Return how far the measurements of a sensor are from a motion at the same times.
+
+    Returns
+    -------
+    rotation_vectors : array, shape (n, 3), optional
+        Rotation from the computed to the measured attitude, rad, body axes.
+    rate_errors : array, shape (n, 3), optional
+        Measured minus computed angular velocity, rad/s, body axes.
+
+    """
+    rotation = rate = None
+    if sensor.attitude is not None:
+        rotation = so3.log(so3.multiply(so3.conjugate(states.attitude), sensor.attitude))
+    if sensor.angular_velocity is not None:
+        rate = sensor.angular_velocity - states.angular_velocity
+    return rotation, rate
+
+
+def apart(motion: Motion, sensors: Sequence[Measured]) -> InputError:
+    """Return the error to raise if the measurements and the motion do not overlap in time."""
+    stamps_ns = sensors[0].stamps_ns
+    return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '
+                      f'at {motion.start.time_ns} ns, found them from {stamps_ns[0]} ns to '
+                      f'{stamps_ns[-1]} ns; are the clocks the same (--time-source log)?')

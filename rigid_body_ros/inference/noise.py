@@ -22,11 +22,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
 
 #: Probability of a false alarm in each test.
 ALARM = 1e-4
 #: Minimum number of samples in a batch, and minimum number of outliers that can form clusters.
 FEWEST = 10
+#: Ratio of the standard deviation of normal noise to its median absolute value.
+NORMAL = 1.4826
+#: The noise of an axis is at least this fraction of the largest noise of the three axes, and at
+#: least this number, rad or rad/s.
+_LEAST, _ROUNDING = 1e-3, 1e-7
 #: Maximum number of previous samples that a sample may depend on.
 _ORDER = 3
 #: Largest `Noise.lasting` that a sensor may have. An autoregression with the single coefficient
@@ -178,4 +184,40 @@ def _with_memory(sizes: Floats, coefficients: Floats, correlations: Floats) -> N
 def _lagged(parts: Sequence[Floats], lag: int) -> float:
     """Return the mean product of two samples that are `lag` samples apart."""
     products = [part[lag:] * part[:len(part) - lag] for part in parts if len(part) > lag]
-    return float(np.nanmean(np.concatenate(products))) if products else 0.0
+    finite = [product[np.isfinite(product)] for product in products]
+    return float(np.mean(np.concatenate(finite))) if any(map(len, finite)) else 0.0
+
+
+def spread_of(seconds: Floats, errors: Floats, is_attitude: bool = False) -> Floats:
+    """
+    Estimate the noise of some errors from how far each is from the line between its neighbours.
+
+    A wrong model hardly affects this estimate, because the errors that it causes change slowly.
+
+    Parameters
+    ----------
+    seconds : array, shape (n,), s
+        The times of the samples.
+    errors : array, shape (n, 3)
+        The errors, at least three.
+    is_attitude : bool
+        Whether the errors are rotation vectors.
+
+    Returns
+    -------
+    array, shape (3,)
+        The standard deviation on each axis.
+
+    """
+    before, here, after = seconds[:-2], seconds[1:-1], seconds[2:]
+    share = ((here - before) / (after - before))[:, None]
+    if is_attitude:  # rotation vectors are discontinuous at half a turn
+        turns = so3.exp(errors)
+        back = so3.conjugate(turns[:-2])
+        middle = so3.exp(share * so3.log(so3.multiply(back, turns[2:])))
+        left = so3.log(so3.multiply(so3.conjugate(middle), so3.multiply(back, turns[1:-1])))
+    else:
+        left = errors[1:-1] - (1.0 - share) * errors[:-2] - share * errors[2:]
+    sizes = NORMAL * np.median(np.abs(left) / np.sqrt(
+        1.0 + share ** 2 + (1.0 - share) ** 2), axis=0)
+    return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))

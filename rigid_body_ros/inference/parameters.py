@@ -43,6 +43,8 @@ def _axes(name: str) -> tuple[str, ...]:
 
 #: Name of the weight parameter, and also of the field that represents the weight.
 WEIGHT = 'weight'
+#: Name of the rotation between two space axes, which only an alignment fits.
+SPACE = 'space'
 #: All parameters by name, except `start` and the moments of fields.
 KINDS = {
     'inertia': Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
@@ -55,6 +57,7 @@ KINDS = {
     WEIGHT: Kind(_axes(WEIGHT), 'kg m'),
     'clock_offset': Kind(('clock_offset',), 's', is_of_sensor=True),
     'clock_drift': Kind(('clock_drift',), '', is_of_sensor=True),
+    SPACE: Kind(_axes(SPACE), 'rad'),
     'mount': Kind(_axes('mount'), 'rad', is_of_sensor=True),
     'gyro_bias': Kind(_axes('gyro_bias'), 'rad/s', is_of_sensor=True),
     'gyro_scale': Kind(_axes('gyro_scale'), '', 1.0, is_of_sensor=True),
@@ -66,7 +69,7 @@ LONGEST_DELAY = 2.0
 #: Name of the parameter for the initial attitude and angular velocity.
 START = 'start'
 #: Names of all parameters, in the order in which a fit lists them.
-NAMES = (*KINDS, START)
+NAMES = (*(name for name in KINDS if name != SPACE), START)
 #: Names of the parameters that cannot be stored in a scene.
 NOT_IN_SCENES = tuple(name for name in KINDS if name not in (
     'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum', WEIGHT))
@@ -134,6 +137,12 @@ def checked_names(names: Sequence[str]) -> tuple[str, ...]:
     order = [*NAMES, '']
     return tuple(sorted(names, key=lambda name: order.index(
         '' if field_of(name) else split_topic(name)[0])))
+
+
+def is_of_sensor(name: str) -> bool:
+    """Return whether a parameter changes what a sensor measures, but not the motion."""
+    kind = split_topic(name)[0]
+    return kind == SPACE or (kind in KINDS and KINDS[kind].is_of_sensor)
 
 
 def of_sensors() -> tuple[str, ...]:

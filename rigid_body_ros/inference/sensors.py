@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.parameters import split_topic
+from rigid_body_ros.inference.parameters import SPACE, split_topic
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 
@@ -74,6 +74,16 @@ def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Flo
     return result
 
 
+def space_axes(physics: Sequence[Physics]) -> Floats | None:
+    """
+    Return the rotation from the space axes of the motion to those of the measurements.
+
+    The result has shape (c, 1, 4), or is None if there is no rotation.
+    """
+    vectors = np.array([one.value(SPACE) for one in physics])
+    return so3.exp(vectors)[:, None] if vectors.any() else None
+
+
 def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
     """
     Return the rotation vector from body axes to the axes of a sensor.
@@ -95,7 +105,7 @@ def corrected(channels: Sequence[Measured], physics: Physics, origin_ns: int) ->
     The stamps are converted to the torque clock and the values to body axes, and the bias and
     scale of each gyro are removed.
     """
-    result = []
+    result, space = [], space_axes([physics])
     for channel, mount in zip(channels, mounts([physics], channels)):
         moved = replace(channel, stamps_ns=clocked(channel, physics, origin_ns))
         if channel.angular_velocity is not None:
@@ -103,8 +113,11 @@ def corrected(channels: Sequence[Measured], physics: Physics, origin_ns: int) ->
                 / physics.value('gyro_scale', channel.topic)
             moved = replace(moved, angular_velocity=rates if mount is None
                             else so3.rotate(mount[0], rates))
-        elif mount is not None and channel.attitude is not None:
-            moved = replace(moved, attitude=so3.multiply(channel.attitude,
-                                                         so3.conjugate(mount[0])))
+        elif channel.attitude is not None:
+            attitude = channel.attitude
+            if space is not None:
+                attitude = so3.multiply(so3.conjugate(space[0]), attitude)
+            moved = replace(moved, attitude=attitude if mount is None
+                            else so3.multiply(attitude, so3.conjugate(mount[0])))
         result.append(moved)
     return result

@@ -22,7 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Parameters, Physics
-from rigid_body_ros.inference.parameters import LONGEST_DELAY
+from rigid_body_ros.inference.motion import span_of
+from rigid_body_ros.inference.parameters import LONGEST_DELAY, SPACE
 from rigid_body_ros.inference.sensors import clocked
 from rigid_body_ros.inference.windows import AxialInertia, Window
 from rigid_body_ros.mechanics.body import RigidBody
@@ -36,13 +37,18 @@ _FIRST = 8.0
 _SHORTEST, _LONGEST = 20, 60_000
 #: Time by which a window begins before the first of its samples, ns, if a parameter shifts stamps.
 _LEAD_NS = 200_000_000
-#: Time for which torques from before a window are kept, because they may act in it, ns.
-_MEMORY_NS = round(1e9 * LONGEST_DELAY)
+#: Time for which torques from before a window are kept, because they may act in it, ns: the
+#: longest delay, and for how long a lag of a quarter of a second remembers a torque.
+_MEMORY_NS = round(1e9 * (LONGEST_DELAY + 10.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """All inputs of a fit, derived from the arguments of `identify`."""
+    """
+    All inputs of a fit, derived from the arguments of `identify`.
+
+    If the windows share no parameters, `most` may limit the number of windows, to save time.
+    """
 
     problems: Sequence[Problem]
     channels: list[list[Measured]]
@@ -52,6 +58,7 @@ class Setup:
     attitude_noise: float | None
     rate_noise: float | None
     axial: Sequence[AxialInertia | None]
+    most: int | None = None
 
     @property
     def given(self) -> Physics:
@@ -82,9 +89,19 @@ class Setup:
         return axial.start if axial else self.problems[number].start
 
     @property
+    def is_computed(self) -> bool:
+        """Return whether the motion is computed, from states that may be unknown."""
+        return isinstance(self.problems[0], Problem)
+
+    @property
     def fits_attitude(self) -> list[bool]:
-        """Return, for each recording, whether attitudes are measured."""
-        return [any(channel.is_attitude for channel in channels) for channels in self.channels]
+        """
+        Return, for each recording, whether the attitude at the start is unknown.
+
+        If no attitude is measured, it does not matter. Turning the space axes has the same effect.
+        """
+        return [SPACE not in self.parameters.groups and any(
+            channel.is_attitude for channel in channels) for channels in self.channels]
 
     @property
     def span_ns(self) -> int:
@@ -101,17 +118,20 @@ class Setup:
 
     @property
     def shortest_ns(self) -> int:
-        """Return the length of the windows of the first fit, ns."""
+        """Return the length of the windows of the first fit, ns; all of a recorded motion."""
+        if not self.is_computed:
+            return self.longest_ns
         spacing = max(float(np.median(np.diff(channel.stamps_ns))) for channels in self.channels
                       for channel in channels)
         return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
 
     def windows(self, length_ns: int, physics: Physics, parts: int = 1) -> list[Window]:
-        """Divide all recordings into windows; see `windows_of`."""
+        """Divide all recordings into windows, of which at most `most` are kept."""
         lead_ns = _LEAD_NS if self.parameters.shifts else 0
-        return [window for number, channels in enumerate(self.channels)
-                for window in self.windows_of(number, channels, length_ns, physics, lead_ns,
-                                              parts)]
+        windows = [window for number, channels in enumerate(self.channels)
+                   for window in self.windows_of(number, channels, length_ns, physics, lead_ns,
+                                                 parts)]
+        return windows[::-(-len(windows) // self.most)] if self.most else windows
 
     def windows_of(self, number: int, channels: Sequence[Measured], length_ns: int,
                    physics: Physics, lead_ns: int = 0, parts: int = 1) -> list[Window]:
@@ -143,7 +163,7 @@ class Setup:
         start_ns = problem.start.time_ns
         stamps = [clocked(channel, physics, start_ns) for channel in channels]
         first_ns = max(start_ns, min(int(each[0]) for each in stamps))
-        last_ns = max(int(each[-1]) for each in stamps)
+        last_ns = min(max(int(each[-1]) for each in stamps), span_of(problem)[1])
         count = parts * max(1, round((last_ns - first_ns) / length_ns))
         edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
         anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))

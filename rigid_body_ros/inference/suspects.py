@@ -25,9 +25,11 @@ from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.inference.coordinates import Parameters, Physics, SHORT_LAG
 from rigid_body_ros.inference.fit import LeastSquares
 from rigid_body_ros.inference.growth import fitted, Solution
+from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.parameters import (
     moments_of,
     of_sensors,
+    SPACE,
     split_topic,
     START,
     WEIGHT,
@@ -61,8 +63,9 @@ class Suspect:
         Chi-square per degree of freedom of the validation if the parameter is estimated as well.
         None if there is no validation.
     command : str
-        The command-line option that adds the parameter to the fit. For `inertia_change`, this is
-        advice in words.
+        The command-line option that adds the parameter to the fit, or advice in words.
+    text : str
+        A description, if the suspect is not a parameter.
 
     """
 
@@ -72,18 +75,22 @@ class Suspect:
     value: list[float]
     validation_chi2_per_dof: float | None
     command: str
+    text: str = ''
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields under the names used in the JSON file."""
         return {'name': self.name, 'chi2_drop': self.chi2_drop,
                 'validation_chi2_per_dof': self.validation_chi2_per_dof, 'p': self.p,
-                'value': as_json(np.array(self.value)), 'command': self.command}
+                'value': as_json(np.array(self.value)), 'command': self.command,
+                'text': self.text}
 
 
 def candidates(setup: Setup) -> list[str]:
     """Return the names of the parameters that could be estimated but were not."""
     given = setup.parameters.groups
-    names = [name for name in _of_body(setup) if name not in given]
+    names = [SPACE] if isinstance(setup.problems[0], Recorded) and any(
+        one.is_attitude for one in setup.channels[0]) else _of_body(setup)
+    names = [name for name in names if name not in given]
     channels = [channel for every in setup.channels for channel in every]
     for kind in of_sensors():
         topics = topics_of(kind, channels)
@@ -95,6 +102,8 @@ def candidates(setup: Setup) -> list[str]:
 
 
 def _of_body(setup: Setup) -> list[str]:
+    if isinstance(setup.problems[0], Recorded):
+        return []
     groups, problems = setup.parameters.groups, setup.problems
     names = ['damping', 'rotor_momentum', *setup.parameters.magnitudes.strengths]
     if 'inertia' not in groups:
@@ -102,8 +111,11 @@ def _of_body(setup: Setup) -> list[str]:
     if all(setup.fits_attitude) and f'{WEIGHT}.{MOMENT}' not in names:
         names.append(WEIGHT)
     names.append('torque_bias')
-    if any(log.torques.any() for problem in problems for log in problem.logs):
-        names += ['torque_delay', 'torque_lag', 'torque_gains']
+    logs = [log for problem in problems for log in problem.logs]
+    if any(log.torques.any() for log in logs):
+        names += ['torque_delay', 'torque_gains']
+        if all(log.interpolation == 'hold' for log in logs):
+            names.append('torque_lag')
         if not {'inertia', 'inertia_diagonal', 'torque_gain', 'torque_gains'} & {*groups}:
             names.append('torque_gain')
     return names

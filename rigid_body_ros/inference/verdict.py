@@ -16,8 +16,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,10 +27,13 @@ from rigid_body_ros.inference.errors import Misfit, of_validation
 from rigid_body_ros.inference.findings import (
     Findings,
     INERTIA_CHANGE,
+    LARGE,
     probability,
+    Score,
 )
 from rigid_body_ros.inference.growth import Solution
 from rigid_body_ros.inference.noise import ALARM
+from rigid_body_ros.inference.parameters import KINDS, split_topic, START
 from rigid_body_ros.inference.suspects import (
     candidates,
     command_with,
@@ -97,6 +101,9 @@ class Verdict:
         for reason in self.reasons:
             yield 'reason', reason
         for one in self.suspects:
+            if one.text:
+                yield 'suspect', f'{one.name}: {one.text}; {one.command}'
+                continue
             values = ', '.join(f'{value:.4g}' for value in one.value)
             ahead = '' if one.validation_chi2_per_dof is None else \
                 f', chi-square of the validation {one.validation_chi2_per_dof:.3g}'
@@ -121,8 +128,9 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     from scipy.special import chdtrc
     solution, result = findings.solution, []
     setup = solution.problem.setup
-    names = [one.name for one in findings.scores if one.name != INERTIA_CHANGE][:_TRIED]
-    if findings.reasons and 'inertia' in candidates(setup) and 'inertia' not in names:
+    names = [one.name for one in findings.scores if _is_fitted(one)][:_TRIED]
+    is_bad_fit = findings.reasons and not any(one.text for one in findings.scores)
+    if is_bad_fit and 'inertia' in candidates(setup) and 'inertia' not in names:
         names.append('inertia')  # always try it: the guess may be too poor for a score test
     if not names:
         return []
@@ -142,9 +150,9 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     return result
 
 
-def judged(findings: Findings, attempts: Sequence[Suspect],
-           moved: Sequence[Mapping[str, float]], scales: Mapping[str, float],
-           accept: float) -> tuple[Verdict, dict[str, float]]:
+def with_intervals(findings: Findings, attempts: Sequence[Suspect],
+                   moved: Sequence[Mapping[str, float]], scales: Mapping[str, float],
+                   accept: float) -> tuple[Verdict, dict[str, float]]:
     """
     Return the verdict and, for each estimate, the systematic part of its interval.
 
@@ -193,16 +201,56 @@ def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     """
     ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
                                                -one.chi2_drop))
+    command = partial(command_with, findings.solution.problem.setup)
     for score in findings.scores:
-        if score.name == INERTIA_CHANGE:
+        if not _is_fitted(score):
             place = next((i for i, one in enumerate(ranked) if one.chi2_drop < score.drop),
                          len(ranked))
-            change = Suspect(
-                score.name, score.drop, score.p, [float(score.seconds or 0.0)], None,
-                f'the inertia changes about {score.seconds:.4g} s after the start: fit the parts '
-                'before and after it one by one')
-            ranked.insert(place, change)
+            ranked.insert(place, _suspect(score, command))
     return ranked
+
+
+def scored(findings: Findings, command: Callable[[str], str]) -> Verdict:
+    """
+    Return the verdict on a model from the scores alone, without a fit of the suspects.
+
+    Parameters
+    ----------
+    findings : Findings
+        The reasons against the model.
+    command : callable
+        Returns the command-line option, or the advice, for a parameter.
+
+    """
+    best = max((one.drop for one in findings.scores), default=0.0)
+    # Of suspects that explain about as much, the simplest comes first.
+    ranked = sorted(findings.scores, key=lambda one: (
+        (0.0, len(one.value)) if one.drop >= _ALIKE * best else (-one.drop, 0)))
+    ranked.sort(key=lambda one: one.drop < _ALIKE * best)
+    suspects = [_suspect(one, command) for one in ranked[:_LISTED]]
+    if not findings.reasons and not suspects:
+        return Verdict(EXPLAINED, [], [])
+    rejects = any(reason.rejects for reason in findings.reasons) or (
+        best > LARGE * findings.solution.count)
+    texts = [reason.text for reason in findings.reasons]
+    if suspects:
+        texts.append(_words(suspects))
+    return Verdict(REJECTED if rejects else APPROXIMATE, texts, suspects)
+
+
+def _is_fitted(score: Score) -> bool:
+    """Return whether a fit can estimate a suspect."""
+    return not score.text and score.name != INERTIA_CHANGE
+
+
+def _suspect(score: Score, command: Callable[[str], str]) -> Suspect:
+    text, advice = score.text, 'correct the recording'
+    if score.name == INERTIA_CHANGE:
+        text = f'the inertia changes about {score.value[0]:.4g} s after the start'
+        advice = 'fit the parts before and after it one by one'
+    elif split_topic(score.name)[0] in (*KINDS, START):
+        advice = command(score.name)
+    return Suspect(score.name, score.drop, score.p, [*score.value], None, advice, text)
 
 
 def _words(suspects: Sequence[Suspect]) -> str:

@@ -17,22 +17,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.inference.actuator import applied
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.sensors import clocked, mounts
+from rigid_body_ros.inference.motion import Motion, Recorded, span_of, States
+from rigid_body_ros.inference.sensors import clocked, mounts, space_axes
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.recording.measured import Measured
 
 #: Parameters that change the torques in a window.
 _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
+#: Lags shorter than this, s, are ignored.
+_SHORTEST = 1e-6
 Stamps = Sequence[NDArray[np.int64]]
 
 
@@ -73,7 +77,7 @@ class Window:
         Index of the recording.
     is_first : bool
         Whether the window begins at the start of the recording.
-    problem : Problem
+    problem : Problem or Recorded
         The torques that act in the window, and the rotor momentum at its beginning. Each
         prediction replaces the body, attitude and angular velocity of this problem.
     channels : list of Measured
@@ -93,7 +97,7 @@ class Window:
 
     experiment: int
     is_first: bool
-    problem: Problem
+    problem: Motion
     channels: list[Measured]
     rows: list[slice]
     origin_ns: int
@@ -102,6 +106,10 @@ class Window:
     #: A cache of the torques: the gain, delay and lag of the latest prediction as bytes, and the
     #: problem with the torques that result from them.
     _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
+    #: A cache of the latest motion, with its parameters and times: parameters of the sensors do
+    #: not change the motion.
+    _moved: tuple[tuple[bytes, ...], NDArray[np.int64], Trajectory] | None = field(
+        init=False, default=None)
     #: A cache of the sample times: the times of all channels in the latest prediction, the indices
     #: of each channel's times in the union of all times, and the union itself.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
@@ -115,6 +123,11 @@ class Window:
     def anchor_ns(self) -> int:
         """Return the beginning of the window, ns."""
         return self.problem.start.time_ns
+
+    @property
+    def has_state(self) -> bool:
+        """Return whether the motion depends on the state at the beginning of the window."""
+        return isinstance(self.problem, Problem)
 
     def predict(self, physics: Sequence[Physics], states: Poses) -> list[Floats]:
         """
@@ -146,7 +159,8 @@ class Window:
             for channel, values, here in zip(self.channels, found, rows):
                 values[i] = (motion.attitude if channel.is_attitude
                              else motion.angular_velocity)[here]
-        return [_attitudes(values, mount) if channel.is_attitude
+        space = space_axes(physics)
+        return [_attitudes(values, mount, space) if channel.is_attitude
                 else _rates(values, mount, physics, channel.topic)
                 for channel, values, mount
                 in zip(self.channels, found, mounts(physics, self.channels))]
@@ -158,12 +172,17 @@ class Window:
         return motion.attitude[0], motion.angular_velocity[0]
 
     def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
-                times_ns: NDArray[np.int64]) -> Trajectory:
+                times_ns: NDArray[np.int64]) -> States:
         """
         Return the motion at the given times.
 
         At times before the beginning of the window, the motion is at its initial state.
         """
+        if isinstance(self.problem, Recorded):
+            return self.problem.propagate(at=np.clip(times_ns, *span_of(self.problem)))
+        key = physics.of_motion(), attitude.tobytes(), velocity.tobytes()
+        if self._moved and self._moved[0] == key and self._moved[1] is times_ns:
+            return self._moved[2]
         momentum = self.problem.start.rotor_momentum + physics.value('rotor_momentum')
         if self.axial is not None:
             momentum = momentum + self.axial @ velocity
@@ -171,7 +190,9 @@ class Window:
         fields = physics.acting(self.problem.fields) if physics.values else None
         problem = self._acting(physics, int(times_ns[-1])).replaced(
             body=physics.body, start=start, fields=fields or None)
-        return problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
+        motion = problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
+        self._moved = key, times_ns, motion
+        return motion
 
     def _instants(self, physics: Physics) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
         """
@@ -196,15 +217,41 @@ class Window:
 
         The torques include the torque bias, which acts until `end_ns`.
         """
+        assert isinstance(self.problem, Problem)
         key = b''.join(physics.value(name).tobytes() for name in _OF_TORQUES)
         if not self._applied or key != self._applied[0]:
-            self._applied = key, self.problem.replaced(
-                log=applied(self.problem.logs, physics, self.problem.options.timeout_ns))
+            self._applied = key, acted(self.problem, physics)
         problem, bias = self._applied[1], physics.value('torque_bias')
         return problem.biased(bias, end_ns) if bias.any() else problem
 
 
-def _attitudes(attitude: Floats, mount: Floats | None) -> Floats:
+def acted(problem: Problem, physics: Physics) -> Problem:
+    """
+    Return a problem with the fitted gain, delay and lag of its actuators, but without the bias.
+
+    The gain multiplies the torques after their limits, the delay adds to the delay of each source,
+    and the lag to its time constant. If only the fitted lag acts, the returned problem starts at
+    its first torque, because the lag remembers the torques before the start of a window.
+    """
+    gains = physics.number('torque_gain') * physics.value('torque_gains')
+    delay_ns = round(physics.number('torque_delay') * 1e9)
+    lag = physics.number('torque_lag')
+    logs = [TorqueLog(log.times_ns + delay_ns, gains * log.torques, log.in_space,
+                      log.interpolation) for log in problem.acting_logs]
+    constants = [lag + (one.time_constant if one else 0.0)
+                 for one in problem.actuators or [None] * len(logs)]
+    if max(constants, default=0.0) <= _SHORTEST:
+        return problem.replaced(log=logs)
+    actuators = [Actuator(time_constant=one) if one > _SHORTEST else None for one in constants]
+    if problem.actuators:
+        return problem.replaced(log=logs, actuator=actuators)
+    first_ns = min(problem.start.time_ns, *(int(log.times_ns[0]) for log in logs))
+    return problem.replaced(start=replace(problem.start, time_ns=first_ns), log=logs,
+                            actuator=actuators)
+
+
+def _attitudes(attitude: Floats, mount: Floats | None, space: Floats | None) -> Floats:
+    attitude = attitude if space is None else so3.multiply(space, attitude)
     return attitude if mount is None else so3.multiply(attitude, mount)
 
 

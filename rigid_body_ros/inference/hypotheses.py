@@ -1,0 +1,388 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Faults of a recording that no parameter describes: misread channels, axes, and bad samples.
+
+A fault of all samples is found by undoing it: each hypothesis is a recording in which one fault
+is undone, and the best of them makes the errors of short windows much smaller. A fault of some
+samples shows in the errors of a fit: the samples are frozen, flipped, or at a limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import permutations, product
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.inference.coordinates import Parameters
+from rigid_body_ros.inference.growth import lasts, misfit, screened, Solution
+from rigid_body_ros.inference.guess import davenport, guess, kabsch
+from rigid_body_ros.inference.motion import Recorded
+from rigid_body_ros.inference.noise import FEWEST, spread_of
+from rigid_body_ros.inference.residual_torque import (
+    interpolated,
+    measured_rates,
+    residual_torque,
+)
+from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.recording.measured import Measured
+
+#: A hypothesis is named only if it makes the errors smaller by at least the factor `_SMALLER` and
+#: leaves no lasting errors, or by `_MUCH`. Hypotheses that differ by less than `_ABOUT` are about
+#: equally good, and the first one is named.
+_SMALLER, _MUCH, _ABOUT = 3.0, 30.0, 1.5
+#: Values that differ by less than `_SAME` standard deviations are treated as equal. A sensor is
+#: frozen only if the motion changes by `_MOVES` standard deviations in the meantime.
+_SAME, _MOVES = 6.0, 30.0
+#: A fault of some samples explains the outliers if it explains at least this fraction of them.
+_MOST = 0.8
+#: A gyro may saturate if more than this fraction of its samples are at the largest value.
+_AT_LIMIT = 0.2
+#: Smaller clock offsets, s, and mountings, rad, are left to the linear test of a parameter.
+_LATE, _TURNED = 0.1, 0.6
+#: Samples are frozen where they change by less than this part of their usual change and of their
+#: noise, and attitudes are flipped where they change by more than this angle, rad.
+_STILL, _JUMP = 0.2, 0.3
+#: A rotation that is within this angle of a swap of axes, rad, is described as a swap.
+_NEAR = 0.09
+#: All signed permutations of three axes; the first one is the identity.
+_SWAPS = [np.diag(signs) @ np.eye(3)[list(order)] for order in permutations(range(3))
+          for signs in product((1.0, -1.0), repeat=3)]
+
+
+class Hypothesis(NamedTuple):
+    """A fault, and the inputs of a fit in which the fault is undone."""
+
+    name: str
+    text: str
+    setup: Setup
+
+
+class Mark(NamedTuple):
+    """A fault of some samples of a channel: its name, a description, and the samples."""
+
+    name: str
+    text: str
+    rows: NDArray[np.intp]
+
+
+def undone(setup: Setup) -> tuple[Hypothesis | None, float]:
+    """
+    Return the fault that explains why even short windows do not fit, or None.
+
+    The second result is twice the logarithm of the likelihood ratio.
+    """
+    before, tried = misfit(screened(setup)), []
+    for one in _faults(setup):
+        try:
+            after = screened(one.setup)
+        except (InputError, ValueError):  # nothing is left to fit, or the motion is too fast
+            continue
+        if before - misfit(after) > math.log(_MUCH if lasts(after) else _SMALLER):
+            tried.append((misfit(after), one))
+    if not tried:
+        return None, 0.0
+    least = min(size for size, _ in tried)
+    count = min(len(one) for one in setup.channels[0])
+    return next(one for size, one in tried if size <= least + math.log(_ABOUT)), \
+        6.0 * count * (before - least)
+
+
+def _faults(setup: Setup) -> Iterator[Hypothesis]:
+    """Generate the faults of all samples, beginning with the simplest."""
+    topics = dict.fromkeys((one.topic, one.is_attitude) for one in setup.channels[0])
+    for topic, is_attitude in topics:
+        changes = _of_attitude() if is_attitude else _of_rates(setup, topic)
+        for name, text, change in changes:
+            yield Hypothesis(name, f'{topic}: {text}', _changed(setup, topic, is_attitude, change))
+    motion = setup.problems[0]
+    if not isinstance(motion, Recorded):
+        yield from _of_torques(setup)
+    elif motion.source:
+        for name, text, change in _of_attitude():
+            yield Hypothesis(name, f'{motion.source.topic}: {text}', replace(setup, problems=[
+                Recorded.of_attitudes(change(motion.source, ()))]))
+    yield from _of_clock_and_mount(setup, [*dict.fromkeys(topic for topic, _ in topics)])
+
+
+_Change = Callable[[Measured, Sequence[Measured]], Measured]
+
+
+def _changed(setup: Setup, topic: str, is_attitude: bool, change: _Change) -> Setup:
+    """Return a setup in which one quantity of a topic is changed in all recordings."""
+    return replace(setup, channels=[[
+        change(one, channels) if (one.topic, one.is_attitude) == (topic, is_attitude) else one
+        for one in channels] for channels in setup.channels])
+
+
+def _of_attitude() -> Iterator[tuple[str, str, _Change]]:
+    yield 'quaternion_order', 'the quaternions are in the order w, x, y, z; expected x, y, z, w', \
+        lambda one, _: replace(one, attitude=np.roll(one.values, -1, axis=1))
+    yield 'inverse_quaternion', 'the quaternions map space vectors to body vectors; expected ' \
+        'the reverse', lambda one, _: replace(one, attitude=so3.conjugate(one.values))
+
+
+def _of_rates(setup: Setup, topic: str) -> Iterator[tuple[str, str, _Change]]:
+    yield 'degrees', 'the angular velocity is in degrees per second; expected rad/s', \
+        lambda one, _: replace(one, angular_velocity=np.radians(one.values))
+    yield 'rates_in_space', 'the angular velocity is in space axes; expected body axes', \
+        lambda one, every: replace(one, angular_velocity=so3.rotate(
+            so3.conjugate(_attitude_at(one, every, setup)), one.values))
+    gyro = next(one for one in setup.channels[0] if one.topic == topic and not one.is_attitude)
+    limit = float(np.abs(gyro.values).max())
+    noise = spread_of(1e-9 * (gyro.stamps_ns - gyro.stamps_ns[0]), gyro.values)
+    below = (np.abs(gyro.values) < limit - _SAME * noise).all(axis=1)
+    if FEWEST <= below.sum() < (1.0 - _AT_LIMIT) * len(gyro):
+        yield 'gyro_saturation', f'the gyro saturates at {limit:.4g} rad/s', \
+            lambda one, _: one.rows(np.flatnonzero((
+                np.abs(one.values) < limit - _SAME * noise).all(axis=1)))
+    vectors = _rates_of_both(setup, topic)
+    if vectors is None:
+        return
+    swap = _best_swap(*vectors)
+    if swap is not None:
+        yield 'gyro_axes', f'the gyro has swapped or reversed axes: {_axes_text(swap)}', \
+            lambda one, _: replace(one, angular_velocity=one.values @ swap.T)
+    if not any(one.topic == topic and one.is_attitude for one in setup.channels[0]):
+        return  # the parameter `mount` of its own topic describes that
+    turn = kabsch(*vectors)
+    yield 'gyro_mount', f'the gyro is turned by {_turn_text(turn)}', \
+        lambda one, _: replace(one, angular_velocity=so3.rotate(turn, one.values))
+
+
+def _attitude_at(rates: Measured, channels: Sequence[Measured], setup: Setup) -> Floats:
+    """Return the attitude at each sample: measured, or integrated from rates in space axes."""
+    motion, attitudes = setup.problems[0], next((one for one in channels if one.is_attitude), None)
+    if isinstance(motion, Recorded):
+        return motion.propagate(at=rates.stamps_ns).attitude
+    if attitudes is not None:
+        return interpolated(attitudes.stamps_ns, attitudes.values, rates.stamps_ns)
+    steps = 1e-9 * np.diff(rates.stamps_ns)[:, None]
+    turns = so3.exp(0.5 * steps * (rates.values[:-1] + rates.values[1:]))
+    return so3.multiply(_accumulated(turns), setup.problems[0].start.attitude)
+
+
+def _accumulated(turns: Floats) -> Floats:
+    """Return the products 1, t[0], t[1] t[0], ... of rotations, shape (n + 1, 4)."""
+    result = np.concatenate([[[0.0, 0.0, 0.0, 1.0]], turns])
+    step = 1
+    while step < len(result):
+        result[step:] = so3.multiply(result[step:], result[:-step])
+        step *= 2
+    return result
+
+
+def _rates_of_both(setup: Setup, topic: str) -> tuple[Floats, Floats] | None:
+    """Return the angular velocities of a gyro, and of the attitudes; None without attitudes."""
+    channels, motion = setup.channels[0], setup.problems[0]
+    attitude = next((one for one in channels if one.is_attitude), None)
+    gyro = next(one for one in channels if one.topic == topic and not one.is_attitude)
+    if isinstance(motion, Recorded):
+        return gyro.values, motion.propagate(at=gyro.stamps_ns).angular_velocity
+    if attitude is None:
+        return None
+    stamps_ns, expected = measured_rates(attitude)
+    seen = np.stack([np.interp(stamps_ns - stamps_ns[0], gyro.stamps_ns - stamps_ns[0], column)
+                     for column in gyro.values.T], axis=1)
+    return seen, expected
+
+
+def _best_swap(vectors: Floats, targets: Floats, known: Floats | None = None) -> Floats | None:
+    """
+    Return the signed permutation of axes that best maps vectors to targets; None for the identity.
+
+    If `known` is given, shape (n, 3, 6), the targets are the torques of an unknown inertia, per
+    unit of its entries.
+    """
+    matrix = None if known is None else known.reshape(-1, known.shape[2])
+
+    def left(turn: Floats) -> float:
+        errors = targets - vectors @ turn.T
+        if matrix is not None:
+            flat = (vectors @ turn.T).ravel()
+            inertia = np.linalg.lstsq(matrix, flat, rcond=None)[0]
+            if inertia[:3].sum() <= 0.0:
+                return math.inf
+            errors = (flat - matrix @ inertia).reshape(-1, 3)
+        return float(np.median(np.linalg.norm(errors, axis=1)))
+    sizes = [left(turn) for turn in _SWAPS]
+    best = int(np.argmin(sizes))
+    return _SWAPS[best] if sizes[best] * _ABOUT < sizes[0] else None
+
+
+def _of_torques(setup: Setup) -> Iterator[Hypothesis]:
+    logs = [log for problem in setup.problems for log in problem.logs if log.torques.any()]
+    if not logs:
+        return
+    name, text = ('torque_in_body', 'the torque is in body axes, not in space axes') \
+        if logs[0].in_space.all() else \
+        ('torque_in_space', 'the torque is in space axes, not in body axes')
+    yield Hypothesis(name, text, _with_logs(setup, lambda log: TorqueLog(
+        log.times_ns, log.torques, ~log.in_space, log.interpolation)))
+    sensor = max(setup.channels[0], key=lambda one: (not one.is_attitude, len(one)))
+    residual = residual_torque(setup.problems[0], sensor)
+    if residual is None or not residual.logged.any():
+        return
+    known = residual.of_inertia if 'inertia' in setup.parameters.groups else None
+    turn = _best_swap(residual.logged, residual.logged + residual.torques, known)
+    if turn is not None:
+        yield Hypothesis('torque_axes', 'the torque has swapped or reversed axes: '
+                         f'{_axes_text(turn)}', _with_logs(
+                             setup, lambda log: log.with_torques(log.torques @ turn.T)))
+
+
+def _with_logs(setup: Setup, change: Callable[[TorqueLog], TorqueLog]) -> Setup:
+    return replace(setup, problems=[problem.replaced(log=[*map(change, problem.logs)])
+                                    for problem in setup.problems])
+
+
+def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[Hypothesis]:
+    """Generate clock offsets and mountings that are too large for a linear test."""
+    parameters = setup.parameters
+    for topic in topics:
+        sensors = [one for one in setup.channels[0] if one.topic == topic]
+        for name, clock, mount in (('clock_offset', True, False), ('mount', False, True)):
+            full = f'{name}@{topic}' if len(topics) > 1 else name
+            if {name, full} & {*parameters.groups}:
+                continue
+            offset, turn, _ = guess(setup.problems[0], sensors[:1], [clock], [mount])[0]
+            if abs(offset) < _LATE and np.linalg.norm(so3.log(turn)) < _TURNED:
+                continue
+            value, text = (np.array([offset]), _clock_text(offset)) if clock else (
+                so3.log(turn), _turn_text(turn))
+            wider = Parameters([*parameters.groups, full], replace(
+                parameters.guess, values={**parameters.guess.values, full: value}),
+                parameters.magnitudes, parameters.priors)
+            yield Hypothesis(full, f'{topic}: {text}', replace(setup, parameters=wider))
+
+
+def marks(solution: Solution, number: int, row: int) -> Iterator[Mark]:
+    """Generate the faults of some samples that explain the outliers of a channel."""
+    setup = solution.problem.setup
+    channel, errors = setup.channels[number][row], solution.errors[number][row]
+    sigma = solution.weights.sigma[number][row]
+    bad = ~solution.inliers[number][row] & np.isfinite(errors[:, 0])
+    if bad.sum() < FEWEST:
+        return
+    seconds = 1e-9 * (channel.stamps_ns - setup.problems[number].start.time_ns)
+    finite = np.nan_to_num(errors)
+    expected = so3.multiply(channel.values, so3.exp(finite)) if channel.is_attitude \
+        else channel.values + finite
+    apart = so3.angle_between if channel.is_attitude else _distance
+    what = 'attitude' if channel.is_attitude else 'angular velocity'
+    far = np.abs(finite).max() > _MOVES * sigma
+    still = _still(channel.values, expected, sigma, apart)
+    if np.mean(still[bad]) > _MOST:
+        times = seconds[still]
+        yield Mark(f'frozen_{"attitude" if channel.is_attitude else "rates"}',
+                   f'{channel.topic}: the {what} is frozen in {still.sum()} samples from '
+                   f'{times[0]:.4g} s to {times[-1]:.4g} s after the start',
+                   np.flatnonzero(still & bad))
+    elif not far:
+        return
+    elif channel.is_attitude:
+        turns = so3.exp(-errors[bad])
+        turn = davenport(turns)
+        if np.linalg.norm(so3.log(turn)) > _MOVES * sigma and np.mean(
+                so3.angle_between(turns, turn) < _SAME * sigma) > _MOST:
+            yield Mark('flipped_attitude', f'{channel.topic}: the attitude is flipped in '
+                       f'{bad.sum()} of {len(bad)} samples, first {seconds[bad][0]:.4g} s after '
+                       f'the start: {_turn_text(turn)} about the body', np.flatnonzero(bad))
+    else:
+        values = np.abs(channel.values[np.abs(finite) > _SAME * sigma])
+        limit, margin = float(np.median(values)), _SAME * sigma
+        if np.mean(np.abs(values - limit) < margin) > _MOST and np.mean(
+                np.abs(channel.values) > limit + margin) < 1.0 - _MOST:
+            yield Mark('gyro_saturation', f'{channel.topic}: the gyro saturates at {limit:.4g} '
+                       'rad/s', np.flatnonzero(bad))
+
+
+def faults_of_samples(motion: Recorded, channels: Sequence[Measured]
+                      ) -> Iterator[tuple[str, str]]:
+    """Generate faults of some samples of sensors that are compared with each other."""
+    for one in (*([motion.source] if motion.source else []), *channels):
+        apart = so3.angle_between if one.is_attitude else _distance
+        name, what = ('attitude', 'attitude is') if one.is_attitude else ('rates', 'rates are')
+        steps = apart(one.values[:-1], one.values[1:])
+        seconds = 1e-9 * (one.stamps_ns - motion.start.time_ns)
+        vectors = so3.log(one.values) if one.is_attitude else one.values
+        noise = spread_of(np.asarray(seconds, float), vectors, one.is_attitude)
+        least = _STILL * min(float(np.median(steps)), float(noise.min()))
+        still = np.flatnonzero(np.convolve(steps < least, np.ones(FEWEST), 'valid')
+                               > FEWEST - 0.5)
+        if still.size:
+            yield f'frozen_{name}', f'{one.topic}: the {what} frozen from ' \
+                f'{seconds[still[0]]:.4g} s to {seconds[still[-1] + FEWEST]:.4g} s after the start'
+        jumps = np.flatnonzero(steps > max(_JUMP, _MOVES * float(np.median(steps))))
+        if one.is_attitude and jumps.size and not still.size:
+            alone = np.diff(jumps, prepend=-FEWEST) < FEWEST  # an outlier jumps back
+            if not alone.any():
+                yield 'flipped_attitude', f'{one.topic}: the attitude jumps {jumps.size} times, ' \
+                    f'first by {math.degrees(steps[jumps[0]]):.3g} degrees ' \
+                    f'{seconds[jumps[0] + 1]:.4g} s after the start'
+
+
+def _distance(first: Floats, second: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(first - second, axis=1))
+
+
+def _still(values: Floats, expected: Floats, sigma: float,
+           apart: Callable[[Floats, Floats], Floats]) -> NDArray[np.bool_]:
+    """Return a mask of the samples that are constant although the motion changes them."""
+    steps = apart(expected[:-1], expected[1:])
+    lag = max(1, math.ceil(_MOVES * sigma / max(float(np.median(steps)), 1e-12)))
+    still = np.zeros(len(values), bool)
+    if lag > len(values) // 4:
+        return still
+    begins = np.flatnonzero((apart(values[:-lag], values[lag:]) < _SAME * sigma)
+                            & (apart(expected[:-lag], expected[lag:]) > 2.0 * _SAME * sigma))
+    for begin in begins:
+        still[begin:begin + lag + 1] = True
+    return still
+
+
+def _clock_text(offset: float) -> str:
+    late = 'early' if offset > 0.0 else 'late'
+    return f'the stamps are {abs(offset):.4g} s too {late} relative to the torques'
+
+
+def _turn_text(quaternion: Floats) -> str:
+    """Describe a rotation between the axes of a sensor and those of the body."""
+    vector = so3.log(quaternion)
+    angle = float(np.linalg.norm(vector))
+    swap = np.round(so3.matrix(quaternion))
+    text = f'{math.degrees(angle):.3g} degrees about ' \
+           f'{written(np.round(vector / max(angle, 1e-300), 2) + 0.0)}'
+    is_swap = any(np.array_equal(swap, one) for one in _SWAPS[1:]) and np.linalg.det(swap) > 0.0
+    if is_swap and so3.angle_between(so3.from_matrix(swap), quaternion) < _NEAR:
+        text += f', which swaps axes ({_axes_text(swap)})'
+    return text
+
+
+def _axes_text(turn: Floats) -> str:
+    """Describe a signed permutation of axes in text such as 'x = -y, y = x, z = z'."""
+    parts = []
+    for row, name in zip(turn, 'xyz'):
+        column = int(np.argmax(np.abs(row)))
+        parts.append(f'{name} = {"-" if row[column] < 0.0 else ""}{"xyz"[column]}')
+    return ', '.join(parts)
