@@ -184,8 +184,9 @@ def examined(solution: Solution) -> Findings:
         widened(solution, extended(setup, solution.physics, names))
     scores = [*_marks(solution), *_scores(linear(problem), problem.parameters, known, names)]
     best = max((one.drop for one in scores), default=0.0)
-    # A parameter that explains much of the other errors also explains the outliers.
-    breaks = _breaks(solution) if setup.is_computed and best <= LARGE * solution.count else ()
+    # If nothing is fitted, what explains much of the other errors also explains the outliers.
+    breaks = _breaks(solution) if setup.is_computed and (
+        known or best <= LARGE * solution.count) else ()
     own = extended(setup, solution.physics, [])
     pieces = widened(solution, own, _PIECES)
     reasons, drift = _halves(linear(widened(solution, own, 2)), setup.parameters.scales) \
