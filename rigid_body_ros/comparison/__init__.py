@@ -15,18 +15,10 @@
 """
 Compare measured motions with a propagated or recorded motion.
 
-`motion` defines the motions that measurements can be compared with. `align` takes an initial
-guess from `coarse` and fits the clock offsets, the mountings and the start of the motion. Then
-`comparison` computes the errors of the measurements, and `horizons` computes how far the motion
-drifts after a restart from measured states. `predictable` estimates how long a motion can be
-predicted at all. Errors after this time say nothing about the model.
-
-`causes` looks for likely causes of the errors. This module takes one possible fault at a time from
-`sensor_faults` and `torque_faults`, removes the effect of the fault, and checks whether the errors
-that remain look like noise. `channels` describes the errors and their noise.
-
-The command `attitude_compare` reads and writes recordings with `recorded`. The text that it prints
-comes from `result`, and the page and the picture from `page`.
+`comparison` aligns the measurements, computes their errors, and judges the model, all with the
+fits of `inference`. `predictable` estimates for how long a motion can be predicted at all. Later
+errors say nothing about the model. `result` is what a comparison found, with its text, and `page`
+makes the page and the picture.
 """
 
 from rigid_body_ros.comparison.comparison import compare

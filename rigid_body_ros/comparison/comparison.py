@@ -165,7 +165,9 @@ def _verdict(motion: Motion, aligned: Sequence[Measured], checks_start: bool) ->
     findings = judged(replace(setup, most=_WINDOWS))
     if isinstance(motion, Recorded):
         whole = [one for sensor in aligned for one in sensor.channels() if len(one) > FEWEST]
-        faults = [Score(name, float(findings.solution.count), 0.0, text=text)
+        # A fault of some samples may look like another fault of all of them.
+        drop = max([float(findings.solution.count), *(one.drop for one in findings.scores)])
+        faults = [Score(name, drop, 0.0, text=text)
                   for name, text in faults_of_samples(motion, whole)]
         findings = replace(findings, scores=[*faults, *findings.scores])
     # A wrong model may also move the start, so the start is suspected only if nothing else is.

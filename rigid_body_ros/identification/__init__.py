@@ -15,24 +15,9 @@
 """
 Identify the parameters of a body from measurements.
 
-The entry point is `identify`, in `estimation`. It returns an `Identification`, which is defined in
-`result`.
-
-Several modules prepare the inputs. `experiment` describes a recording. `names` and `parameters`
-describe the parameters that can be fitted. `clock` makes a first guess of the clock offset, and
-`setup` puts all inputs of a fit together.
-
-The fit itself is in `problem`, which sets up the least-squares problem, and in `solve`, which
-solves it. `windows` predicts the measurements, using the torque model in `actuator` and the sensor
-model in `sensors`. `residuals` holds the errors that remain after the fit, and `identifiability`
-finds the parameters that the data does not determine.
-
-After the fit, the model is judged. `evidence` linearizes the fit at its solution, and `findings`
-runs statistical tests on the remaining errors. `suspects` tries out parameters that were not
-estimated. `verdict` decides whether the model explains the measurements.
-
-The command `attitude_identify` uses `recorded` to read and write files, and uses `result` and
-`page` to report the result.
+The entry point is `identify`, in `estimation`, which fits with `inference`. It returns an
+`Identification`, which is defined in `result`. The command `attitude_identify` uses `recorded` to
+read and write files, and `page` to report the result.
 """
 
 from rigid_body_ros.identification.estimation import Experiment, identify

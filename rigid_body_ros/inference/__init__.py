@@ -12,4 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Infer which torque acted on a body from measurements, and check a model live."""
+"""
+Fit models to measurements, and judge them.
+
+`motion` defines what measurements can be compared with. `parameters` is the table of all that can
+be fitted, `coordinates` its values and charts, and `sensors` what a sensor makes of a motion.
+`inputs` checks the inputs of a fit, `guess` guesses where it begins, and `setup` holds all inputs
+and divides recordings into `windows`. `fit` is the least-squares problem of some windows, and
+`growth` solves it in longer and longer windows. `align` is a fit of clocks, mountings and the
+start.
+
+After a fit, `errors` holds what is left and `certainty` what the data does not determine.
+`evidence` linearizes the fit, with its `noise`, and `findings` tests the errors. `hypotheses`
+undoes faults of a recording, `suspects` are parameters that were not estimated, and `verdict` says
+whether the model explains the measurements.
+
+`residual_torque` is the torque that a model lacks. `horizons` restarts a motion from measured
+states, and `monitor`, with `window_error` and `alarms`, does so while messages arrive.
+"""

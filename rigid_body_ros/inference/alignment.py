@@ -23,7 +23,6 @@ import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured
 
 
@@ -78,11 +77,6 @@ class Alignment:
         if self.sigma:
             found['sigma'] = {name: as_json(value) for name, value in self.sigma.items()}
         return found
-
-    def expected(self, states: Poses) -> Poses:
-        """Return what a perfect sensor would measure, in the axes of the sensor."""
-        attitude = so3.multiply(so3.multiply(self.space, states.attitude), self.mount)
-        return Poses(attitude, so3.rotate(so3.conjugate(self.mount), states.angular_velocity))
 
     def applied(self, sensor: Measured) -> Measured:
         """Convert the measurements of a sensor to the clock and the axes of the motion."""

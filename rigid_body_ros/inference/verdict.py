@@ -223,10 +223,10 @@ def scored(findings: Findings, command: Callable[[str], str]) -> Verdict:
 
     """
     best = max((one.drop for one in findings.scores), default=0.0)
-    # Of suspects that explain about as much, the simplest comes first.
-    ranked = sorted(findings.scores, key=lambda one: (
-        (0.0, len(one.value)) if one.drop >= _ALIKE * best else (-one.drop, 0)))
-    ranked.sort(key=lambda one: one.drop < _ALIKE * best)
+    # Of the best suspects, which explain about as much, the simplest comes first.
+    alike = [one for one in findings.scores if one.drop >= _ALIKE * best]
+    ranked = [*sorted(alike, key=lambda one: len(one.value)),
+              *(one for one in findings.scores if one not in alike)]
     suspects = [_suspect(one, command) for one in ranked[:_LISTED]]
     if not findings.reasons and not suspects:
         return Verdict(EXPLAINED, [], [])
