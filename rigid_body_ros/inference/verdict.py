@@ -182,7 +182,7 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
     too_far = [name for name, part in systematic.items()
                if part > accept * (mean if name.startswith('inertia') else scales[name])]
     texts = [reason.text for reason in reasons]
-    if suspects:
+    if suspects and suspects[0].text not in texts:
         texts.append(_words(suspects))
     if too_far:
         texts.append(f'what the model lacks moves {listed(too_far)} by more than the accepted '
@@ -233,7 +233,7 @@ def scored(findings: Findings, command: Callable[[str], str]) -> Verdict:
     rejects = any(reason.rejects for reason in findings.reasons) or (
         best > LARGE * findings.solution.count)
     texts = [reason.text for reason in findings.reasons]
-    if suspects:
+    if suspects and suspects[0].text not in texts:
         texts.append(_words(suspects))
     return Verdict(REJECTED if rejects else APPROXIMATE, texts, suspects)
 
