@@ -18,7 +18,7 @@ from dataclasses import replace
 from functools import cache
 import json
 
-from conftest import at_night, RECORDINGS
+from conftest import at_night, CONFIG, RECORDINGS
 from measurements import truth
 import numpy as np
 import pytest
@@ -263,6 +263,34 @@ def test_two_right_sensors_agree(name):
                                  'suspects': []}
 
 
+def test_a_gap_of_either_sensor_is_left_out():
+    mocap, imu = sensors()
+    kept = np.r_[:700, 950:len(mocap)]
+    for pair in ((mocap.rows(kept), imu), (mocap, imu.rows(kept))):
+        assert of_pair(*pair).is_consistent
+
+
+def test_a_body_at_rest_is_not_frozen():
+    times = np.arange(3000) * 10 ** 7
+    log = TorqueLog(np.array([0, 10, 11]) * 10 ** 9, [[0.0] * 3, [0.01, 0.0, 0.0], [0.0] * 3])
+    motion = propagate(RigidBody(simulated.INERTIA), State(0), log, at=times)
+    attitude = so3.exp(np.round(so3.log(motion.attitude), 3))
+    rates = np.round(motion.angular_velocity, 3)
+    verdict = of_pair(Measured('/mocap', times, attitude, None),
+                      Measured('/imu', times, None, rates))
+    assert not any('frozen' in one.name for one in verdict.suspects)
+
+
+def test_a_check_needs_enough_samples(tmp_path, capsys):
+    path, scene = tmp_path / 'in.csv', str(CONFIG / 'tumbler.yaml')
+    rows = [f'{0.1 * k},0,0,0,1' for k in range(1, 7)]
+    path.write_text('\n'.join(['time,qx,qy,qz,qw', *rows]))
+    (tmp_path / 'torque.csv').write_text('time,tx,ty,tz\n0,0,0,0\n1,0,0,0\n')
+    arguments = [str(tmp_path / 'torque.csv'), '--scene', scene, '--measured', str(path)]
+    assert main.attitude_compare([*arguments, '--check']) == 2
+    assert '--check: expected at least 10 samples' in capsys.readouterr().err
+
+
 def test_the_command_compares_sensors_without_a_scene(tmp_path, capsys):
     path, out = str(RECORDINGS / 'flight.mcap'), tmp_path / 'out.json'
     status = main.attitude_compare([path, '--measured', '/mocap', '--measured', '/gyro',
@@ -276,7 +304,9 @@ def test_the_command_compares_sensors_without_a_scene(tmp_path, capsys):
              '--scene, found none'),
             (['--measured', '/gyro'], 'expected at least 10 attitudes to compare with, or '
              '--scene, found none'),
-            (['--measured', '/mocap', '--check'], '--check: expected --scene, found none')):
+            (['--measured', '/mocap', '--check'], '--check: expected --scene, found none'),
+            (['--measured', '/mocap', '--topic', '/torque'],
+             '--topic: expected --scene, found none')):
         assert main.attitude_compare([path, *options]) == 2
         error = capsys.readouterr().err
         assert error.startswith('attitude_compare: error: ')

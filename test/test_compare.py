@@ -399,7 +399,8 @@ def test_nothing_is_named_without_a_mix_up(seed):
         bias = np.array([0.01, -0.005, 0.003])
         sensor = replace(sensor, angular_velocity=sensor.angular_velocity + bias)
     verdict = compare(motion.body, motion.start, motion.log, measured=sensor).verdict
-    assert [one.name for one in verdict.suspects] in ([], ['gyro_bias'])
+    possible = [[], ['gyro_bias']] if seed % 3 == 0 else [[]]
+    assert [one.name for one in verdict.suspects] in possible
 
 
 @pytest.mark.slow

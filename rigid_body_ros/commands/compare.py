@@ -37,6 +37,7 @@ REJECTED = 4
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.comparison.comparison import compare_recording, compare_sensors, write
     from rigid_body_ros.comparison.page import draw, page
+    from rigid_body_ros.inference.noise import FEWEST
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
@@ -52,6 +53,9 @@ def _run(options: argparse.Namespace) -> int:
                 options.recording, scene, reading_of(options), motion=options.motion,
                 align=align, horizons=options.horizon, track=track)
         warn_of_samples(options, options.recording, comparison.torques, comparison.measured)
+        if options.check and not comparison.verdict:
+            raise InputError(f'{options.recording}: --check: expected at least {FEWEST} samples '
+                             f'during the motion, found {comparison.samples}')
         if options.output:
             with outputs.writing(options.output):
                 write(options.output, comparison, scene.body_frame if scene else '')
@@ -60,24 +64,23 @@ def _run(options: argparse.Namespace) -> int:
             draw=lambda path: draw(path, comparison, name),
             page=lambda line: page(comparison, name, scene, line, options.degrees))
     outputs.show(comparison.text(options.degrees), 17)
-    verdict = comparison.verdict
-    if not options.check or not verdict or verdict.is_consistent:
+    if not options.check or not comparison.verdict or comparison.verdict.is_consistent:
         return 0
     report(f'{options.command}: the model does not explain the measurements')
     return REJECTED
 
 
 def _check_use(options: argparse.Namespace) -> None:
-    """Raise InputError if an option needs a motion that is computed."""
-    what = 'a motion that is computed, found --motion' if options.motion else \
-        '--scene, found none'
-    if options.scene and not options.motion:
-        return
-    for name, option in (('check', 'check'), ('start', 'from'), ('until', 'until'),
-                         *(() if options.scene else (('horizon', 'horizon'),
-                                                      ('motion', 'motion')))):
+    """Raise InputError if an option needs a scene, or a motion that is computed."""
+    computed = {'check': '--check', 'start': '--from', 'until': '--until'}
+    others = {name: f'--{name.replace("_", "-")}' for name in (
+        'horizon', 'motion', 'topic', 'wheel_torque', 'wheel_momentum', 'wheel_command',
+        'inertia', 'interpolation')}
+    needed, what = (computed, 'a motion that is computed, found --motion') if options.scene \
+        else (computed | others, '--scene, found none')
+    for name, option in needed.items() if options.motion or not options.scene else ():
         if getattr(options, name):
-            raise InputError(f'--{option}: expected {what}')
+            raise InputError(f'{option}: expected {what}')
 
 
 def _add_arguments(parser: Parser) -> None:

@@ -30,7 +30,7 @@ from rigid_body_ros.comparison.predictable import predictable_s
 from rigid_body_ros.comparison.result import compared, Comparison, Errors
 from rigid_body_ros.inference.align import align as aligned_by
 from rigid_body_ros.inference.align import CLOCK, MOUNT
-from rigid_body_ros.inference.findings import judged, Score, start_score
+from rigid_body_ros.inference.findings import Findings, judged, Score, start_score
 from rigid_body_ros.inference.guess import LARGEST_OFFSET
 from rigid_body_ros.inference.horizons import horizon, usual_horizons
 from rigid_body_ros.inference.hypotheses import faults_of_samples
@@ -40,7 +40,8 @@ from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.parameters import SPACE, split_topic, START
 from rigid_body_ros.inference.residual_torque import residual_torque
-from rigid_body_ros.inference.verdict import scored, Verdict
+from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.verdict import scored
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -49,6 +50,7 @@ from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, Writer,
 from rigid_body_ros.recording.measured import faults_of, Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
+from rigid_body_ros.report.thinning import thinned
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
@@ -124,11 +126,13 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
 
 def compare_motion(motion: Motion, measured: Sequence[Measured],
                    align: Collection[str] = (), horizons: Sequence[float] | None = (),
-                   causes: bool = True, track: Track = no_progress) -> Comparison:
+                   causes: bool = True, track: Track = no_progress,
+                   names_suspects: bool = True) -> Comparison:
     """
     Compare measurements with a motion that is given as a problem or as a recorded motion.
 
-    The comparison is the same as in `compare`. The function `track` shows the progress.
+    The comparison is the same as in `compare`. The function `track` shows the progress. If samples
+    are lost, `names_suspects` is false, and the verdict names no suspects.
     """
     for seconds in horizons or ():
         if not duration_ns(seconds, 'horizons'):
@@ -144,47 +148,57 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
             horizons=tuple(horizon(problem, aligned, seconds, track) for seconds in (
                 usual_horizons(aligned) if horizons is None else horizons)),
             predictable_s=predictable_s(comparison))
-    return replace(comparison, verdict=_verdict(problem, aligned, START not in align)) \
-        if causes else comparison
+    if not causes:
+        return comparison
+    setup = _setup(problem, aligned)
+    if setup is None:
+        return comparison
+    findings = judged(setup, names_suspects)
+    if names_suspects and isinstance(problem, Recorded):
+        findings = _with_faults(findings, problem, aligned)
+    elif names_suspects and START not in align:
+        findings = _with_start(findings)
+    return replace(comparison, verdict=scored(
+        findings, _option if isinstance(problem, Problem) else _option_of_sensor))
 
 
-def _verdict(motion: Motion, aligned: Sequence[Measured], checks_start: bool) -> Verdict | None:
-    """
-    Judge a model, with any start, and its start, if the user asked for it.
-
-    Return None if the measurements are too short.
-    """
+def _setup(motion: Motion, aligned: Sequence[Measured]) -> Setup | None:
+    """Return the inputs of a fit that judges a model, or None if there are too few samples."""
     spacing_ns = motion.spacing_ns if isinstance(motion, Recorded) else 0
     channels = [one for sensor in aligned for one in _thinned(sensor, spacing_ns).channels()
                 if len(one) >= FEWEST]
     if not channels:
         return None
-    is_computed = isinstance(motion, Problem)
     setup = setup_of([motion], [channels], (START,)) if isinstance(motion, Problem) \
         else setup_of_sensors(motion, channels)
-    findings = judged(replace(setup, most=_WINDOWS))
-    if isinstance(motion, Recorded):
-        whole = [one for sensor in aligned for one in sensor.channels() if len(one) > FEWEST]
-        # A fault of some samples may look like another fault of all of them.
-        drop = max([float(findings.solution.count), *(one.drop for one in findings.scores)])
-        faults = [Score(name, drop, 0.0, text=text)
-                  for name, text in faults_of_samples(motion, whole)]
-        findings = replace(findings, scores=[*faults, *findings.scores])
-    # A wrong model may also move the start, so the start is suspected only if nothing else is.
+    return replace(setup, most=_WINDOWS)
+
+
+def _with_faults(findings: Findings, motion: Recorded, aligned: Sequence[Measured]) -> Findings:
+    """Add faults of some samples, unless a fault of all samples explains the errors."""
+    if any(one.text for one in findings.scores):
+        return findings
+    channels = [one for sensor in aligned for one in sensor.channels() if len(one) > FEWEST]
+    # A fault of some samples may look like a parameter, so it comes first.
+    drop = max([float(findings.solution.count), *(one.drop for one in findings.scores)])
+    faults = [Score(name, drop, 0.0, text=text)
+              for name, text in faults_of_samples(motion, channels)]
+    return replace(findings, scores=[*faults, *findings.scores])
+
+
+def _with_start(findings: Findings) -> Findings:
+    """Add the start, unless the model is wrong, which may also move the start."""
     is_right = not (findings.scores or findings.reasons)
-    if is_computed and checks_start and is_right and (
-            score := start_score(findings.solution)):
-        findings = replace(findings, scores=[score])
-    return scored(findings, _option if is_computed else _option_of_sensor)
+    score = start_score(findings.solution) if is_right else None
+    return replace(findings, scores=[score]) if score else findings
 
 
 def _thinned(sensor: Measured, spacing_ns: int) -> Measured:
     """Return at most `_SAMPLES` samples, at least `spacing_ns` apart."""
     if len(sensor) < 2:
         return sensor
-    usual_ns = int(np.median(np.diff(sensor.stamps_ns)))
-    return sensor.rows(slice(None, None, max(-(-len(sensor) // _SAMPLES),
-                                             -(-spacing_ns // usual_ns), 1)))
+    apart = -(-spacing_ns // int(np.median(np.diff(sensor.stamps_ns)))) or 1
+    return sensor.rows(thinned(len(sensor), min(_SAMPLES, len(sensor) // apart or 1)))
 
 
 def _option_of_sensor(name: str) -> str:
@@ -253,7 +267,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
             sensors = during.until_end([one.clock_offset_s for one
                                         in aligned_by(moved, sensors, align)])
         found = compare_motion(moved, sensors, align, horizons, track=track,
-                               causes=not faults_of(during.torques, during.sensors))
+                               names_suspects=not faults_of(during.torques, during.sensors))
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error
     if horizons and isinstance(moved, Problem) and is_checked(moved, scene.values):
@@ -278,7 +292,7 @@ def compare_sensors(path: str | Path, reading: Reading, align: Collection[str] =
     ------
     InputError
         The recording cannot be read, fewer than two quantities are measured, no sensor measures
-        attitudes, or the sensors do not overlap in time.
+        attitudes, the attitudes do not change, or the sensors do not overlap in time.
 
     """
     sensors = reading.sensors(path, None)
@@ -294,9 +308,12 @@ def compare_sensors(path: str | Path, reading: Reading, align: Collection[str] =
     if not others:
         raise InputError(f'{path}: {best.topic}: expected a second sensor to compare with, or '
                          '--scene, found none')
-    motion = Recorded.of_attitudes(replace(best, angular_velocity=None))
-    found = compare_motion(motion, others, align, track=track,
-                           causes=not faults_of(None, sensors))
+    try:
+        motion = Recorded.of_attitudes(replace(best, angular_velocity=None))
+        found = compare_motion(motion, others, align, track=track,
+                               names_suspects=not faults_of(None, sensors))
+    except ValueError as error:
+        raise InputError(f'{path}: {error}') from error
     return replace(found, recording=Path(path).name.encode(errors='replace').decode())
 
 

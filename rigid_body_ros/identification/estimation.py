@@ -176,9 +176,9 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
     setup = setup_of([problem.replaced(body=body) for problem, _ in observed], training, names,
                      attitude_noise, rate_noise, gravity)
     known = checked_priors(priors or {}, setup.parameters, setup.given)
-    findings = judged(replace(setup, parameters=setup.parameters.with_priors(known)))
-    return _result(findings, every if validate else [], accept,
-                   [fault for _, one in observed for fault in faults_of(one.torques, one.sensors)])
+    is_whole = not any(faults_of(one.torques, one.sensors) for _, one in observed)
+    findings = judged(replace(setup, parameters=setup.parameters.with_priors(known)), is_whole)
+    return _result(findings, every if validate else [], accept, is_whole)
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:
@@ -194,7 +194,7 @@ def _training(channels: list[Measured], validate: float) -> list[Measured]:
 
 
 def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: float,
-            faults: Sequence[str]) -> Identification:
+            is_whole: bool) -> Identification:
     """
     Assemble the result of a fit.
 
@@ -211,8 +211,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
     ahead = errors.of_validation(solution, every) if every else []
     fitted = errors.of_training(solution)
     findings = findings.with_validation(every, ahead)
-    findings = replace(findings, scores=[]) if faults else findings
-    attempts = [] if faults else tried(findings, every)
+    attempts = tried(findings, every) if is_whole else []
     moved = [{name: abs(value - before) for name, value, before in zip(
                  numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
              for _, fit in attempts]

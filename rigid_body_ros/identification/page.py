@@ -68,7 +68,7 @@ def page(fit: Identification, first: Problem, name: str, scene: Scene,
         Whether to show angles in degrees.
 
     """
-    (_, headline), *reasons = fit.verdict.rows()
+    (_, headline), *reasons = fit.verdict.rows(has_estimates=True)
     story = [('recording', name), *reasons, *fit.rows(degrees),
              ('moving body', 'the motion with all estimates'), *_restarts(fit)]
     panels, (header, *estimated) = [*_panels(fit, first)], fit.table(degrees)

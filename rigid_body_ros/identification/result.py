@@ -242,7 +242,7 @@ class Identification:
     def text(self, degrees: bool = False) -> str:
         """Return the verdict, a table of the estimates, and one line for each other fact."""
         verdict, facts = ([f'{name:17}{text}' for name, text in rows]
-                          for rows in (self.verdict.rows(), self.rows(degrees)))
+                          for rows in (self.verdict.rows(has_estimates=True), self.rows(degrees)))
         return lines([*verdict, *_aligned(self.table(degrees)), *facts])
 
     def __str__(self) -> str:

@@ -34,6 +34,7 @@ from rigid_body_ros.inference.parameters import SPACE, START
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report.thinning import thinned
 
 CLOCK, MOUNT = 'clock', 'mount'
 #: The names of the alignments that can be fitted.
@@ -93,7 +94,8 @@ def align(motion: Motion, sensors: Sequence[Measured],
             values[f'mount@{k}'] = so3.log(mount)
         within = inside(motion, sensor.stamps_ns + round(1e9 * offset),
                         _MARGIN_NS if clocks[k] else 0)
-        used = _thinned(sensor.rows(within), most)
+        used = sensor.rows(within)
+        used = used.rows(thinned(len(used), most)) if most else used
         channels += [replace(one, topic=str(k)) for one in used.channels() if len(one) > 1]
     if not channels:
         raise apart(motion, sensors)
@@ -121,10 +123,6 @@ def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> 
 def is_asked(names: Collection[str], kind: str, topic: str) -> bool:
     """Return whether `names` request the alignment `kind`, 'clock' or 'mount', for a topic."""
     return kind in names or f'{kind}@{topic}' in names
-
-
-def _thinned(sensor: Measured, most: int | None) -> Measured:
-    return sensor if most is None else sensor.rows(slice(None, None, -(-len(sensor) // most) or 1))
 
 
 def _alignments(solution: Solution, count: int, motion: Motion) -> tuple[Alignment, ...]:

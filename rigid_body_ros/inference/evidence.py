@@ -35,6 +35,7 @@ from rigid_body_ros.inference.errors import ahead_of, Residuals
 from rigid_body_ros.inference.fit import LeastSquares, Weights
 from rigid_body_ros.inference.growth import polished, Solution, states_at
 from rigid_body_ros.inference.noise import Noise, noise_of
+from rigid_body_ros.inference.suspects import extended
 from rigid_body_ros.recording.measured import Measured
 
 #: What remains of a column after its projection onto other columns is subtracted counts as a
@@ -195,7 +196,7 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
     The estimate uses the errors that would remain if all parameters of the problem were fitted.
     """
     chosen = [*_few(problem)]
-    rows = [_rows(problem, k) for k in chosen]
+    rows = [_rows(problem, k, keeps=True) for k in chosen]
     own = [len(problem.unknowns[k]) for k in chosen]
     blocks = [triangle(one.copy())[count:, count:] for one, count in zip(rows, own)]
     matrix = np.concatenate(blocks)
@@ -216,10 +217,7 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
 
 def own_noises(solution: Solution) -> list[list[Noise]]:
     """Estimate the noise of each channel of each recording from the errors of a fit."""
-    setup = solution.problem.setup
-    return noises(widened(solution, Parameters(setup.parameters.groups, solution.physics,
-                                               setup.parameters.magnitudes,
-                                               setup.parameters.priors)))
+    return noises(widened(solution, extended(solution.problem.setup, solution.physics, [])))
 
 
 def with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
@@ -374,8 +372,8 @@ def _few(problem: LeastSquares) -> Iterator[int]:
             yield k
 
 
-def _rows(problem: LeastSquares, k: int) -> Floats:
+def _rows(problem: LeastSquares, k: int, keeps: bool = False) -> Floats:
     """Return the derivatives of a window's errors at the guess, with the errors as last row."""
     physics = problem.parameters.guess
-    return np.concatenate([problem.derivatives(k, physics),
+    return np.concatenate([problem.derivatives(k, physics, keeps),
                            problem.scaled_errors(k, physics)[None]])

@@ -21,7 +21,7 @@ than 99 out of 100 correct models therefore get the verdict 'explained'.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -41,7 +41,6 @@ from rigid_body_ros.inference.evidence import (
     widened,
     with_noise,
 )
-from rigid_body_ros.inference.fit import LeastSquares
 from rigid_body_ros.inference.growth import COARSEST, grown, lasts, polished, rough, Solution
 from rigid_body_ros.inference.hypotheses import marks, undone
 from rigid_body_ros.inference.noise import (
@@ -78,7 +77,7 @@ _TINY = 1e-9
 LARGE = 0.5
 #: The noise of a recorded motion is not well known, so a suspect must lower the chi-square by more
 #: than this fraction of the number of errors.
-_VISIBLE = 0.15
+_VISIBLE = 0.3
 #: Starts that differ by less than this, rad or relative to the rate, count as equal.
 _SAME_START = 1e-7
 #: Largest plausible fractions of outliers among the samples of a sensor: for outliers that come in
@@ -153,20 +152,22 @@ class Findings:
                        reasons=[*self.reasons, *(one for one in reasons if one)])
 
 
-def judged(setup: Setup) -> Findings:
+def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     """
     Fit the model, and examine the errors.
 
     If one fault of the recording explains why even short windows do not fit, the model is not
-    examined any further.
+    examined any further. If `names_suspects` is false, because samples are lost, no fault and no
+    parameter is suspected.
     """
     from scipy.special import chdtrc
     few = rough(setup)
     is_wrong = lasts(few) or few.length_ns < setup.shortest_ns
-    fault, drop = undone(setup) if is_wrong else (None, 0.0)
+    fault, drop = undone(setup) if is_wrong and names_suspects else (None, 0.0)
     if fault is None:
         solution = grown(setup, few)
-        return examined(polished(solution, *COARSEST) if setup.most else polished(solution))
+        found = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
+        return found if names_suspects else replace(found, scores=[])
     return Findings(polished(few, *COARSEST), [Reason(fault.text, True)],
                     [Score(fault.name, drop, float(chdtrc(1, drop)), text=fault.text)], {}, [])
 
@@ -183,17 +184,12 @@ def examined(solution: Solution) -> Findings:
     problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
         widened(solution, extended(setup, solution.physics, names))
     scores = [*_marks(solution), *_scores(linear(problem), problem.parameters, known, names)]
-    best = max((one.drop for one in scores), default=0.0)
-    # If nothing is fitted, what explains much of the other errors also explains the outliers.
-    breaks = _breaks(solution) if setup.is_computed and (
-        known or best <= LARGE * solution.count) else ()
-    own = extended(setup, solution.physics, [])
-    pieces = widened(solution, own, _PIECES)
-    reasons, drift = _halves(linear(widened(solution, own, 2)), setup.parameters.scales) \
-        if known else ([], {})
     if not setup.is_computed:
         scores = [one for one in scores if one.drop > _VISIBLE * solution.count]
-    scores += _largest(_changes(linear(pieces), known, pieces) if known else (), breaks)
+    # If nothing is fitted, what explains much of the other errors also explains the outliers.
+    elif known or all(one.drop <= LARGE * solution.count for one in scores):
+        scores += _largest([*_changes(solution), *_breaks(solution)])
+    reasons, drift = _halves(solution)
     reasons += [*_noise(solution, found), *_outliers(solution), *_correlated(solution, found)]
     return Findings(solution, reasons, sorted((one for one in scores if one.p < ALARM),
                                               key=lambda one: -one.drop), drift, found)
@@ -255,20 +251,23 @@ def _scores(given: Linearized, parameters: Parameters, known: Sequence[str],
                 yield Score(name, drop, float(chdtrc(rank, drop)), value)
 
 
-def _largest(*scores: Iterable[Score]) -> list[Score]:
+def _largest(scores: Sequence[Score]) -> list[Score]:
     """Return a list with only the score whose drop is largest, or an empty list if none exists."""
-    found = [score for each in scores for score in each]
-    return [max(found, key=lambda one: one.drop)] if found else []
+    return [max(scores, key=lambda one: one.drop)] if scores else []
 
 
-def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Iterator[Score]:
+def _changes(solution: Solution) -> Iterator[Score]:
     """Generate scores for a change in the inertia at the start of each window but the first."""
     from scipy.special import chdtrc
-    inertia = given.columns([name for name in known if name.startswith('inertia')])
-    matrix, errors = given.stacked()
-    base = matrix[:, given.columns(known)]
+    setup = solution.problem.setup
+    names = [name for name in setup.parameters.names if name.startswith('inertia')]
+    if not names:
+        return
+    problem = widened(solution, extended(setup, solution.physics, []), _PIECES)
+    given = linear(problem)
+    inertia, (base, errors) = given.columns(names), given.stacked()
     for k, window in enumerate(problem.windows):
-        if window.is_first or not inertia:
+        if window.is_first:
             continue
         later = [other.experiment == window.experiment and i >= k
                  for i, other in enumerate(problem.windows)]
@@ -304,15 +303,19 @@ def _breaks(solution: Solution) -> Iterator[Score]:
             yield Score(INERTIA_CHANGE, drop, float(chdtrc(left.size, drop)), [seconds])
 
 
-def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, float]]:
+def _halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
     """
     Compare the estimates from the first and the second halves of the recordings.
 
     Return a list of reasons, which is empty if the estimates agree, and `Findings.drift`.
     """
     from scipy.special import chdtrc
-    matrix, errors = given.stacked()
-    if not matrix.shape[1] or len({*given.is_late}) < 2:
+    setup = solution.problem.setup
+    if not setup.parameters.size:
+        return [], {}
+    given = linear(widened(solution, extended(setup, solution.physics, []), 2))
+    (matrix, errors), scales = given.stacked(), setup.parameters.scales
+    if len({*given.is_late}) < 2:
         return [], {}
     second = given.split([*range(matrix.shape[1])], given.is_late)
     drop, rank = explained(second, matrix, errors)

@@ -378,9 +378,11 @@ class LeastSquares:
         predicted = window.predict([physics], self.reference.rows([k]))
         return self._rows(k, errors_of(window.channels, predicted))[0]
 
-    def derivatives(self, k: int, physics: Physics) -> Floats:
+    def derivatives(self, k: int, physics: Physics, keeps: bool = False) -> Floats:
         """
         Return the derivatives of the errors that `scaled_errors` returns for a window.
+
+        If `keeps` is true, they are kept for the next call, also of a `weighted` copy.
 
         Returns
         -------
@@ -407,7 +409,8 @@ class LeastSquares:
         found = slopes(window, [one[0] for one in predicted], [
             (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
             / (2.0 * step[:, None, None]) for one in predicted])
-        self._slopes[k] = physics, found
+        if keeps:
+            self._slopes[k] = physics, found
         return self._scaled_slopes(k, found)
 
     def _scaled_slopes(self, k: int, found: list[Floats]) -> Floats:

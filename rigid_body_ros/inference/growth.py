@@ -43,6 +43,7 @@ from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report.thinning import thinned
 
 #: If the first fit may have ended in the wrong minimum, another fit is tried with windows that are
 #: shorter by this factor.
@@ -127,11 +128,6 @@ class Solution:
                    for kept, errors in zip(inliers, every))
 
 
-def solve(setup: Setup) -> Solution:
-    """Return the maximum-likelihood fit with the longest windows that still give a good fit."""
-    return polished(grown(setup))
-
-
 def grown(setup: Setup, few: Solution | None = None) -> Solution:
     """Fit with longer and longer windows, starting from `rough`, and return the last good fit."""
     few = few or rough(setup)
@@ -193,7 +189,7 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics,
               most: tuple[int, int] = _FIRST) -> Solution:
     """Fit a few windows, starting from states that are guessed from the measurements."""
     windows = setup.windows(length_ns, guess)
-    few = windows[::-(-len(windows) // most[0])]
+    few = windows[thinned(len(windows), most[0])]
     return fitted(_first(setup, few, guess), length_ns, 1e-2, most[1], windows=few)
 
 

@@ -27,6 +27,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report.thinning import thinned
 
 #: The largest clock offset that the search can find, s.
 LARGEST_OFFSET = 10.0
@@ -244,7 +245,7 @@ def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
     if residual is None or not residual.logged.any():
         return 0.0
     seconds = 1e-9 * (residual.times_ns - residual.times_ns[0])
-    rows = slice(None, None, -(-len(seconds) // _ROWS))
+    rows = thinned(len(seconds), _ROWS)
     largest = min(LARGEST_OFFSET, _OVERLAP * seconds[-1])
     offsets = _SPACING * np.arange(-int(largest / _SPACING), int(largest / _SPACING) + 1)
     left = np.array([_unexplained(seconds[rows] + offset, residual.of_inertia[rows], seconds,

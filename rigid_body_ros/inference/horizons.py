@@ -29,6 +29,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report.thinning import thinned
 from rigid_body_ros.runtime.terminal import no_progress, Track
 
 #: The state at a restart is estimated from at most this many samples.
@@ -128,7 +129,7 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
     _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
     momenta = problem.rotor_momentum(stamps_ns[rows])
     windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
-    windows = windows[::-(-len(windows) // _WINDOWS) or 1]
+    windows = windows[thinned(len(windows), _WINDOWS)]
     angles = [_error(problem, sensor, (first, last), step_ns, momentum)
               for first, last, momentum in track(windows, len(windows))
               if abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns]

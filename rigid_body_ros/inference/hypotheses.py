@@ -63,6 +63,8 @@ _LATE, _TURNED = 0.1, 0.6
 #: Samples are frozen where they change by less than this part of their usual change and of their
 #: noise, and attitudes are flipped where they change by more than this angle, rad.
 _STILL, _JUMP = 0.2, 0.3
+#: A sensor may stand still while the motion changes by less than this, rad or rad/s.
+_LITTLE = 0.05
 #: A rotation that is within this angle of a swap of axes, rad, is described as a swap.
 _NEAR = 0.09
 #: All signed permutations of three axes; the first one is the identity.
@@ -268,8 +270,8 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[Hypothe
             offset, turn, _ = guess(setup.problems[0], sensors[:1], [clock], [mount])[0]
             if abs(offset) < _LATE and np.linalg.norm(so3.log(turn)) < _TURNED:
                 continue
-            value, text = (np.array([offset]), _clock_text(offset)) if clock else (
-                so3.log(turn), _turn_text(turn))
+            value, text = (np.array([offset]), _clock_text(offset, setup)) if clock else (
+                so3.log(turn), f'the sensor is turned by {_turn_text(turn)}')
             wider = Parameters([*parameters.groups, full], replace(
                 parameters.guess, values={**parameters.guess.values, full: value}),
                 parameters.magnitudes, parameters.priors)
@@ -320,26 +322,52 @@ def marks(solution: Solution, number: int, row: int) -> Iterator[Mark]:
 def faults_of_samples(motion: Recorded, channels: Sequence[Measured]
                       ) -> Iterator[tuple[str, str]]:
     """Generate faults of some samples of sensors that are compared with each other."""
-    for one in (*([motion.source] if motion.source else []), *channels):
-        apart = so3.angle_between if one.is_attitude else _distance
-        name, what = ('attitude', 'attitude is') if one.is_attitude else ('rates', 'rates are')
-        steps = apart(one.values[:-1], one.values[1:])
-        seconds = 1e-9 * (one.stamps_ns - motion.start.time_ns)
-        vectors = so3.log(one.values) if one.is_attitude else one.values
-        noise = spread_of(np.asarray(seconds, float), vectors, one.is_attitude)
-        least = _STILL * min(float(np.median(steps)), float(noise.min()))
-        still = np.flatnonzero(np.convolve(steps < least, np.ones(FEWEST), 'valid')
-                               > FEWEST - 0.5)
-        if still.size:
-            yield f'frozen_{name}', f'{one.topic}: the {what} frozen from ' \
-                f'{seconds[still[0]]:.4g} s to {seconds[still[-1] + FEWEST]:.4g} s after the start'
-        jumps = np.flatnonzero(steps > max(_JUMP, _MOVES * float(np.median(steps))))
-        if one.is_attitude and jumps.size and not still.size:
-            alone = np.diff(jumps, prepend=-FEWEST) < FEWEST  # an outlier jumps back
-            if not alone.any():
-                yield 'flipped_attitude', f'{one.topic}: the attitude jumps {jumps.size} times, ' \
-                    f'first by {math.degrees(steps[jumps[0]]):.3g} degrees ' \
-                    f'{seconds[jumps[0] + 1]:.4g} s after the start'
+    gyro = next((one for one in channels if not one.is_attitude), None)
+    for one in channels:
+        states = motion.propagate(at=one.stamps_ns)
+        yield from _frozen(one, motion, states.attitude if one.is_attitude
+                           else states.angular_velocity)
+    source = motion.source
+    if source is None:
+        return
+    if gyro is not None:
+        angles = _turned(gyro, source.stamps_ns)
+        yield from _frozen(source, motion, so3.exp(angles[:, None] * [1.0, 0.0, 0.0]))
+    # A step across a gap may be long.
+    spans = 1e-9 * np.diff(source.stamps_ns)
+    steps = so3.angle_between(source.values[:-1], source.values[1:])
+    jumps = np.flatnonzero(steps > np.maximum(_JUMP, _MOVES * spans * np.median(steps / spans)))
+    if jumps.size and np.diff(jumps, prepend=-FEWEST).min() >= FEWEST:  # an outlier jumps back
+        seconds = 1e-9 * (source.stamps_ns[jumps[0] + 1] - motion.start.time_ns)
+        yield 'flipped_attitude', f'{source.topic}: the attitude jumps {jumps.size} times, ' \
+            f'first by {math.degrees(steps[jumps[0]]):.3g} degrees {seconds:.4g} s after the start'
+
+
+def _turned(gyro: Measured, times_ns: NDArray[np.int64]) -> Floats:
+    """Return the angle, rad, that a gyro has turned through at given times."""
+    spans = 1e-9 * np.diff(gyro.stamps_ns)
+    angles = np.cumsum(np.append(0.0, spans * np.linalg.norm(gyro.values[:-1], axis=1)))
+    return np.interp(times_ns - gyro.stamps_ns[0], gyro.stamps_ns - gyro.stamps_ns[0], angles)
+
+
+def _frozen(sensor: Measured, motion: Recorded, expected: Floats) -> Iterator[tuple[str, str]]:
+    """Generate the longest part in which a sensor stands still although it should measure more."""
+    apart = so3.angle_between if sensor.is_attitude else _distance
+    steps = apart(sensor.values[:-1], sensor.values[1:])
+    seconds = np.asarray(1e-9 * (sensor.stamps_ns - motion.start.time_ns), float)
+    vectors = so3.log(sensor.values) if sensor.is_attitude else sensor.values
+    noise = spread_of(seconds, vectors, sensor.is_attitude)
+    least = _STILL * min(float(np.median(steps)), float(noise.min()))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], steps < least, [0]])))
+    first, last = max(edges.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0],
+                      default=(0, 0))
+    if last - first < FEWEST:
+        return
+    values = expected[first:last + 1]
+    if apart(values, values[:1]).max() > max(_MOVES * noise.max(), _LITTLE):
+        name, what = ('attitude', 'attitude is') if sensor.is_attitude else ('rates', 'rates are')
+        yield f'frozen_{name}', f'{sensor.topic}: the {what} frozen from {seconds[first]:.4g} s ' \
+            f'to {seconds[last]:.4g} s after the start'
 
 
 def _distance(first: Floats, second: Floats) -> Floats:
@@ -361,9 +389,11 @@ def _still(values: Floats, expected: Floats, sigma: float,
     return still
 
 
-def _clock_text(offset: float) -> str:
+def _clock_text(offset: float, setup: Setup) -> str:
     late = 'early' if offset > 0.0 else 'late'
-    return f'the stamps are {abs(offset):.4g} s too {late} relative to the torques'
+    source = setup.problems[0].source if isinstance(setup.problems[0], Recorded) else None
+    reference = source.topic if source else 'the torques'
+    return f'the stamps are {abs(offset):.4g} s too {late} relative to {reference}'
 
 
 def _turn_text(quaternion: Floats) -> str:

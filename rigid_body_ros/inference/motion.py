@@ -35,6 +35,10 @@ from rigid_body_ros.recording.measured import Measured
 _PARTS, _FEWEST, _AS_GOOD = (1.0, 0.5, 0.25, 0.125, 0.06, 0.0), 5, 1.15
 #: An attitude is an outlier if both steps to its neighbours exceed the usual step by this factor.
 _ALONE = 10.0
+#: A part, or the time between two parts, has a gap if it is longer than usual by this factor.
+_GAP = 1.5
+#: The noise is estimated from this quantile of the squared errors of the parts.
+_QUANTILE = 0.95
 
 
 class Recorded:
@@ -74,24 +78,46 @@ class Recorded:
     @classmethod
     def of_attitudes(cls, sensor: Measured) -> Recorded:
         """
-        Return the motion that a sensor of attitudes measures, at least five of them.
+        Return the motion that a sensor measures with at least ten attitudes.
 
-        Its states are those in the middle of parts of the measurement, in each of which rotation
-        vectors follow a polynomial. The parts are as long as polynomials fit. Single outliers are
-        left out.
+        The measurement is divided into parts, as long as rotation vectors in them follow a
+        polynomial. The motion has a state in the middle of each part, and is unknown where the
+        measurement has a gap. Single outliers are ignored.
+
+        Raises
+        ------
+        InputError
+            The attitude never changes, or too few attitudes are no outliers and in no gap.
+
         """
         steps = so3.angle_between(sensor.values[:-1], sensor.values[1:])
+        if not steps.any():
+            raise InputError(f'{sensor.topic}: expected an attitude that changes, found '
+                             f'{sensor.values[0].tolist()} in all {len(sensor)} samples')
         alone = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))
-        sensor = sensor.rows(alone <= _ALONE * np.median(steps))
+        sensor = sensor.rows(alone <= _ALONE * np.median(steps[steps > 0.0]))
         spacing = max(1e-9 * float(np.median(np.diff(sensor.stamps_ns))), 1e-9)
-        halves = [min(max(round(0.5 * length / spacing), _FEWEST // 2), (len(sensor) - 1) // 2)
-                  for length in _PARTS]
+        if len(sensor) < 2 * _FEWEST:  # at least two parts are needed to interpolate
+            raise InputError(f'{sensor.topic}: expected at least {2 * _FEWEST} attitudes that '
+                             f'are not outliers, found {len(sensor)}')
+        halves = [min(max(round(0.5 * length / spacing), _FEWEST // 2),
+                      (len(sensor) // 2 - 1) // 2) for length in _PARTS]
         fits = [_polynomials(sensor, half) for half in dict.fromkeys(halves)]
         longest = next((k for k, (fit, shorter) in enumerate(pairwise(fits))
                         if fit[1] <= _AS_GOOD * shorter[1]), len(fits) - 1)
         # In the next shorter parts, the errors of the polynomials are far below the noise.
         motion, _ = fits[min(longest + 1, len(fits) - 1)]
+        if len(motion) < 2:
+            raise InputError(f'{sensor.topic}: expected attitudes without so many gaps, found '
+                             f'{len(motion)} parts with at least {_FEWEST} samples')
         return cls(motion, sensor, int(np.median(np.diff(motion.stamps_ns))))
+
+    def is_known(self, times_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return a mask of the times that are not in a gap between the samples."""
+        rows = np.clip(np.searchsorted(self._stamps_ns, times_ns) - 1, 0,
+                       len(self._stamps_ns) - 2)
+        known = np.diff(self._stamps_ns)[rows] <= _GAP * self.spacing_ns
+        return known if self.spacing_ns else np.ones(len(times_ns), bool)
 
     #: A recorded motion has no torques. A window asks for them, and for the two methods below.
     fields = logs = ()
@@ -120,19 +146,22 @@ def _polynomials(sensor: Measured, half: int) -> tuple[Measured, float]:
 
     Return the states in the middle of the parts, and an estimate of the noise of the attitudes.
     """
+    from scipy.special import chdtri
     seconds, attitude = 1e-9 * (sensor.stamps_ns - sensor.stamps_ns[0]), sensor.values
     # Parts do not overlap, because the acceleration between overlapping parts would only be noise.
     middle = np.arange(half, len(sensor) - half, 2 * half + 1)
     around = middle[:, None] + np.arange(-half, half + 1)
+    lengths = np.ptp(seconds[around], axis=1)
+    length = float(np.median(lengths))
+    middle, around = middle[lengths <= _GAP * length], around[lengths <= _GAP * length]
     turns = so3.log(so3.multiply(so3.conjugate(attitude[middle])[:, None], attitude[around]))
     times = seconds[around] - seconds[middle, None]
-    length = float(np.median(np.ptp(times, axis=1)))
     columns = (times[..., None] / length) ** np.arange(3 if half < 4 else 4)
     normal = np.einsum('nki,nkj->nij', columns, columns)
     found = np.linalg.solve(normal, np.einsum('nki,nkx->nix', columns, turns))
-    left = np.median(np.sum((turns - columns @ found) ** 2, axis=(1, 2)))
-    free = 3.0 * (around.shape[1] - columns.shape[2])
-    usual = free * (1.0 - 2.0 / (9.0 * free)) ** 3  # the median of a chi-square
+    # A short manoeuvre shows in few parts, so use a high quantile, divided by that of chi-square.
+    left = np.quantile(np.sum((turns - columns @ found) ** 2, axis=(1, 2)), _QUANTILE)
+    usual = chdtri(3.0 * (around.shape[1] - columns.shape[2]), 1.0 - _QUANTILE)
     # The derivative of a small rotation vector is the angular velocity in body axes.
     motion = Measured(sensor.topic, sensor.stamps_ns[middle],
                       so3.multiply(attitude[middle], so3.exp(found[:, 0])), found[:, 1] / length)
@@ -154,10 +183,12 @@ def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> N
     """
     Return a mask of the times that are inside a motion.
 
-    These times are at least `margin_ns` after the start and before the end of the motion.
+    These times are at least `margin_ns` after the start and before the end of the motion, and not
+    in a gap of a recorded motion.
     """
     first_ns, last_ns = span_of(motion)
-    return (times_ns >= first_ns + margin_ns) & (times_ns <= last_ns - margin_ns)
+    within = (times_ns >= first_ns + margin_ns) & (times_ns <= last_ns - margin_ns)
+    return within & motion.is_known(times_ns) if isinstance(motion, Recorded) else within
 
 
 def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:

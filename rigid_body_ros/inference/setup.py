@@ -30,6 +30,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report.thinning import thinned
 
 #: Approximate angle through which the body turns in each window of the first fit, rad.
 _FIRST = 8.0
@@ -37,9 +38,9 @@ _FIRST = 8.0
 _SHORTEST, _LONGEST = 20, 60_000
 #: Time by which a window begins before the first of its samples, ns, if a parameter shifts stamps.
 _LEAD_NS = 200_000_000
-#: Time for which torques from before a window are kept, because they may act in it, ns: the
-#: longest delay, and for how long a lag of a quarter of a second remembers a torque.
-_MEMORY_NS = round(1e9 * (LONGEST_DELAY + 10.0))
+#: Time for which torques from before a window are kept, because they may act in it, ns. A lag of a
+#: quarter of a second remembers a torque for longer.
+_MEMORY_NS, _MEMORY_OF_LAG_NS = round(1e9 * LONGEST_DELAY), 10_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +97,9 @@ class Setup:
     @property
     def fits_attitude(self) -> list[bool]:
         """
-        Return, for each recording, whether the attitude at the start is unknown.
+        Return, for each recording, whether the initial attitude is fitted.
 
-        If no attitude is measured, it does not matter. Turning the space axes has the same effect.
+        It is not fitted if no attitude is measured, or if `space` is, which has the same effect.
         """
         return [SPACE not in self.parameters.groups and any(
             channel.is_attitude for channel in channels) for channels in self.channels]
@@ -131,7 +132,7 @@ class Setup:
         windows = [window for number, channels in enumerate(self.channels)
                    for window in self.windows_of(number, channels, length_ns, physics, lead_ns,
                                                  parts)]
-        return windows[::-(-len(windows) // self.most)] if self.most else windows
+        return windows[thinned(len(windows), self.most)] if self.most else windows
 
     def windows_of(self, number: int, channels: Sequence[Measured], length_ns: int,
                    physics: Physics, lead_ns: int = 0, parts: int = 1) -> list[Window]:
@@ -171,6 +172,7 @@ class Setup:
         if axial:
             momenta = momenta + np.where(anchors > start_ns, 1.0, 0.0)[:, None] * (
                 axial.tensor @ axial.rate)
+        memory_ns = _MEMORY_NS + _MEMORY_OF_LAG_NS * ('torque_lag' in self.parameters.groups)
         result = []
         for k, anchor_ns in enumerate(anchors.tolist()):
             rows = [slice(*np.searchsorted(each, [edges[k], edges[k + 1]])) for each in stamps]
@@ -178,7 +180,7 @@ class Setup:
             if not any(map(len, samples)):
                 continue
             start = State(anchor_ns, rotor_momentum=momenta[k])
-            near = problem.between(start, int(edges[k + 1]) + _LEAD_NS, _MEMORY_NS)
+            near = problem.between(start, int(edges[k + 1]) + _LEAD_NS, memory_ns)
             result.append(Window(number, k == 0, near, samples, rows, start_ns,
                                  axial.tensor if axial and anchor_ns == start_ns else None))
         return result

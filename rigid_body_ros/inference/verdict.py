@@ -50,8 +50,12 @@ ACCEPT = 0.05
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
 _MEANINGS = {
     EXPLAINED: 'no test rejects the model',
-    APPROXIMATE: 'the model lacks something; the intervals are wider to cover its effect',
-    REJECTED: 'the model does not explain the measurements; do not use the estimates'}
+    APPROXIMATE: 'the model lacks something',
+    REJECTED: 'the model does not explain the measurements'}
+#: What the verdict means for estimates.
+_CONSEQUENCES = {
+    EXPLAINED: '', APPROXIMATE: '; the intervals are wider to cover its effect',
+    REJECTED: '; do not use the estimates'}
 #: Maximum number of suspects to fit, and maximum number of suspects to list.
 _TRIED, _LISTED = 5, 3
 #: Limits for a suspect's drop in chi-square. A suspect explains about as much as the best suspect
@@ -95,9 +99,10 @@ class Verdict:
         return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
                 'suspects': [one.as_dict() for one in self.suspects]}
 
-    def rows(self) -> Iterator[tuple[str, str]]:
+    def rows(self, has_estimates: bool = False) -> Iterator[tuple[str, str]]:
         """Generate the verdict, the reasons and the suspects, each as a name and a text."""
-        yield 'verdict', f'{self.level}: {_MEANINGS[self.level]}'
+        consequence = _CONSEQUENCES[self.level] if has_estimates else ''
+        yield 'verdict', f'{self.level}: {_MEANINGS[self.level]}{consequence}'
         for reason in self.reasons:
             yield 'reason', reason
         for one in self.suspects:

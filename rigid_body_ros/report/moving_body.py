@@ -25,6 +25,7 @@ from rigid_body_ros.mechanics import hermite, so3
 from rigid_body_ros.mechanics.body import RigidBody, uniform_box
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.charts import packed
+from rigid_body_ros.report.thinning import thinned
 
 #: The columns of the data: the attitude, and the angular velocity, torque and rotor momentum in
 #: body axes.
@@ -69,8 +70,7 @@ def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[
 
 def of_motion(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
     """Compute a motion at some of the ascending times `stamps_ns`; return the data for a page."""
-    step = -(-len(stamps_ns) // MOST)
-    times_ns = np.union1d(stamps_ns[::step], stamps_ns[-1:])
+    times_ns = np.union1d(stamps_ns[thinned(len(stamps_ns), MOST)], stamps_ns[-1:])
     motion = problem.propagate(at=times_ns)
     torque = problem.torque(times_ns, motion.attitude)
     return as_data(problem.body, times_ns, np.hstack([
@@ -93,7 +93,7 @@ def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[
         The attitudes of the samples, as quaternions x y z w.
 
     """
-    rows = slice(None, None, -(-len(times_ns) // MOST))
+    rows = thinned(len(times_ns), MOST)
     seconds = (times_ns[rows] - start_ns) * 1e-9
     usual = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
     return {'times': packed(seconds), 'attitude': packed(attitude[rows], np.float32),

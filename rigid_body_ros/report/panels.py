@@ -28,7 +28,7 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.text import scaled
-from rigid_body_ros.report.thinning import Extremes
+from rigid_body_ros.report.thinning import Extremes, thinned
 
 #: The label of a time axis that starts at the first measurement.
 SINCE_FIRST = 'time from the first measurement (s)'
@@ -149,7 +149,7 @@ def field_panels(problem: Problem, times_ns: NDArray[np.int64],
                  start_ns: int) -> Iterator[Panel]:
     """Generate a panel with the torque of the fields at ascending times; none without fields."""
     if problem.fields:
-        times_ns = times_ns[::-(-len(times_ns) // _SAMPLES)]
+        times_ns = times_ns[thinned(len(times_ns), _SAMPLES)]
         torques = problem.field_torque(times_ns, problem.propagate(at=times_ns).attitude)
         yield Panel(f'{style.FIELDS}, body axes', 'N m', [Curves.thinned(
             times_ns, torques, style.TORQUES, start_ns)], SINCE_FIRST)

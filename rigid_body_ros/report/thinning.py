@@ -134,3 +134,8 @@ class EveryNth:
     def _joined(self) -> tuple[NDArray[np.int64], Floats]:
         return (np.concatenate([times for times, _ in self._parts]),
                 np.concatenate([rows for _, rows in self._parts]))
+
+
+def thinned(count: int, most: int) -> slice:
+    """Return a slice that selects at most `most` of `count` items, evenly spaced."""
+    return slice(None, None, max(-(-count // most), 1))
