@@ -31,7 +31,6 @@ from rigid_body_ros.inference.coordinates import (
     GRAVITY,
 )
 from rigid_body_ros.inference.findings import Findings, judged
-from rigid_body_ros.inference.growth import Solution
 from rigid_body_ros.inference.inputs import channels_of, setup_of
 from rigid_body_ros.inference.parameters import (
     checked_names,
@@ -39,6 +38,7 @@ from rigid_body_ros.inference.parameters import (
     unit_of,
     WEIGHT,
 )
+from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.verdict import ACCEPT, tried, with_intervals
 from rigid_body_ros.inference.windows import acted
 from rigid_body_ros.mechanics import so3

@@ -19,8 +19,8 @@ Fit models to measurements, and judge them.
 be fitted, `coordinates` its values and charts, and `sensors` what a sensor makes of a motion.
 `inputs` checks the inputs of a fit, `guess` guesses where it begins, and `setup` holds all inputs
 and divides recordings into `windows`. `fit` is the least-squares problem of some windows, and
-`growth` solves it in longer and longer windows. `align` is a fit of clocks, mountings and the
-start.
+`growth` solves it in longer and longer windows, and `solution` is the result. `align` is a fit of
+clocks, mountings and the start.
 
 After a fit, `errors` holds what is left and `certainty` what the data does not determine.
 `evidence` linearizes the fit, with its `noise`, and `findings` tests the errors. `hypotheses`

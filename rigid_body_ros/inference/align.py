@@ -26,11 +26,12 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.alignment import Alignment
 from rigid_body_ros.inference.certainty import certainty
 from rigid_body_ros.inference.evidence import own_noises, weighted
-from rigid_body_ros.inference.growth import Solution, solved_whole
+from rigid_body_ros.inference.growth import solved_whole
 from rigid_body_ros.inference.guess import guess
 from rigid_body_ros.inference.inputs import setup_of_sensors
 from rigid_body_ros.inference.motion import apart, inside, Motion, Recorded
 from rigid_body_ros.inference.parameters import SPACE, START
+from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording.measured import Measured

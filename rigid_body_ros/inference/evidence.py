@@ -33,8 +33,9 @@ from rigid_body_ros.inference.certainty import triangle
 from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import ahead_of, Residuals
 from rigid_body_ros.inference.fit import LeastSquares, Weights
-from rigid_body_ros.inference.growth import polished, Solution, states_at
+from rigid_body_ros.inference.growth import polished, states_at
 from rigid_body_ros.inference.noise import Noise, noise_of
+from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import extended
 from rigid_body_ros.recording.measured import Measured
 

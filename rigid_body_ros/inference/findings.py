@@ -41,7 +41,7 @@ from rigid_body_ros.inference.evidence import (
     widened,
     with_noise,
 )
-from rigid_body_ros.inference.growth import COARSEST, grown, lasts, polished, rough, Solution
+from rigid_body_ros.inference.growth import COARSEST, grown, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import marks, undone
 from rigid_body_ros.inference.noise import (
     ALARM,
@@ -53,6 +53,7 @@ from rigid_body_ros.inference.noise import (
 )
 from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import candidates, extended
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured

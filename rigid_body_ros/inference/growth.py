@@ -27,22 +27,20 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.inference.fit import errors_of, LeastSquares, Weights
 from rigid_body_ros.inference.guess import local_state
-from rigid_body_ros.inference.noise import NORMAL
 from rigid_body_ros.inference.parameters import LONGEST_DELAY
 from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.solution import median_size, ROUNDING, Solution, solution_of
 from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics.states import Poses
-from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.thinning import thinned
 
 #: If the first fit may have ended in the wrong minimum, another fit is tried with windows that are
@@ -70,62 +68,9 @@ _WORSE, _WORST = 1.1, 2.0
 #: Arguments of `polished` for fits that must not take long: the number of fits, their tolerance,
 #: and their maximum number of evaluations.
 COARSE, COARSEST = (2, 1e-6, 20), (1, 1e-3, 10)
-#: A sample is an outlier if its error exceeds this many standard deviations.
-_OUTLIER = 5.0
-#: If fewer samples than this fraction are within that limit, the limit says nothing.
-_RARE = 0.1
-#: Smallest standard deviation that the search for outliers assumes, rad or rad/s. Rounding errors
-#: are smaller than this and therefore never count as outliers.
-_NO_OUTLIER = 1e-8
-#: Scale of the Cauchy loss, in standard deviations.
-_CAUCHY = 2.4
-#: Standard deviations below this number come from rounding errors. The unit is rad for attitudes;
-#: standard deviations of angular velocities are relative to the rate.
-_ROUNDING = 1e-11
 #: A new window that begins at most this long before an old window, ns, starts from the state of
 #: the old window. The times may differ slightly because a fit changes the clock offsets.
 _SAME_NS = 1_000_000
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """
-    The result of a fit with windows of a given length.
-
-    Attributes
-    ----------
-    length_ns : int
-    problem : LeastSquares
-        The problem that was solved. Its reference states are those of the solution.
-    physics : Physics
-        The fitted parameters.
-    errors : list of list of array, shape (n, 3)
-        Predicted minus measured values of each channel of each recording, rad or rad/s.
-    weights : Weights
-        The weights for the next fit, computed from these errors.
-    inliers : list of list of array of bool, shape (n,)
-        Which samples of each channel of each recording are not outliers.
-    evaluations : int
-        Number of function evaluations in this fit and all fits before it.
-    converged : bool
-
-    """
-
-    length_ns: int
-    problem: LeastSquares
-    physics: Physics
-    errors: list[list[Floats]]
-    weights: Weights
-    inliers: list[list[NDArray[np.bool_]]]
-    evaluations: int
-    converged: bool
-
-    @property
-    def count(self) -> int:
-        """Return the number of errors, without those of outliers."""
-        return sum(3 * int(np.sum(kept & np.isfinite(errors[:, 0])))
-                   for inliers, every in zip(self.inliers, self.errors)
-                   for kept, errors in zip(inliers, every))
 
 
 def grown(setup: Setup, few: Solution | None = None) -> Solution:
@@ -195,8 +140,9 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics,
 
 def lasts(solution: Solution) -> bool:
     """Return whether the errors of adjacent samples are strongly correlated in any channel."""
-    for error, middle in _with_middles(solution):
-        clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # so that outliers do not dominate
+    for error in (error for every in solution.errors for error in every):
+        limit = 3.0 * median_size(error)  # so that outliers do not dominate
+        clipped = np.clip(error, -limit, limit)
         if np.nansum(clipped[1:] * clipped[:-1]) > _LASTING * np.nansum(clipped ** 2):
             return True
     return False
@@ -208,7 +154,7 @@ def misfit(solution: Solution) -> float:
 
     The error of a channel is that of its worst axis.
     """
-    return sum(float(np.log(max(max(map(_middle, error.T)) / _size(one.values), _ROUNDING)))
+    return sum(float(np.log(max(max(map(median_size, error.T)) / _size(one.values), ROUNDING)))
                for every, channels in zip(solution.errors, solution.problem.setup.channels)
                for error, one in zip(every, channels))
 
@@ -216,10 +162,6 @@ def misfit(solution: Solution) -> float:
 def _size(values: Floats) -> float:
     """Return the root-mean-square length of some vectors or quaternions."""
     return max(float(np.sqrt(np.mean(np.sum(values ** 2, axis=1)))), 1e-12)
-
-
-def _with_middles(solution: Solution) -> list[tuple[Floats, float]]:
-    return [(error, _middle(error)) for every in solution.errors for error in every]
 
 
 def _longer(solution: Solution) -> Solution | None:
@@ -278,7 +220,7 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
                    [[np.ones(len(channel)) for channel in channels]
                     for channels in setup.channels],
                    [[np.ones(3) for _ in channels] for channels in setup.channels])
-    return _solution(LeastSquares(setup, windows, states, ones), physics, setup.shortest_ns, 0)
+    return solution_of(LeastSquares(setup, windows, states, ones), physics, setup.shortest_ns, 0)
 
 
 def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
@@ -315,7 +257,7 @@ def _restarted(solution: Solution) -> Solution | None:
         return None
     problem = LeastSquares(old.setup, old.windows, Poses(*(
         np.array(values) for values in zip(*states))), old.weights)
-    return _solution(problem, physics, solution.length_ns, solution.evaluations)
+    return solution_of(problem, physics, solution.length_ns, solution.evaluations)
 
 
 def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
@@ -338,7 +280,7 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
         converged = problem.settle(tolerance, most)
     moved = LeastSquares(setup, windows, problem.states(), previous.weights)
     moved.steps = problem.steps
-    return _solution(moved, physics, length_ns, previous.evaluations + problem.evaluations,
+    return solution_of(moved, physics, length_ns, previous.evaluations + problem.evaluations,
                      converged, is_last)
 
 
@@ -370,61 +312,6 @@ def states_at(solution: Solution, windows: Sequence[Window]) -> Poses:
     return Poses(*(np.array(values) for values in zip(*pairs)))
 
 
-def _solution(problem: LeastSquares, physics: Physics, length_ns: int, evaluations: int,
-              converged: bool = False, is_last: bool = False) -> Solution:
-    setup, errors, unknown = problem.setup, problem.residuals(physics), problem.size
-    total = sum(int(np.isfinite(error).sum()) for every in errors for error in every)
-    share = np.sqrt(total / max(total - unknown, 1))
-    sigma, roots, inliers = [], [], []
-    for every, channels in zip(errors, setup.channels):
-        levels = [_level(error, channel, setup, share) for error, channel in zip(every, channels)]
-        given = [setup.attitude_noise if channel.is_attitude else setup.rate_noise
-                 for channel in channels]
-        distances = [np.nan_to_num(np.linalg.norm(error, axis=1)
-                                   / max(level, noise or 0.0, _NO_OUTLIER))
-                     for error, level, noise in zip(every, levels, given)]
-        inlier = [_inliers(distance, error) for distance, error in zip(distances, every)]
-        if is_last:
-            levels = [max(_rms(error[one]) * share, _floor(channel, setup))
-                      for error, one, channel in zip(every, inlier, channels)]
-        inliers.append(inlier)
-        sigma.append([noise or level for noise, level in zip(given, levels)])
-        roots.append([one.astype(float) if is_last else
-                      1.0 / np.sqrt(1.0 + distance ** 2 / (3.0 * _CAUCHY ** 2))
-                      for one, distance in zip(inlier, distances)])
-    weights = Weights(sigma, roots, problem.weights.spreads)
-    return Solution(length_ns, problem, physics, errors, weights, inliers, evaluations, converged)
-
-
-def _inliers(distances: Floats, error: Floats) -> NDArray[np.bool_]:
-    """Return a mask of the samples that are not outliers, which nearly all cannot be."""
-    inliers, finite = distances <= _OUTLIER, np.isfinite(error[:, 0])
-    if finite.any() and np.mean(inliers[finite]) < _RARE:
-        return np.ones(len(inliers), bool)
-    return np.asarray(inliers)
-
-
-def _level(error: Floats, channel: Measured, setup: Setup, share: float) -> float:
-    """Return an outlier-resistant estimate of the standard deviation of a channel's errors."""
-    return max(NORMAL * _middle(error) * share, _floor(channel, setup))
-
-
-def _middle(error: Floats) -> float:
-    """Return the median magnitude of errors, ignoring samples outside windows, which are NaN."""
-    finite = np.abs(error[np.isfinite(error)])
-    return float(np.median(finite)) if finite.size else 0.0
-
-
-def _rms(error: Floats) -> float:
-    """Return the root-mean-square error, ignoring samples outside windows, which are NaN."""
-    finite = error[np.isfinite(error)]
-    return float(np.sqrt(np.mean(finite ** 2))) if finite.size else 0.0
-
-
-def _floor(channel: Measured, setup: Setup) -> float:
-    return _ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
-
-
 def _predicts(problem: LeastSquares, physics: Physics) -> bool:
     """Return whether the initial errors of a fit are small enough for useful derivatives."""
     setup, errors = problem.setup, problem.residuals(physics)
@@ -446,12 +333,12 @@ def _fits(longer: Solution, shorter: Solution) -> bool:
     windows. `_WORSE` limits how much the errors of all windows together may grow, and `_WORST`
     limits how much the errors in a single window may grow.
     """
-    usual = [[_middle(error) for error in every] for every in shorter.errors]
+    usual = [[median_size(error) for error in every] for every in shorter.errors]
     pairs = [(error, _WORSE * middle) for every, middles in zip(longer.errors, usual)
              for error, middle in zip(every, middles)]
     for window in longer.problem.windows:
         one = window.experiment
         pairs += [(error[rows], _WORST * middle)
                   for error, rows, middle in zip(longer.errors[one], window.rows, usual[one])]
-    return longer.converged and all(_middle(error) <= most + 1e3 * _ROUNDING
+    return longer.converged and all(median_size(error) <= most + 1e3 * ROUNDING
                                     for error, most in pairs)

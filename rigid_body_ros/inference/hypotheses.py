@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.coordinates import Parameters
-from rigid_body_ros.inference.growth import lasts, misfit, screened, Solution
+from rigid_body_ros.inference.growth import lasts, misfit, screened
 from rigid_body_ros.inference.guess import davenport, guess, kabsch
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.noise import FEWEST, spread_of
@@ -43,6 +43,7 @@ from rigid_body_ros.inference.residual_torque import (
     residual_torque,
 )
 from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.measured import Measured

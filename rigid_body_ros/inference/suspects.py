@@ -24,7 +24,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.inference.coordinates import Parameters, Physics, SHORT_LAG
 from rigid_body_ros.inference.fit import LeastSquares
-from rigid_body_ros.inference.growth import fitted, Solution
+from rigid_body_ros.inference.growth import fitted
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.parameters import (
     moments_of,
@@ -36,6 +36,7 @@ from rigid_body_ros.inference.parameters import (
 )
 from rigid_body_ros.inference.sensors import mount_of, topics_of
 from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.scene.fields import MOMENT
 
 #: Limits of a fit with a suspect: the maximum number of function evaluations, and the tolerance.

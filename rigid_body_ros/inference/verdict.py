@@ -31,9 +31,9 @@ from rigid_body_ros.inference.findings import (
     probability,
     Score,
 )
-from rigid_body_ros.inference.growth import Solution
 from rigid_body_ros.inference.noise import ALARM
 from rigid_body_ros.inference.parameters import KINDS, split_topic, START
+from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import (
     candidates,
     command_with,

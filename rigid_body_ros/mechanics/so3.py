@@ -96,7 +96,7 @@ def rotate(q: ArrayLike, vector: ArrayLike) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Return the cross products of vectors, in a third of the time that numpy takes for a few."""
+    """Return the bits of `numpy.cross`, which takes twice as long for many vectors."""
     ax, ay, az = np.moveaxis(a, -1, 0)
     bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
