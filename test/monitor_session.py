@@ -44,14 +44,12 @@ from pathlib import Path
 from rclpy.clock import Clock
 from rclpy.duration import Duration
 from rigid_body_ros.node.drain import DrainCallback
-now, take, shift = Clock.now, DrainCallback._next, Path({!r})
-def taken(drain):
-    found = take(drain)
-    if found is not None:
-        found[1]['received_timestamp'] += int(shift.read_text())
-    return found
+now, pass_on, shift = Clock.now, DrainCallback._pass_on, Path({!r})
+def passed_on(drain, message, info):
+    info['received_timestamp'] += int(shift.read_text())
+    pass_on(drain, message, info)
 Clock.now = lambda clock: now(clock) + Duration(nanoseconds=int(shift.read_text()))
-DrainCallback._next = taken
+DrainCallback._pass_on = passed_on
 """ + PROGRAM
 BEGIN_NS = 1000 * SECOND
 #: ns; simulated time per second. If it were ten times as fast as real time, it might count as a

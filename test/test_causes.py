@@ -22,12 +22,24 @@ from conftest import at_night, CONFIG, RECORDINGS
 from measurements import truth
 import numpy as np
 import pytest
-from rigid_body_ros import compare, Measured, propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import (
+    compare,
+    identify,
+    Measured,
+    Problem,
+    propagate,
+    RigidBody,
+    State,
+    TorqueLog,
+)
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.comparison import compare_motion
+from rigid_body_ros.inference.alarms import ERROR
+from rigid_body_ros.inference.monitor import first_suspect, Monitor, Settings
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.recording.observed import Measurements
 from scipy.spatial.transform import Rotation
 import simulated
 
@@ -102,6 +114,40 @@ def test_a_fault_of_the_model_is_named(name):
     verdict = wrong(name).verdict
     assert verdict.level == 'rejected'
     assert {one.name for one in verdict.suspects[:2]} & {*simulated.named(name).causes}
+
+
+def of_monitor(one, measured):
+    """Return the first suspect that a live check names, or None if it raises no alarm."""
+    monitor = Monitor(Problem(RigidBody(simulated.INERTIA), State(0)),
+                      Settings(5.0, 0.0, 1e-3, 2e-3, 24.0))
+    monitor.apply(one.torque_ns, one.torques)
+    for sensor in measured:
+        monitor.measure(sensor.topic, sensor.stamps_ns, *(
+            np.full((len(sensor), size), np.nan) if values is None else values
+            for values, size in ((sensor.attitude, 4), (sensor.angular_velocity, 3))))
+    alarms = [judgement for judgement in monitor.judgements() if judgement.level == ERROR]
+    return first_suspect(*monitor.latest()) if alarms else None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', [
+    'gyro bias', 'weight', *at_night(
+        'attitude frozen for 3 s', 'damping', 'rotor', 'torque bias', 'gains of all axes',
+        'mount 30 degrees', 'clock 10 ms', 'clock drifts', 'gyro scale', 'gyro saturates',
+        'gyro in degrees per second', 'attitude of space in body axes')])
+def test_comparison_fit_and_live_check_name_the_same_cause(name):
+    kind = replace(simulated.named(name), seconds=30.0)
+    one, = simulated.recordings(kind, [0])
+    measured = [Measured('/mocap', one.attitude_ns, one.attitude, None),
+                Measured('/imu', one.rate_ns, None, one.rates)]
+    problem = Problem(RigidBody(simulated.INERTIA), State(0, *one.start),
+                      TorqueLog(one.torque_ns, one.torques))
+    compared = compare(problem.body, problem.start, problem.logs, measured=measured
+                       ).verdict.suspects[0].name
+    fitted = identify(problem.body, (problem, Measurements(measured)),
+                      estimate=['start']).verdict.suspects[0]
+    assert compared in kind.causes
+    assert [compared, fitted.name] == [of_monitor(one, measured).name] * 2
 
 
 @pytest.mark.slow

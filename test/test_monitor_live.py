@@ -141,6 +141,9 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
         session.play(first)
         session.wait(lambda: session.status('model').level == b'\x02')
         assert 'sigma' in session.status('model').message
+        session.wait(lambda: 'first suspect: torque_bias' in session.status('model').message)
+        values = {pair.key: pair.value for pair in session.status('model').values}
+        assert values['first suspect'].startswith('torque_bias (')
         # The mocap sends only invalid messages: its status says so, and the check continues.
         session.play([(stamp_ns, topic, messages.QUATERNION.encode(
             stamp_ns, 'nowhere', (0.0, 0.0, 0.0, 1.0)) if topic == '/mocap' else data)

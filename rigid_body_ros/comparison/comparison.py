@@ -34,13 +34,12 @@ from rigid_body_ros.inference.findings import Findings, judged, Score, start_sco
 from rigid_body_ros.inference.guess import LARGEST_OFFSET
 from rigid_body_ros.inference.horizons import horizon, usual_horizons
 from rigid_body_ros.inference.hypotheses import faults_of_samples
-from rigid_body_ros.inference.inputs import setup_of, setup_of_sensors
+from rigid_body_ros.inference.inputs import setup_of_model
 from rigid_body_ros.inference.monitor import is_checked, monitored, settings_of
 from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.parameters import SPACE, split_topic, START
 from rigid_body_ros.inference.residual_torque import residual_torque
-from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.verdict import scored
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
@@ -50,7 +49,6 @@ from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, Writer,
 from rigid_body_ros.recording.measured import faults_of, Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
-from rigid_body_ros.report.thinning import thinned
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
@@ -58,10 +56,6 @@ from rigid_body_ros.scene import Scene
 #: The topics of `write`.
 ATTITUDE_ERROR, RATE_ERROR = '/error/rotation_vector', '/error/angular_velocity'
 RESIDUAL_TORQUE = '/residual_torque'
-#: A model is judged by at most this many samples of each sensor.
-_SAMPLES = 2000
-#: A model is judged in at most this many windows.
-_WINDOWS = 24
 #: The alignments that correct a parameter, by its kind.
 _ALIGNED = {START: START, 'clock_offset': CLOCK, 'mount': MOUNT, SPACE: MOUNT}
 
@@ -150,7 +144,7 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
             predictable_s=predictable_s(comparison))
     if not causes:
         return comparison
-    setup = _setup(problem, aligned)
+    setup = setup_of_model(problem, aligned)
     if setup is None:
         return comparison
     findings = judged(setup, names_suspects)
@@ -160,18 +154,6 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
         findings = _with_start(findings)
     return replace(comparison, verdict=scored(
         findings, _option if isinstance(problem, Problem) else _option_of_sensor))
-
-
-def _setup(motion: Motion, aligned: Sequence[Measured]) -> Setup | None:
-    """Return the inputs of a fit that judges a model, or None if there are too few samples."""
-    spacing_ns = motion.spacing_ns if isinstance(motion, Recorded) else 0
-    channels = [one for sensor in aligned for one in _thinned(sensor, spacing_ns).channels()
-                if len(one) >= FEWEST]
-    if not channels:
-        return None
-    setup = setup_of([motion], [channels], (START,)) if isinstance(motion, Problem) \
-        else setup_of_sensors(motion, channels)
-    return replace(setup, most=_WINDOWS)
 
 
 def _with_faults(findings: Findings, motion: Recorded, aligned: Sequence[Measured]) -> Findings:
@@ -191,14 +173,6 @@ def _with_start(findings: Findings) -> Findings:
     is_right = not (findings.scores or findings.reasons)
     score = start_score(findings.solution) if is_right else None
     return replace(findings, scores=[score]) if score else findings
-
-
-def _thinned(sensor: Measured, spacing_ns: int) -> Measured:
-    """Return at most `_SAMPLES` samples, at least `spacing_ns` apart."""
-    if len(sensor) < 2:
-        return sensor
-    apart = -(-spacing_ns // int(np.median(np.diff(sensor.stamps_ns)))) or 1
-    return sensor.rows(thinned(len(sensor), min(_SAMPLES, len(sensor) // apart or 1)))
 
 
 def _option_of_sensor(name: str) -> str:

@@ -41,7 +41,14 @@ from rigid_body_ros.inference.evidence import (
     widened,
     with_noise,
 )
-from rigid_body_ros.inference.growth import COARSEST, grown, lasts, polished, rough
+from rigid_body_ros.inference.growth import (
+    COARSEST,
+    grown,
+    is_linear,
+    lasts,
+    polished,
+    rough,
+)
 from rigid_body_ros.inference.hypotheses import marks, undone
 from rigid_body_ros.inference.noise import (
     ALARM,
@@ -163,7 +170,7 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     """
     from scipy.special import chdtrc
     few = rough(setup)
-    is_wrong = lasts(few) or few.length_ns < setup.shortest_ns
+    is_wrong = lasts(few) or few.length_ns < setup.shortest_ns or not is_linear(few)
     fault, drop = undone(setup) if is_wrong and names_suspects else (None, 0.0)
     if fault is None:
         solution = grown(setup, few)

@@ -148,15 +148,21 @@ def lasts(solution: Solution) -> bool:
     return False
 
 
-def misfit(solution: Solution) -> float:
-    """
-    Return the sum of the logarithms of the errors of all channels, relative to their values.
+def is_linear(solution: Solution) -> bool:
+    """Return whether the errors are small enough for the linear tests of parameters."""
+    return max(_relative(solution)) <= _LINEAR
 
-    The error of a channel is that of its worst axis.
-    """
-    return sum(float(np.log(max(max(map(median_size, error.T)) / _size(one.values), ROUNDING)))
-               for every, channels in zip(solution.errors, solution.problem.setup.channels)
-               for error, one in zip(every, channels))
+
+def misfit(solution: Solution) -> float:
+    """Return the sum of the logarithms of the errors of all channels, relative to their values."""
+    return float(np.sum(np.log(np.maximum(_relative(solution), ROUNDING))))
+
+
+def _relative(solution: Solution) -> list[float]:
+    """Return the error of each channel on its worst axis, relative to the values."""
+    return [max(map(median_size, error.T)) / _size(one.values)
+            for every, channels in zip(solution.errors, solution.problem.setup.channels)
+            for error, one in zip(every, channels)]
 
 
 def _size(values: Floats) -> float:

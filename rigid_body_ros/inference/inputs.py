@@ -34,6 +34,7 @@ from rigid_body_ros.inference.coordinates import (
 )
 from rigid_body_ros.inference.guess import likely_offset, local_state
 from rigid_body_ros.inference.motion import Motion, Recorded
+from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.parameters import moments_of, split_topic, START
 from rigid_body_ros.inference.sensors import topics_of
 from rigid_body_ros.inference.setup import Setup
@@ -44,12 +45,15 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report.thinning import thinned
 from rigid_body_ros.scene.fields import MOMENT
 
 #: Minimum number of samples in a channel.
 _FEWEST = 8
 #: An angular velocity is estimated from two attitudes that are about this far apart, s.
 _LAG = 0.1
+#: A model is judged in at most this many windows, and by at most this many samples of each sensor.
+WINDOWS, _SAMPLES = 24, 2000
 
 
 def channels_of(sensors: Sequence[Measured], start_ns: int) -> list[Measured]:
@@ -193,6 +197,30 @@ def setup_of_sensors(motion: Motion, channels: list[Measured],
     parameters = Parameters([*values], Physics(inertia, damping, values),
                             Magnitudes(rate, 0.0, 1e-9 * span_ns, {}))
     return Setup([problem], [channels], parameters, rate, fits_start, None, None, [None])
+
+
+def setup_of_model(motion: Motion, sensors: Sequence[Measured]) -> Setup | None:
+    """
+    Return the inputs of a fit that judges a model, in which at most the start is free.
+
+    Return None if no channel of the sensors has enough samples.
+    """
+    spacing_ns = motion.spacing_ns if isinstance(motion, Recorded) else 0
+    channels = [one for sensor in sensors for one in _thinned(sensor, spacing_ns).channels()
+                if len(one) >= FEWEST]
+    if not channels:
+        return None
+    setup = setup_of([motion], [channels], (START,)) if isinstance(motion, Problem) \
+        else setup_of_sensors(motion, channels)
+    return replace(setup, most=WINDOWS)
+
+
+def _thinned(sensor: Measured, spacing_ns: int) -> Measured:
+    """Return at most `_SAMPLES` samples, at least `spacing_ns` apart."""
+    if len(sensor) < 2:
+        return sensor
+    apart = -(-spacing_ns // int(np.median(np.diff(sensor.stamps_ns)))) or 1
+    return sensor.rows(thinned(len(sensor), min(_SAMPLES, len(sensor) // apart or 1)))
 
 
 def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:

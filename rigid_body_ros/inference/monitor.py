@@ -16,8 +16,9 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -26,6 +27,10 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.inference.alarms import Alarms, Judgement, NoiseLevel
+from rigid_body_ros.inference.findings import judged
+from rigid_body_ros.inference.inputs import setup_of_model, WINDOWS
+from rigid_body_ros.inference.suspects import Suspect
+from rigid_body_ros.inference.verdict import scored
 from rigid_body_ros.inference.window_error import SensorNoise, window_error
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
@@ -42,6 +47,8 @@ BEGINS, SILENT = 'torque not known yet', 'no torque for longer than stale_after'
 #: and whether the torque is in space axes. A measurement row contains the attitude and the angular
 #: velocity.
 _TORQUE, _MEASUREMENT = 4, 7
+#: The windows of the last 120 s are remembered, to find out what is wrong.
+_REMEMBERED = 120.0
 #: Length of the pieces in which a recording is processed, and the earliest time that fits into
 #: int64, both in ns.
 _PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
@@ -128,12 +135,15 @@ class Monitor:
         #: How long a command may still act after it has been replaced, ns. This is the longest
         #: delay plus lag of any actuator.
         self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
-        self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE))
-        self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT))
+        count = int(np.clip(_REMEMBERED / settings.window, 1, WINDOWS))
+        self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE, count))
+        self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT, count))
         self.noises: dict[str, tuple[NoiseLevel, NoiseLevel]] = {}
         self._alarms = Alarms(settings.window, settings.false_alarms)
         #: Beginning of the next window, ns, and the rotor momentum at this time.
         self._begin_ns, self._momentum = 0, problem.start.rotor_momentum
+        #: The beginnings of the latest windows, with the rotor momenta, since one was skipped.
+        self._latest = deque[tuple[int, Floats]](maxlen=count)
         #: Time spans, ns, in which no window is judged, each with a reason.
         self._spans: list[tuple[int, int, str]] = []
         self.newest_ns, self.skipped, self.last_skipped = 0, Counter[str](), ''
@@ -179,7 +189,7 @@ class Monitor:
         """
         Generate the judgements of all windows that are over.
 
-        The measurements in these windows are then discarded. Windows without samples are skipped.
+        The measurements in these windows are then set aside. Windows without samples are skipped.
         Pass `complete_ns` if some messages with stamps after this time may not have been added
         yet. Only windows that end by `complete_ns` are then judged.
         """
@@ -190,9 +200,9 @@ class Monitor:
             end_ns = begin_ns + self._window_ns
             if not self._is_decided(begin_ns, end_ns, until_ns):
                 return
-            problem = self._between(begin_ns, end_ns)
-            sensors = [measured for topic, rows in sorted(self._sensors.items())
-                       if (measured := _measured(topic, rows, begin_ns, end_ns))]
+            # Start at the end of the previous window, where the rotor momentum is known.
+            problem = self._between(self._begin_ns or begin_ns, end_ns, self._momentum)
+            sensors = self._measured_between(begin_ns, end_ns)
             levels = [self._noise(sensor.topic) for sensor in sensors]
             noises = [SensorNoise(turned.stated, rate.stated, turned.factor, rate.factor)
                       for turned, rate in levels]
@@ -205,6 +215,10 @@ class Monitor:
                     reason = '' if error else FEW
                 except ValueError:
                     reason = NOT_COMPUTABLE
+            if reason and reason != FEW:
+                self._latest.clear()
+            else:
+                self._latest.append((problem.start.time_ns, self._momentum))
             self._begin_ns = end_ns
             self._momentum = problem.rotor_momentum(np.array([end_ns]))[0]
             self._forget(end_ns)
@@ -219,7 +233,7 @@ class Monitor:
                     level.add(errors)
 
     def _forget(self, before_ns: int) -> None:
-        """Discard data from before a given time, except torques that still act at that time."""
+        """Set data from before a given time aside, except torques that still act at that time."""
         for torques in self._torques.values():
             torques.forget(before_ns - self._reach_ns)
         for measured in self._sensors.values():
@@ -279,11 +293,23 @@ class Monitor:
         begin_ns = max(self._begin_ns, first_ns // self._window_ns * self._window_ns)
         return begin_ns if begin_ns <= last_ns else None
 
-    def _between(self, begin_ns: int, end_ns: int) -> Problem:
-        """Return the problem for a window, with the torques that act in the window."""
-        # Start at the end of the previous window, where the rotor momentum is known.
-        start_ns = self._begin_ns or begin_ns
-        start = State(start_ns, self._problem.start.attitude, np.zeros(3), self._momentum)
+    def latest(self) -> tuple[Problem, list[Measured]]:
+        """
+        Return the model and the measurements of the latest windows.
+
+        These are the windows of the last two minutes, since the last one that was skipped.
+        """
+        begin_ns, momentum = self._latest[0] if self._latest else (self._begin_ns, self._momentum)
+        return (self._between(begin_ns, self._begin_ns, momentum),
+                self._measured_between(begin_ns, self._begin_ns))
+
+    def _measured_between(self, begin_ns: int, end_ns: int) -> list[Measured]:
+        return [measured for topic, rows in sorted(self._sensors.items())
+                if (measured := _measured(topic, rows, begin_ns, end_ns))]
+
+    def _between(self, start_ns: int, end_ns: int, momentum: Floats) -> Problem:
+        """Return the problem between two times, with the torques that act between them."""
+        start = State(start_ns, self._problem.start.attitude, np.zeros(3), momentum)
         logs = {}
         for source, rows in sorted(self._torques.items()):
             times_ns, values = rows.between(start_ns - self._reach_ns, end_ns, 1)
@@ -333,11 +359,32 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
         yield from monitor.judgements(end_ns)
 
 
-class _Rows:
-    """Rows of values keyed by stamp. A new row replaces an existing row with the same stamp."""
+def first_suspect(problem: Problem, sensors: Sequence[Measured]) -> Suspect | None:
+    """
+    Return what explains most of the errors of a model, as `compare` would name it.
 
-    def __init__(self, columns: int) -> None:
+    The arguments are those that `Monitor.latest` returns. Return None if nothing is found, or if
+    the motion cannot be computed.
+    """
+    with suppress(ValueError):
+        setup = setup_of_model(problem, sensors)
+        if setup:
+            verdict = scored(judged(setup), 'attitude_identify --estimate start,{} fits it'.format)
+            return verdict.suspects[0] if verdict.suspects else None
+    return None
+
+
+class _Rows:
+    """
+    Rows of values keyed by stamp. A new row replaces an existing row with the same stamp.
+
+    Rows that are no longer needed for the next windows are set aside, because sorting them again
+    and again would take too long.
+    """
+
+    def __init__(self, columns: int, windows: int) -> None:
         self._new: list[tuple[NDArray[np.int64], Floats]] = []
+        self._aside = deque[tuple[NDArray[np.int64], Floats]](maxlen=windows)
         self._sorted = np.empty(0, np.int64), np.empty((0, columns))
 
     def put(self, stamps_ns: NDArray[np.int64], values: Floats) -> None:
@@ -353,9 +400,10 @@ class _Rows:
         return self._sorted
 
     def forget(self, before_ns: int) -> None:
-        """Discard all values before a given time, except the newest of these values."""
+        """Set aside all values before a given time, except the newest of these values."""
         stamps_ns, values = self._all()
         row = max(int(stamps_ns.searchsorted(before_ns)) - 1, 0)
+        self._aside.append((stamps_ns[:row], values[:row]))
         self._sorted = stamps_ns[row:].copy(), values[row:].copy()
 
     def first_ns(self, since_ns: int) -> int:
@@ -368,6 +416,8 @@ class _Rows:
                 earlier: int = 0) -> tuple[NDArray[np.int64], Floats]:
         """Return stamps and values between two times, plus up to `earlier` preceding values."""
         stamps_ns, values = self._all()
+        if len(stamps_ns) and begin_ns < stamps_ns[0]:
+            stamps_ns, values = map(np.concatenate, zip(*self._aside, (stamps_ns, values)))
         first, stop = stamps_ns.searchsorted([begin_ns, end_ns]).tolist()
         rows = slice(max(first - earlier, 0), stop)
         return stamps_ns[rows], values[rows]

@@ -78,6 +78,16 @@ class Suspect:
     command: str
     text: str = ''
 
+    def described(self) -> str:
+        """Return the name, what speaks for the suspect, and the option or the advice."""
+        if self.text:
+            return f'{self.name}: {self.text}; {self.command}'
+        values = ', '.join(f'{value:.4g}' for value in self.value)
+        ahead = '' if self.validation_chi2_per_dof is None else \
+            f', chi-square of the validation {self.validation_chi2_per_dof:.3g}'
+        return f'{self.name} ({values}): chi-square falls by {self.chi2_drop:.4g}{ahead}; ' \
+               f'{self.command}'
+
     def as_dict(self) -> dict[str, Any]:
         """Return the fields under the names used in the JSON file."""
         return {'name': self.name, 'chi2_drop': self.chi2_drop,

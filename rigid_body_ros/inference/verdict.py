@@ -106,14 +106,7 @@ class Verdict:
         for reason in self.reasons:
             yield 'reason', reason
         for one in self.suspects:
-            if one.text:
-                yield 'suspect', f'{one.name}: {one.text}; {one.command}'
-                continue
-            values = ', '.join(f'{value:.4g}' for value in one.value)
-            ahead = '' if one.validation_chi2_per_dof is None else \
-                f', chi-square of the validation {one.validation_chi2_per_dof:.3g}'
-            yield 'suspect', f'{one.name} ({values}): chi-square falls by {one.chi2_drop:.4g}' \
-                             f'{ahead}; {one.command}'
+            yield 'suspect', one.described()
 
 
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]

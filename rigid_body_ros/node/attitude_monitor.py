@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 import time
 from typing import Any
 
@@ -28,6 +29,8 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.alarms import ERROR, Judgement, WARN
+from rigid_body_ros.inference.monitor import first_suspect
+from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.node.clocks import ClockMonitor
 from rigid_body_ros.node.drain import PollingNode
 from rigid_body_ros.node.monitor_inputs import MonitorInputs
@@ -83,6 +86,11 @@ class AttitudeMonitor(PollingNode):
         self._torque = self.create_publisher(WrenchStamped, '~/residual_torque', 10)
         #: When the next diagnostics are due, in seconds on the monotonic clock.
         self._report_at = 0.0
+        #: Numbers of windows since the alarm, now and at the latest search for a suspect. A thread
+        #: does the search, because it takes a second or two.
+        self._alarmed, self._searched, self._thread = 0, 0, ThreadPoolExecutor(1)
+        self._suspect: Suspect | None = None
+        self._search: Future[Suspect | None] | None = None
         timer(self, _WATCH_PERIOD, self._watch)
 
     def _watch(self) -> None:
@@ -96,6 +104,8 @@ class AttitudeMonitor(PollingNode):
         inputs.take()
         for judgement in inputs.monitor.judgements(inputs.complete_ns(now)):
             self._publish(judgement)
+            self._alarmed = self._alarmed + 1 if judgement.level == ERROR else 0
+        self._find_suspect()
         if now > self._report_at:
             self._report_at = now + _REPORT_PERIOD
             self._report()
@@ -108,6 +118,18 @@ class AttitudeMonitor(PollingNode):
         self._torque.publish(messages.wrench(error.end_ns, body, error.torque))
         if judgement.level == ERROR and judgement.since_ns == error.end_ns:
             self.get_logger().error(_described(judgement))
+
+    def _find_suspect(self) -> None:
+        """Search for a suspect after the alarm, and whenever twice as many windows are judged."""
+        if not self._alarmed:
+            self._searched, self._suspect, self._search = 0, None, None
+        if self._search and self._search.done():
+            self._suspect, self._search = self._search.result(), None
+            if self._suspect:
+                self.get_logger().error(f'first suspect: {self._suspect.described()}')
+        if self._search is None and self._alarmed > 2 * self._searched:
+            self._searched = self._alarmed
+            self._search = self._thread.submit(first_suspect, *self._inputs.monitor.latest())
 
     def _report(self) -> None:
         inputs, problems = self._inputs, self._inputs.problems()
@@ -132,12 +154,14 @@ class AttitudeMonitor(PollingNode):
             return inputs.diagnostics.status(
                 'model', False, bool(doubt), '; '.join(filter(None, ['no window yet', doubt])),
                 skipped)
-        error, noises = last.error, monitor.noises
+        error, noises, suspect = last.error, monitor.noises, self._suspect
         if not doubt and inputs.is_silent_since(error.end_ns):
             doubt = f'no measurements since {error.end_ns} ns'
+        named = [f'first suspect: {suspect.name}'] if suspect else []
         return inputs.diagnostics.status(
             'model', last.level == ERROR, last.level == WARN or bool(doubt),
-            '; '.join(filter(None, [doubt, _described(last), *notes])), {
+            '; '.join(filter(None, [doubt, _described(last), *named, *notes])), {
+                **({'first suspect': suspect.described()} if suspect else {}),
                 'sigma': f'{last.sigma:.2f}', 'windows tested together': last.windows,
                 'largest component': last.axis, 'since (ns)': last.since_ns,
                 'end of the window (ns)': error.end_ns, 'outliers': error.outliers,
