@@ -220,7 +220,8 @@ def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> t
     last = problem.windows[k]
     rest = [channel.rows(slice(len(fitted), None))
             for channel, fitted in zip(channels, setup.channels[number])]
-    whole, = setup.windows_of(number, channels, 2 ** 62, solution.physics)
+    make, = setup.makers_of(number, channels, 2 ** 62, solution.physics)
+    whole = make()
     assert isinstance(whole.problem, Problem)
     return k, replace(whole, problem=whole.problem.replaced(start=last.problem.start),
                       is_first=last.is_first, axial=last.axial, channels=rest,

@@ -41,7 +41,6 @@ from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import median_size, ROUNDING, Solution, solution_of
 from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics.states import Poses
-from rigid_body_ros.report.thinning import thinned
 
 #: If the first fit may have ended in the wrong minimum, another fit is tried with windows that are
 #: shorter by this factor.
@@ -133,8 +132,7 @@ def _guess(setup: Setup) -> Physics:
 def _from_few(setup: Setup, length_ns: int, guess: Physics,
               most: tuple[int, int] = _FIRST) -> Solution:
     """Fit a few windows, starting from states that are guessed from the measurements."""
-    windows = setup.windows(length_ns, guess)
-    few = windows[thinned(len(windows), most[0])]
+    few = setup.windows(length_ns, guess, few=most[0])
     return fitted(_first(setup, few, guess), length_ns, 1e-2, most[1], windows=few)
 
 

@@ -17,13 +17,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.alarms import Judgement
-from rigid_body_ros.inference.motion import errors_of
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
@@ -127,64 +127,88 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
     # Accept samples that are late by up to half the time between samples.
     half_ns = spacing_ns // 2
     _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
-    momenta = problem.rotor_momentum(stamps_ns[rows])
-    windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
-    windows = windows[thinned(len(windows), _WINDOWS)]
-    angles = [_error(problem, sensor, (first, last), step_ns, momentum)
-              for first, last, momentum in track(windows, len(windows))
-              if abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns]
-    return Horizon(seconds, np.array(angles, float))
+    first, last = (each[thinned(len(each), _WINDOWS)] for each in (rows[:-1], rows[1:]))
+    whole = np.abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns
+    first, last = first[whole], last[whole]
+    starts = _restarted(problem, sensor, first, last, stamps_ns[first] + step_ns // 5)
+    return Horizon(seconds, np.array([_error(problem, sensor, start, row)
+                                      for start, row in track([*zip(starts, last)], len(last))]))
 
 
-def _error(problem: Problem, sensor: Measured, window: tuple[int, int], step_ns: int,
-           momentum: Floats) -> float:
-    first, last = window
-    until_ns = sensor.stamps_ns[first] + step_ns // 5
-    count = int(np.searchsorted(sensor.stamps_ns, until_ns, 'right')) - first
-    count = min(max(count, 2), _SAMPLES, last - first + 1)
-    start = _restarted(problem, sensor.rows(np.arange(first, first + count)), momentum)
-    end = sensor.rows(np.array([last]))
-    motion = problem.between(start, int(end.stamps_ns[0])).propagate(at=end.stamps_ns)
-    assert sensor.attitude is not None
-    return float(so3.angle_between(motion.attitude[0], sensor.attitude[last]))
+def _error(problem: Problem, sensor: Measured, start: State, row: int) -> float:
+    """Return the error, rad, of a motion at a sample, if it begins in the given state."""
+    at = sensor.stamps_ns[row:row + 1]
+    motion = problem.between(start, int(at[0])).propagate(at=at)
+    return float(so3.angle_between(motion.attitude[0], sensor.values[row]))
 
 
-def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
-    """Fit a motion to a few samples, and return the state of the motion at the first sample."""
-    assert samples.attitude is not None
-    first_ns, (_, rates) = int(samples.stamps_ns[0]), measured_rates(samples)
-    start = State(first_ns, samples.attitude[0], np.median(rates, axis=0), momentum)
-    if len(samples) < 3:
-        return start
-    seconds = 1e-9 * (samples.stamps_ns - first_ns)
-    columns = np.stack([np.ones(len(seconds)), seconds], axis=1)
+def _restarted(problem: Problem, sensor: Measured, first: NDArray[np.int64],
+               last: NDArray[np.int64], until_ns: NDArray[np.int64]) -> list[State]:
+    """Fit motions to a few samples from each of the first ones, and return their states there."""
+    counts = np.searchsorted(sensor.stamps_ns, until_ns, 'right') - first
+    counts = np.minimum(np.clip(counts, 2, _SAMPLES), last - first + 1)
+    momenta = problem.rotor_momentum(sensor.stamps_ns[first])
+    starts: dict[int, State] = {}
+    for count in np.unique(counts).tolist():  # windows with equally many samples fit in one array
+        group = np.flatnonzero(counts == count)
+        rows = first[group][:, None] + np.arange(count)
+        starts |= zip(group.tolist(), _fitted(problem, sensor, rows, momenta[group]))
+    return [starts[k] for k in range(len(first))]
+
+
+def _fitted(problem: Problem, sensor: Measured, rows: NDArray[np.int64],
+            momenta: Floats) -> list[State]:
+    """Fit a motion to the samples in each row of an array, and return their first states."""
+    (_, rates), stamps_ns, attitude = measured_rates(sensor), sensor.stamps_ns, sensor.attitude
+    assert attitude is not None
+    has_rates = sensor.angular_velocity is not None
+    begins = np.median(rates[rows if has_rates else rows[:, :-1]], axis=1)
+    starts = [State(time_ns, *state) for time_ns, *state in zip(
+        stamps_ns[rows[:, 0]].tolist(), attitude[rows[:, 0]], begins, momenta)]
+    if rows.shape[1] < 3:
+        return starts
+    moving = [*range(len(starts))]
     for _ in range(_CORRECTIONS):
-        motion = problem.between(start, int(samples.stamps_ns[-1])).propagate(
-            at=samples.stamps_ns)
-        vectors, rate_errors = errors_of(samples, motion)
-        assert vectors is not None
+        used = rows[moving]
+        motions = [problem.between(starts[k], int(stamps_ns[rows[k, -1]])).propagate(
+            at=stamps_ns[rows[k]]) for k in moving]
+        turned = np.stack([motion.attitude for motion in motions])
+        vectors = so3.log(so3.multiply(so3.conjugate(turned), attitude[used]))
         # Work in space axes, where the components of a constant attitude error do not change.
-        vectors = so3.rotate(motion.attitude, vectors)
-        offset, drift = _line(columns, vectors)
-        turn = so3.conjugate(start.attitude)
-        change = so3.rotate(turn, drift) if rate_errors is None else \
-            _line(columns[:, :1], rate_errors)[0]
-        attitude = so3.multiply(so3.exp(offset), start.attitude)
-        start = State(first_ns, so3.normalize(attitude), start.angular_velocity + change, momentum)
-        usual = float(np.median(np.linalg.norm(vectors, axis=1)))
-        if np.linalg.norm(offset) + seconds[-1] * np.linalg.norm(change) \
-                < max(_CORRECTED, _NEGLIGIBLE * usual):
+        vectors = so3.rotate(turned, vectors)
+        seconds = 1e-9 * (stamps_ns[used] - stamps_ns[used[:, :1]])[:, :, None]
+        offset, drift = _lines(np.concatenate([np.ones_like(seconds), seconds], 2), vectors)
+        begin = np.stack([starts[k].attitude for k in moving])
+        change = so3.rotate(so3.conjugate(begin), drift)
+        if has_rates:
+            change, = _lines(np.ones_like(seconds), rates[used] - np.stack(
+                [motion.angular_velocity for motion in motions]))
+        begin = so3.normalize(so3.multiply(so3.exp(offset), begin))
+        for k, turn, faster in zip(moving, begin, change):
+            starts[k] = replace(starts[k], attitude=turn,
+                                angular_velocity=starts[k].angular_velocity + faster)
+        usual = np.median(np.linalg.norm(vectors, axis=2), axis=1)
+        size = np.linalg.norm(offset, axis=1) \
+            + seconds[:, -1, 0] * np.linalg.norm(change, axis=1)
+        moving = [k for k, is_moving in zip(
+            moving, size >= np.maximum(_CORRECTED, _NEGLIGIBLE * usual)) if is_moving]
+        if not moving:
             break
-    return start
+    return starts
 
 
-def _line(columns: Floats, values: Floats) -> Floats:
-    """Fit a linear combination of columns to values, giving less weight to outliers."""
-    weights = np.ones((len(values), 1))
+def _lines(columns: Floats, values: Floats) -> Floats:
+    """
+    Fit linear combinations of columns to values, giving less weight to outliers.
+
+    The columns have shape (n, m, k), and the values (n, m, 3). Return the coefficients, shape
+    (k, n, 3).
+    """
+    weights = np.ones_like(columns[:, :, :1])
     for _ in range(3):
-        weighted = weights ** 2 * columns
-        found = np.linalg.solve(weighted.T @ columns, weighted.T @ values)
-        distances = np.linalg.norm(values - columns @ found, axis=1, keepdims=True)
-        limit = max(2.0 * float(np.median(distances)), 1e-300)
+        weighted = (weights ** 2 * columns).swapaxes(1, 2)
+        found = np.linalg.solve(weighted @ columns, weighted @ values)
+        distances = np.linalg.norm(values - columns @ found, axis=2, keepdims=True)
+        limit = np.maximum(2.0 * np.median(distances, axis=1, keepdims=True), 1e-300)
         weights = np.minimum(limit / np.maximum(distances, limit), 1.0)
-    return np.asarray(found)
+    return np.asarray(found.swapaxes(0, 1))

@@ -16,8 +16,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
@@ -126,16 +127,19 @@ class Setup:
                       for channel in channels)
         return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
 
-    def windows(self, length_ns: int, physics: Physics, parts: int = 1) -> list[Window]:
-        """Divide all recordings into windows, of which at most `most` are kept."""
+    def windows(self, length_ns: int, physics: Physics, parts: int = 1,
+                few: int | None = None) -> list[Window]:
+        """Divide all recordings into windows, and return at most `most` of them, or `few`."""
         lead_ns = _LEAD_NS if self.parameters.shifts else 0
-        windows = [window for number, channels in enumerate(self.channels)
-                   for window in self.windows_of(number, channels, length_ns, physics, lead_ns,
-                                                 parts)]
-        return windows[thinned(len(windows), self.most)] if self.most else windows
+        makers = [one for number, channels in enumerate(self.channels) for one in self.makers_of(
+            number, channels, length_ns, physics, lead_ns, parts)]
+        for most in (self.most, few):
+            makers = makers[thinned(len(makers), most)] if most else makers
+        return [make() for make in makers]
 
-    def windows_of(self, number: int, channels: Sequence[Measured], length_ns: int,
-                   physics: Physics, lead_ns: int = 0, parts: int = 1) -> list[Window]:
+    def makers_of(self, number: int, channels: Sequence[Measured], length_ns: int,
+                  physics: Physics, lead_ns: int = 0, parts: int = 1
+                  ) -> list[Callable[[], Window]]:
         """
         Divide a recording into windows.
 
@@ -156,8 +160,8 @@ class Setup:
 
         Returns
         -------
-        list of Window
-            The windows in chronological order. Windows without samples are left out.
+        list of callable
+            A function for each window with samples, in chronological order, that makes the window.
 
         """
         problem, axial = self.problems[number], self.axial[number]
@@ -173,14 +177,14 @@ class Setup:
             momenta = momenta + np.where(anchors > start_ns, 1.0, 0.0)[:, None] * (
                 axial.tensor @ axial.rate)
         memory_ns = _MEMORY_NS + _MEMORY_OF_LAG_NS * ('torque_lag' in self.parameters.groups)
-        result = []
-        for k, anchor_ns in enumerate(anchors.tolist()):
-            rows = [slice(*np.searchsorted(each, [edges[k], edges[k + 1]])) for each in stamps]
-            samples = [channel.rows(part) for channel, part in zip(channels, rows)]
-            if not any(map(len, samples)):
-                continue
-            start = State(anchor_ns, rotor_momentum=momenta[k])
+        ends = np.array([np.searchsorted(each, edges) for each in stamps])
+
+        def made(k: int) -> Window:
+            rows = [slice(*each[k:k + 2].tolist()) for each in ends]
+            start = State(int(anchors[k]), rotor_momentum=momenta[k])
             near = problem.between(start, int(edges[k + 1]) + _LEAD_NS, memory_ns)
-            result.append(Window(number, k == 0, near, samples, rows, start_ns,
-                                 axial.tensor if axial and anchor_ns == start_ns else None))
-        return result
+            return Window(number, k == 0, near,
+                          [channel.rows(part) for channel, part in zip(channels, rows)], rows,
+                          start_ns, axial.tensor if axial and anchors[k] == start_ns else None)
+        filled = np.flatnonzero((np.diff(ends, axis=1) > 0).any(axis=0))
+        return [partial(made, k) for k in filled.tolist()]
