@@ -30,7 +30,7 @@ from rigid_body_ros.comparison.predictable import predictable_s
 from rigid_body_ros.comparison.result import compared, Comparison, Errors
 from rigid_body_ros.inference.align import align as aligned_by
 from rigid_body_ros.inference.align import CLOCK, MOUNT
-from rigid_body_ros.inference.findings import Findings, judged, Score, start_score
+from rigid_body_ros.inference.findings import Findings, judged, start_suspect
 from rigid_body_ros.inference.guess import LARGEST_OFFSET
 from rigid_body_ros.inference.horizons import horizon, usual_horizons
 from rigid_body_ros.inference.hypotheses import faults_of_samples
@@ -40,6 +40,7 @@ from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.parameters import SPACE, split_topic, START
 from rigid_body_ros.inference.residual_torque import residual_torque
+from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.inference.verdict import scored
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
@@ -158,21 +159,21 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
 
 def _with_faults(findings: Findings, motion: Recorded, aligned: Sequence[Measured]) -> Findings:
     """Add faults of some samples, unless a fault of all samples explains the errors."""
-    if any(one.text for one in findings.scores):
+    if any(one.text for one in findings.suspects):
         return findings
     channels = [one for sensor in aligned for one in sensor.channels() if len(one) > FEWEST]
     # A fault of some samples may look like a parameter, so it comes first.
-    drop = max([float(findings.solution.count), *(one.drop for one in findings.scores)])
-    faults = [Score(name, drop, 0.0, text=text)
+    drop = max([float(findings.solution.count), *(one.chi2_drop for one in findings.suspects)])
+    faults = [Suspect(name, drop, 0.0, text=text)
               for name, text in faults_of_samples(motion, channels)]
-    return replace(findings, scores=[*faults, *findings.scores])
+    return replace(findings, suspects=[*faults, *findings.suspects])
 
 
 def _with_start(findings: Findings) -> Findings:
     """Add the start, unless the model is wrong, which may also move the start."""
-    is_right = not (findings.scores or findings.reasons)
-    score = start_score(findings.solution) if is_right else None
-    return replace(findings, scores=[score]) if score else findings
+    is_right = not (findings.suspects or findings.reasons)
+    suspect = start_suspect(findings.solution) if is_right else None
+    return replace(findings, suspects=[suspect]) if suspect else findings
 
 
 def _option_of_sensor(name: str) -> str:

@@ -256,6 +256,7 @@ def _first_motion(solution: Solution, end_ns: int) -> Problem:
 
 def _numbers(solution: Solution) -> _Numbers:
     """Return the components of the shared parameters, then those of the fitted initial states."""
+    from scipy.linalg import block_diag  # slow to import
     setup, parameters = solution.problem.setup, solution.problem.setup.parameters
     shared = _Numbers([*parameters.names], parameters.values(solution.physics),
                       parameters.values(setup.given), parameters.scales,
@@ -276,7 +277,7 @@ def _numbers(solution: Solution) -> _Numbers:
     values, guesses, scales = (np.concatenate([getattr(part, what) for part in parts])
                                for what in ('values', 'guesses', 'scales'))
     return _Numbers([name for part in parts for name in part.names], values, guesses, scales,
-                    _block_diagonal([part.turn for part in parts]))
+                    block_diag(*(part.turn for part in parts)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,6 +312,7 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
 
     The components are None if the initial state was not fitted.
     """
+    from scipy.linalg import block_diag
     setup = solution.problem.setup
     given = setup.start(number)
     momentum = given.rotor_momentum + solution.physics.value('rotor_momentum')
@@ -329,7 +331,7 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
         names = [*(f'initial_attitude.{axis}' for axis in 'xyz'), *names]
         values, guesses = np.append(turned, values), np.append(np.zeros(3), guesses)
         scales = np.append(np.ones(3), scales)
-        turn = _block_diagonal([_change_of_vector(turned), turn])
+        turn = block_diag(_change_of_vector(turned), turn)
     return start, _Numbers(names, values, guesses, scales, turn)
 
 
@@ -342,15 +344,6 @@ def _change_of_vector(vector: Floats) -> Floats:
         return np.eye(3) + 0.5 * cross + cross @ cross / 12.0
     factor = 1.0 / angle ** 2 - 0.5 / (angle * np.tan(0.5 * angle))
     return np.eye(3) + 0.5 * cross + factor * cross @ cross
-
-
-def _block_diagonal(blocks: Sequence[Floats]) -> Floats:
-    size = sum(len(block) for block in blocks)
-    result, first = np.zeros((size, size)), 0
-    for block in blocks:
-        result[first:first + len(block), first:first + len(block)] = block
-        first += len(block)
-    return result
 
 
 def _covariance(known: Certainty, scale: Floats) -> Floats:

@@ -61,7 +61,7 @@ from rigid_body_ros.inference.noise import (
 from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import candidates, extended
+from rigid_body_ros.inference.suspects import candidates, extended, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 
@@ -104,21 +104,6 @@ class Reason(NamedTuple):
     rejects: bool = False
 
 
-class Score(NamedTuple):
-    """How much a fit would improve if a suspect, an additional parameter, were estimated too."""
-
-    name: str
-    #: How much the chi-square of the fit would drop.
-    drop: float
-    #: Probability of a drop at least this large if the parameter has no effect.
-    p: float
-    #: The value of the parameter with which the drop would be largest, by component, in its units.
-    #: For a change in the inertia, its time since the start, s.
-    value: Sequence[float] = ()
-    #: A description, if the suspect is not a parameter.
-    text: str = ''
-
-
 @dataclass(frozen=True, eq=False)
 class Findings:
     """
@@ -130,8 +115,8 @@ class Findings:
         The fit, with weights derived from the noise.
     reasons : list of Reason
         The reasons against the model.
-    scores : list of Score
-        The scores of the suspects that explain a significant part of the errors, best first.
+    suspects : list of Suspect
+        What explains a significant part of the errors according to score tests, best first.
     drift : dict of str to float
         For each component, the difference between the estimates from the first and second halves
         of the recordings, or 0 if this difference is not significant.
@@ -145,7 +130,7 @@ class Findings:
 
     solution: Solution
     reasons: list[Reason]
-    scores: list[Score]
+    suspects: list[Suspect]
     drift: dict[str, float]
     noises: list[list[Noise]]
     predictable_s: float | None = None
@@ -175,9 +160,9 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     if fault is None:
         solution = grown(setup, few)
         found = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
-        return found if names_suspects else replace(found, scores=[])
+        return found if names_suspects else replace(found, suspects=[])
     return Findings(polished(few, *COARSEST), [Reason(fault.text, True)],
-                    [Score(fault.name, drop, float(chdtrc(1, drop)), text=fault.text)], {}, [])
+                    [Suspect(fault.name, drop, float(chdtrc(1, drop)), text=fault.text)], {}, [])
 
 
 def examined(solution: Solution) -> Findings:
@@ -191,20 +176,20 @@ def examined(solution: Solution) -> Findings:
     solution = weighted(solution, found) if setup.most else with_noise(solution, found)
     problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
         widened(solution, extended(setup, solution.physics, names))
-    scores = [*_marks(solution), *_scores(linear(problem), problem.parameters, known, names)]
+    suspects = [*_marks(solution), *_parameters(linear(problem), problem.parameters, known, names)]
     if not setup.is_computed:
-        scores = [one for one in scores if one.drop > _VISIBLE * solution.count]
+        suspects = [one for one in suspects if one.chi2_drop > _VISIBLE * solution.count]
     # If nothing is fitted, what explains much of the other errors also explains the outliers.
-    elif known or all(one.drop <= LARGE * solution.count for one in scores):
-        scores += _largest([*_changes(solution), *_breaks(solution)])
+    elif known or all(one.chi2_drop <= LARGE * solution.count for one in suspects):
+        suspects += _largest([*_changes(solution), *_breaks(solution)])
     reasons, drift = _halves(solution)
     reasons += [*_noise(solution, found), *_outliers(solution), *_correlated(solution, found)]
-    return Findings(solution, reasons, sorted((one for one in scores if one.p < ALARM),
-                                              key=lambda one: -one.drop), drift, found)
+    return Findings(solution, reasons, sorted((one for one in suspects if one.p < ALARM),
+                                              key=lambda one: -one.chi2_drop), drift, found)
 
 
-def start_score(solution: Solution) -> Score | None:
-    """Return the score of the start, unless the fitted start is the given one within the noise."""
+def start_suspect(solution: Solution) -> Suspect | None:
+    """Return the start as a suspect, unless the fitted start is the given one within the noise."""
     from scipy.special import chdtrc
     problem, setup = solution.problem, solution.problem.setup
     given, states, unknown = setup.start(0), problem.reference, problem.unknowns[0]
@@ -217,8 +202,9 @@ def start_score(solution: Solution) -> Score | None:
     drop = float(np.sum((change @ slopes) ** 2))
     p = float(chdtrc(len(unknown), drop))
     attitude = f'{np.linalg.norm(turned):.2g} rad and ' if len(unknown) > 3 else ''
-    return Score('start', drop, p, text='the start of the scene is not that of the motion: it is '
-                 f'off by {attitude}{np.linalg.norm(faster):.2g} rad/s') if p < ALARM else None
+    text = 'the start of the scene is not that of the motion: it is off by ' \
+           f'{attitude}{np.linalg.norm(faster):.2g} rad/s'
+    return Suspect('start', drop, p, text=text) if p < ALARM else None
 
 
 def _is_rounding(solution: Solution) -> bool:
@@ -229,20 +215,20 @@ def _is_rounding(solution: Solution) -> bool:
                for channel, noise in zip(channels, every))
 
 
-def _marks(solution: Solution) -> Iterator[Score]:
-    """Generate a score for each fault of some samples that explains the outliers of a channel."""
+def _marks(solution: Solution) -> Iterator[Suspect]:
+    """Generate the faults of some samples that explain the outliers of a channel."""
     from scipy.special import chdtrc
     for number, channels in enumerate(solution.problem.setup.channels):
         for row in range(len(channels)):
             for mark in marks(solution, number, row):
                 left = solution.errors[number][row][mark.rows]
                 drop = float(np.sum((left / solution.weights.sigma[number][row]) ** 2))
-                yield Score(mark.name, drop, float(chdtrc(left.size, drop)), text=mark.text)
+                yield Suspect(mark.name, drop, float(chdtrc(left.size, drop)), text=mark.text)
 
 
-def _scores(given: Linearized, parameters: Parameters, known: Sequence[str],
-            names: Sequence[str]) -> Iterator[Score]:
-    """Generate a score for each parameter that was not estimated."""
+def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
+            names: Sequence[str]) -> Iterator[Suspect]:
+    """Generate a suspect for each parameter that was not estimated."""
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
     base = matrix[:, given.columns(known)]
@@ -256,16 +242,16 @@ def _scores(given: Linearized, parameters: Parameters, known: Sequence[str],
             value = (guesses[columns] + change * parameters.scales[columns]).tolist()
             # No actuator acts before its command.
             if name not in ('torque_delay', 'torque_lag') or value[0] >= 0.0:
-                yield Score(name, drop, float(chdtrc(rank, drop)), value)
+                yield Suspect(name, drop, float(chdtrc(rank, drop)), value)
 
 
-def _largest(scores: Sequence[Score]) -> list[Score]:
-    """Return a list with only the score whose drop is largest, or an empty list if none exists."""
-    return [max(scores, key=lambda one: one.drop)] if scores else []
+def _largest(suspects: Sequence[Suspect]) -> list[Suspect]:
+    """Return a list with only the best suspect, or an empty list if there is none."""
+    return [max(suspects, key=lambda one: one.chi2_drop)] if suspects else []
 
 
-def _changes(solution: Solution) -> Iterator[Score]:
-    """Generate scores for a change in the inertia at the start of each window but the first."""
+def _changes(solution: Solution) -> Iterator[Suspect]:
+    """Generate suspects for a change in the inertia at the start of each window but the first."""
     from scipy.special import chdtrc
     setup = solution.problem.setup
     names = [name for name in setup.parameters.names if name.startswith('inertia')]
@@ -282,12 +268,12 @@ def _changes(solution: Solution) -> Iterator[Score]:
         drop, rank = explained(given.split(inertia, later), base, errors)
         # Only the best of many trial times is kept, so apply the Bonferroni correction.
         p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
-        yield Score(INERTIA_CHANGE, drop, p, [1e-9 * (window.anchor_ns - window.origin_ns)])
+        yield _change(drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
 
 
-def _breaks(solution: Solution) -> Iterator[Score]:
+def _breaks(solution: Solution) -> Iterator[Suspect]:
     """
-    Generate scores for a change in the inertia at the time when outliers begin or end.
+    Generate suspects for a change in the inertia at the time when outliers begin or end.
 
     If the inertia changes a lot, the fit follows the motion either before or after the change, and
     all samples in the other part are outliers.
@@ -308,7 +294,13 @@ def _breaks(solution: Solution) -> Iterator[Score]:
             seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
             left = error[~inliers] / level
             drop = float(np.nansum(left ** 2))
-            yield Score(INERTIA_CHANGE, drop, float(chdtrc(left.size, drop)), [seconds])
+            yield _change(drop, float(chdtrc(left.size, drop)), seconds)
+
+
+def _change(drop: float, p: float, seconds: float) -> Suspect:
+    """Return a change in the inertia at a time since the start, s."""
+    return Suspect(INERTIA_CHANGE, drop, p, [seconds],
+                   f'the inertia changes about {seconds:.4g} s after the start')
 
 
 def _halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:

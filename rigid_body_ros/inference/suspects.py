@@ -46,37 +46,38 @@ _MOST, _TOLERANCE = 15, 1e-6
 @dataclass(frozen=True)
 class Suspect:
     """
-    A parameter that was not estimated but would explain part of the errors.
+    A parameter that was not estimated, or a fault, that would explain part of the errors.
 
     Attributes
     ----------
     name : str
-        The parameter, or `inertia_change`.
+        The parameter, the fault, or `inertia_change`.
     chi2_drop : float
-        How much the chi-square of the fit drops if the parameter is estimated as well. The
-        chi-square is the sum of the squared errors, each divided by its variance.
+        How much the chi-square of the fit drops if the parameter is estimated as well: predicted
+        by a score test, or that of a fit. The chi-square is the sum of the squared errors, each
+        divided by its variance.
     p : float
         Probability of a drop at least this large if the parameter has no effect.
     value : list of float
-        The estimated components, in their own units. For `inertia_change`, this is the time of the
-        change since the start, s.
+        The components with which the drop would be largest, in their own units. For
+        `inertia_change`, this is the time of the change since the start, s.
+    text : str
+        A description, if the suspect is not a parameter.
+    command : str
+        The command-line option that adds the parameter to the fit, or advice in words.
     validation_chi2_per_dof : float or None
         Chi-square per degree of freedom of the validation if the parameter is estimated as well.
         None if there is no validation.
-    command : str
-        The command-line option that adds the parameter to the fit, or advice in words.
-    text : str
-        A description, if the suspect is not a parameter.
 
     """
 
     name: str
     chi2_drop: float
     p: float
-    value: list[float]
-    validation_chi2_per_dof: float | None
-    command: str
+    value: Sequence[float] = ()
     text: str = ''
+    command: str = ''
+    validation_chi2_per_dof: float | None = None
 
     def described(self) -> str:
         """Return the name, what speaks for the suspect, and the option or the advice."""

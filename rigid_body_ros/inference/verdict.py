@@ -29,7 +29,6 @@ from rigid_body_ros.inference.findings import (
     INERTIA_CHANGE,
     LARGE,
     probability,
-    Score,
 )
 from rigid_body_ros.inference.noise import ALARM
 from rigid_body_ros.inference.parameters import KINDS, split_topic, START
@@ -126,8 +125,9 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     from scipy.special import chdtrc
     solution, result = findings.solution, []
     setup = solution.problem.setup
-    names = [one.name for one in findings.scores if _is_fitted(one)][:_TRIED]
-    is_bad_fit = findings.reasons and not any(one.text for one in findings.scores)
+    names = [one.name for one in findings.suspects if not one.text][:_TRIED]
+    is_bad_fit = findings.reasons and not any(one.text and one.name != INERTIA_CHANGE
+                                              for one in findings.suspects)
     if is_bad_fit and 'inertia' in candidates(setup) and 'inertia' not in names:
         names.append('inertia')  # always try it: the guess may be too poor for a score test
     if not names:
@@ -143,8 +143,8 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
         p = float(chdtrc(len(value), drop))
         if p < ALARM:  # check again: the score test is linear and may have predicted too much
             validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
-            result.append((Suspect(name, drop, p, value, validation, command_with(setup, name)),
-                           fit))
+            result.append((Suspect(name, drop, p, value, command=command_with(setup, name),
+                                   validation_chi2_per_dof=validation), fit))
     return result
 
 
@@ -168,8 +168,8 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
         Largest systematic error to accept in an estimate, as for `identify`.
 
     """
-    reasons, suspects = findings.reasons, _ranked(findings, attempts)[:_LISTED]
-    if not reasons and not suspects:
+    suspects = _ranked(findings, attempts)[:_LISTED]
+    if not findings.reasons and not suspects:
         return Verdict(EXPLAINED, [], []), {}
     best = max((one.chi2_drop for one in attempts), default=0.0)
     counted = [move for suspect, move in zip(attempts, moved)
@@ -179,14 +179,9 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
     mean = float(np.trace(findings.solution.physics.inertia)) / 3.0
     too_far = [name for name, part in systematic.items()
                if part > accept * (mean if name.startswith('inertia') else scales[name])]
-    texts = [reason.text for reason in reasons]
-    if suspects and suspects[0].text not in texts:
-        texts.append(_words(suspects))
-    if too_far:
-        texts.append(f'what the model lacks moves {listed(too_far)} by more than the accepted '
-                     f'{accept:g}')
-    rejects = bool(too_far) or any(reason.rejects for reason in reasons)
-    return Verdict(REJECTED if rejects else APPROXIMATE, texts, suspects), systematic
+    texts = [f'what the model lacks moves {listed(too_far)} by more than the accepted '
+             f'{accept:g}'] if too_far else []
+    return _judged(findings, suspects, bool(too_far), texts), systematic
 
 
 def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
@@ -200,11 +195,11 @@ def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
                                                -one.chi2_drop))
     command = partial(command_with, findings.solution.problem.setup)
-    for score in findings.scores:
-        if not _is_fitted(score):
-            place = next((i for i, one in enumerate(ranked) if one.chi2_drop < score.drop),
-                         len(ranked))
-            ranked.insert(place, _suspect(score, command))
+    for one in findings.suspects:
+        if one.text:
+            place = next((i for i, other in enumerate(ranked)
+                          if other.chi2_drop < one.chi2_drop), len(ranked))
+            ranked.insert(place, _advised(one, command))
     return ranked
 
 
@@ -220,35 +215,35 @@ def scored(findings: Findings, command: Callable[[str], str]) -> Verdict:
         Returns the command-line option, or the advice, for a parameter.
 
     """
-    best = max((one.drop for one in findings.scores), default=0.0)
+    best = max((one.chi2_drop for one in findings.suspects), default=0.0)
     # Of the best suspects, which explain about as much, the simplest comes first.
-    alike = [one for one in findings.scores if one.drop >= _ALIKE * best]
+    alike = [one for one in findings.suspects if one.chi2_drop >= _ALIKE * best]
     ranked = [*sorted(alike, key=lambda one: len(one.value)),
-              *(one for one in findings.scores if one not in alike)]
-    suspects = [_suspect(one, command) for one in ranked[:_LISTED]]
+              *(one for one in findings.suspects if one not in alike)]
+    return _judged(findings, [_advised(one, command) for one in ranked[:_LISTED]],
+                   best > LARGE * findings.solution.count)
+
+
+def _judged(findings: Findings, suspects: list[Suspect], is_rejected: bool,
+            more: Sequence[str] = ()) -> Verdict:
+    """Return the verdict that follows from the findings, with `more` reasons at the end."""
     if not findings.reasons and not suspects:
         return Verdict(EXPLAINED, [], [])
-    rejects = any(reason.rejects for reason in findings.reasons) or (
-        best > LARGE * findings.solution.count)
     texts = [reason.text for reason in findings.reasons]
     if suspects and suspects[0].text not in texts:
         texts.append(_words(suspects))
-    return Verdict(REJECTED if rejects else APPROXIMATE, texts, suspects)
+    rejects = is_rejected or any(reason.rejects for reason in findings.reasons)
+    return Verdict(REJECTED if rejects else APPROXIMATE, [*texts, *more], suspects)
 
 
-def _is_fitted(score: Score) -> bool:
-    """Return whether a fit can estimate a suspect."""
-    return not score.text and score.name != INERTIA_CHANGE
-
-
-def _suspect(score: Score, command: Callable[[str], str]) -> Suspect:
-    text, advice = score.text, 'correct the recording'
-    if score.name == INERTIA_CHANGE:
-        text = f'the inertia changes about {score.value[0]:.4g} s after the start'
+def _advised(suspect: Suspect, command: Callable[[str], str]) -> Suspect:
+    """Return a suspect with the option that adds its parameter, or with advice."""
+    advice = 'correct the recording'
+    if suspect.name == INERTIA_CHANGE:
         advice = 'fit the parts before and after it one by one'
-    elif split_topic(score.name)[0] in (*KINDS, START):
-        advice = command(score.name)
-    return Suspect(score.name, score.drop, score.p, [*score.value], None, advice, text)
+    elif split_topic(suspect.name)[0] in (*KINDS, START):
+        advice = command(suspect.name)
+    return replace(suspect, command=advice)
 
 
 def _words(suspects: Sequence[Suspect]) -> str:
