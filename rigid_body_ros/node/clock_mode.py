@@ -27,7 +27,6 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live import events
-from rigid_body_ros.node import simulation
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockPublisher, message_of
 from rigid_body_ros.node.mode import BUDGET
 from rigid_body_ros.node.realtime import Realtime
@@ -68,8 +67,6 @@ class ClockMode(Realtime):
               else _FASTEST, self._tick)
         self._node.create_service(SetBool, '~/pause', self._on_pause)
         self._node.create_service(Trigger, '~/step', self._on_step)
-        if simulation.IS_INSTALLED:
-            simulation.offer(self._node, self, self._scene)
 
     def set_rate(self, rate: float) -> None:
         """Change the publishing rate, Hz of simulated time."""

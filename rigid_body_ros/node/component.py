@@ -33,13 +33,13 @@ from rigid_body_ros.live.inputs import Inputs, Torque, wrench_of
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import BARE_WRENCH, MessageType, PX4_TYPES, TORQUE_VECTOR, WRENCH
-from rigid_body_ros.node.clock_mode import ClockMode
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.drain import DrainCallback, PollingNode, published, subscription
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import OnLog, Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters, one_line_errors
 from rigid_body_ros.node.realtime import Realtime
+from rigid_body_ros.node.simulation import SimulatorMode
 from rigid_body_ros.node.sources import BODY, check_topics, COMMANDS, sources_of, TorqueTopic
 from rigid_body_ros.node.timers import timer
 from rigid_body_ros.scene.parameters import CLOCK, LOCKSTEP, REALTIME
@@ -54,7 +54,7 @@ _LOCKSTEP_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _LOCKSTEP_TORQUES = WRENCH, TORQUE_VECTOR
 _TORQUES = WRENCH, BARE_WRENCH, TORQUE_VECTOR, PX4_TYPES['VehicleTorqueSetpoint']
 _MODES: dict[str, type[Lockstep | Realtime]] = {
-    REALTIME: Realtime, LOCKSTEP: Lockstep, CLOCK: ClockMode}
+    REALTIME: Realtime, LOCKSTEP: Lockstep, CLOCK: SimulatorMode}
 #: When a node ends, it may spend at most this many seconds on publishing the pending states.
 _END_TIME = 0.8
 #: How often to check for silent sources, and how often to publish diagnostics, in seconds. The

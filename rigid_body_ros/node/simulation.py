@@ -19,11 +19,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from geometry_msgs.msg import Quaternion, Vector3
 from rclpy.node import Node
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.node.clock_mode import ClockMode
 from rigid_body_ros.scene import Scene
 
 try:
@@ -33,11 +34,18 @@ try:
 except ModuleNotFoundError:
     IS_INSTALLED = False
 
-if TYPE_CHECKING:
-    from rigid_body_ros.node.clock_mode import ClockMode
+
+class SimulatorMode(ClockMode):
+    """Publish /clock, and offer the services if simulation_interfaces is installed."""
+
+    def activate(self) -> None:
+        """Begin to publish the clock and states, and offer the services."""
+        super().activate()
+        if IS_INSTALLED:
+            _offer(self._node, self, self._scene)
 
 
-def offer(node: Node, mode: ClockMode, scene: Scene) -> None:
+def _offer(node: Node, mode: ClockMode, scene: Scene) -> None:
     """Create the services, which reset, step and pause the node, and return its state."""
     def reset(request: Any, response: Any) -> tuple[int, str]:
         scope = request.scope or request.SCOPE_ALL

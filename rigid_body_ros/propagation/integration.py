@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any, TYPE_CHECKING
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial
+from rigid_body_ros.propagation.inputs import Same
 from rigid_body_ros.propagation.lags import with_momenta
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.options import checked_times
@@ -36,15 +37,12 @@ from rigid_body_ros.propagation.timeline import NO_OTHERS, OtherTorques, Timelin
 from rigid_body_ros.propagation.trajectory import joined, Trajectory
 from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 
-if TYPE_CHECKING:
-    from rigid_body_ros.propagation.problem import Problem
-
 #: `_resolve` begins by trying `_WINDOW` wheel commands. If a wheel has a `max_speed`, so that
 #: commands may be treated as zero, a timeline contains at most `_SPAN` wheel commands.
 _WINDOW, _SPAN = 16, 512
 
 
-class Integration:
+class Integration(Generic[Same]):
     """
     A motion that is computed piece by piece and agrees bit for bit with `propagate`.
 
@@ -71,7 +69,7 @@ class Integration:
     #: and the rotor momentum at that time. Otherwise None.
     _earlier: tuple[int, Floats] | None = None
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Same) -> None:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
         #: The current body (`_body`), and the same body without the axial inertia of the named
@@ -181,7 +179,7 @@ class Integration:
         return None if begins else problem.options.rule(
             self._carrier, problem._fields, torque, in_space, *others, *key)
 
-    def extend(self, problem: Problem) -> None:
+    def extend(self, problem: Same) -> None:
         """
         Continue the motion with the next piece of each log.
 

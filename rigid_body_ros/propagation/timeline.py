@@ -18,13 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property, reduce
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import FieldTerms, kernels, layout, Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation import summation
 from rigid_body_ros.propagation.lags import (
     friction_key,
@@ -34,11 +35,21 @@ from rigid_body_ros.propagation.lags import (
     LaggingSources,
 )
 
-if TYPE_CHECKING:
-    from rigid_body_ros.propagation.wheels import WheelTimeline
-
 #: Number of samples whose polynomials are computed at once.
 _CHUNK = 65536
+
+
+class FrictionWheels(Protocol):
+    """What a timeline needs to know of wheels with friction; see `WheelTimeline`."""
+
+    wheels: Wheels
+
+    @property
+    def marks_ns(self) -> NDArray[np.int64]:
+        """Return the times at which the efforts of the wheels change, ns, ascending."""
+
+    def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the efforts applied at given times, N m, shape (m, wheels)."""
 
 
 class OtherTorques(NamedTuple):
@@ -53,7 +64,7 @@ class OtherTorques(NamedTuple):
     #: The sources whose torques lag behind the commands in the logs.
     lagging: LaggingSources | None = None
     #: The wheels with friction.
-    wheels: WheelTimeline | None = None
+    wheels: FrictionWheels | None = None
 
 
 NO_OTHERS = OtherTorques()
@@ -98,7 +109,7 @@ class Timeline:
     _fields: NDArray[Any] | None = None
     _lagging: LaggingSources | None = None
     #: The wheels with friction.
-    _named: WheelTimeline | None = None
+    _named: FrictionWheels | None = None
     #: For a single log, `_terms` holds the terms of the rows. For a sum of logs, `_summed` holds
     #: the rows, including their terms.
     _terms: Terms | None = None

@@ -141,7 +141,7 @@ class Batches:
         #: The motions computed so far. The key of a motion is the name of its interpolation, or
         #: `IMU` for the motion that a delayed IMU measures. The dictionary is empty before the
         #: first piece.
-        self._motions: dict[str, Integration] = {}
+        self._motions: dict[str, Integration[Problem]] = {}
         #: The interpolations that were not requested. An interpolation is removed from the list if
         #: the body spins too fast when that interpolation is used.
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
@@ -257,7 +257,7 @@ class Batches:
             return logs
         return [log.between(begin_ns, until_ns) for log in logs]
 
-    def _continued(self, interpolation: str, logs: Sequence[TorqueLog]) -> Integration:
+    def _continued(self, interpolation: str, logs: Sequence[TorqueLog]) -> Integration[Problem]:
         """Continue a motion with the next pieces of its torques."""
         body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
         wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
