@@ -26,8 +26,9 @@ import pytest
 from rigid_body_ros import messages, read, recording
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.report.page import Page, write
+from rigid_body_ros.report.page import write
 from rigid_body_ros.report.panels import Drawn, error_panel
+from rigid_body_ros.report.report import Report
 
 TUMBLER = (str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
 FREE = RECORDINGS / 'torque_free_asymmetric'
@@ -393,7 +394,7 @@ def test_outliers_are_crosses_and_gaps_are_not_joined(chromium, tmp_path):
     errors[300] = 100.0
     inliers = np.arange(1000) != 300
     panel = error_panel('errors', 'rad', Drawn(times_ns, inliers), errors, ('band', 2.0), 0)
-    write(tmp_path / 'page.html', Page('outliers', '', [], [panel]))
+    write(tmp_path / 'page.html', Report('outliers', '', [], [panel]))
     with browser.opened(chromium, tmp_path / 'page.html') as page:
         paths = {kind: [page.locator(f'.plot path.{kind}').nth(k).get_attribute('d')
                         for k in range(page.locator(f'.plot path.{kind}').count())]

@@ -12,55 +12,59 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures show the right data, labels and units."""
+"""Pictures show the right data, labels and units."""
 
-from conftest import at_night, EPOCH_NS, SECOND
+from dataclasses import replace
+
+from conftest import at_night, EPOCH_NS
+from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.report import figures, spread
+from rigid_body_ros import TorqueLog
+from rigid_body_ros.report import picture, style
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.panels import torque_panels
+from rigid_body_ros.report.report import Report
 
 
 @pytest.fixture
-def panels(tmp_path, monkeypatch):
-    """Return a function that draws a motion and returns the panels of the figure."""
-    drawn = []
+def drawn(tmp_path, monkeypatch):
+    """Return a function that draws panels, and returns the figure."""
+    figures = []
+    monkeypatch.setattr(picture, 'Figure', lambda *arguments, **options: figures.append(
+        figure := Figure(*arguments, **options)) or figure)
 
-    class Kept(figures.Figure):
-
-        def __init__(self, *arguments, **options):
-            super().__init__(*arguments, **options)
-            drawn.append(self)
-
-    monkeypatch.setattr(figures, 'Figure', Kept)
-
-    def draw(trajectory, log):
-        figures.motion(tmp_path / 'motion.png', trajectory, log, 'ZXZ', 'title')
-        return drawn[-1].axes
+    def draw(*panels, title='title'):
+        picture.draw(tmp_path / 'p.png', Report(title, '', [], panels))
+        return figures[-1]
     return draw
 
 
-@pytest.mark.slow
+def curves(values, names=style.SIGNED, **options):
+    """Return curves of values, shape (n, k), over 0, 1, 2 ... s."""
+    values = np.asarray(values, float)
+    return Curves(np.arange(len(values), dtype=float), values, values, names, **options)
+
+
 @pytest.mark.parametrize('start_ns', [EPOCH_NS, *at_night(0)])
 @pytest.mark.parametrize('count', [11, 30_000])
-def test_times_are_drawn_to_the_nanosecond_at_any_epoch(panels, start_ns, count):
+def test_times_are_drawn_to_the_nanosecond_at_any_epoch(drawn, start_ns, count):
     # Adjacent doubles are 256 ns apart for times of this century in nanoseconds.
     stamps = start_ns + 100 * np.arange(count)
     log = TorqueLog(stamps, np.outer(np.arange(count) % 2, [1.0, 2.0, 3.0]))
-    motion = propagate(RigidBody(np.eye(3)), State(start_ns), log, at=stamps)
-    span = 100e-9 * (count - 1)
-    for panel in panels(motion, log):
-        seconds = panel.lines[0].get_xdata()
-        assert seconds[0] == 0.0
-        np.testing.assert_allclose([seconds[-1], panel.get_xlim()[1]], span, rtol=1e-14)
-        assert np.all(np.diff(seconds) > 0.0)
-        assert np.diff(seconds).max() <= max(100.5e-9, 1.1 * span / 5000)
-    if count == 11:  # points on both sides of each change
-        drawn = np.round(seconds * 1e9).astype(int)
-        assert set(drawn.tolist()) >= {0, *range(99, 1000, 100), *range(100, 1001, 100)}
-        np.testing.assert_array_equal(panel.lines[0].get_ydata(), drawn // 100 % 2)
+    axes, = drawn(*torque_panels([log], start_ns, int(stamps[-1]))).axes
+    line = axes.lines[0]
+    seconds, torques = line.get_data()
+    # A thinned series has the first time of each interval, here of 4 samples.
+    times = 100e-9 * np.arange(0, count, 1 if count == 11 else 4)
+    np.testing.assert_allclose(np.unique(seconds), times, rtol=1e-14)
+    np.testing.assert_allclose(axes.get_xlim(), times[[0, -1]], rtol=1e-14)
+    assert (torques.min(), torques.max()) == (0.0, 1.0)  # thinning keeps the extremes
+    if count == 11:
+        assert line.get_drawstyle() == 'steps-post'
+        np.testing.assert_array_equal(torques, np.arange(11) % 2)
 
 
 def inside(figure):
@@ -78,64 +82,84 @@ def inside(figure):
                and box.y1 <= edges.y1 for box in boxes)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('scale', [1e-7, *at_night(1.0, 1e-3, 1e5)])
-def test_small_numbers_have_a_unit_with_a_prefix(panels, scale):
-    stamps = np.arange(11) * 10 ** 9
-    log = TorqueLog(stamps, scale * np.outer(np.arange(11) % 3 - 1, [0.2, 0.5, -0.3]))
-    motion = propagate(RigidBody(scale * np.eye(3)), State(0), log, at=stamps)
-    torque = panels(motion, log)[-1]
+def test_small_numbers_have_a_unit_with_a_prefix(drawn, scale):
+    values = scale * np.outer(np.arange(11) % 3 - 1, [0.2, 0.5, -0.3])
+    axes, = drawn(Panel('torque', 'N m', [curves(values)])).axes
     unit = {1e-7: 'nN m', 1e-3: 'µN m', 1.0: 'mN m', 1e5: 'N m'}[scale]
-    assert torque.get_ylabel() == f'torque,\nbody axes ({unit})'
-    torque.figure.canvas.draw()
-    shown = [float(label.get_text().replace('−', '-')) for label in torque.get_yticklabels()]
+    assert axes.get_ylabel() == f'({unit})'
+    axes.figure.canvas.draw()
+    shown = [float(label.get_text().replace('−', '-')) for label in axes.get_yticklabels()]
     factor = {'nN m': 1e-9, 'µN m': 1e-6, 'mN m': 1e-3, 'N m': 1.0}[unit]
-    np.testing.assert_allclose(np.array(shown) * factor, torque.get_yticks(), rtol=1e-6,
+    np.testing.assert_allclose(np.array(shown) * factor, axes.get_yticks(), rtol=1e-6,
                                atol=1e-9 * factor)
-    assert inside(torque.figure)
 
 
-@pytest.mark.slow
-def test_a_title_of_any_length_stays_inside_the_picture(panels, monkeypatch):
-    stamps = np.arange(11) * 10 ** 9
-    motion = propagate(RigidBody(np.eye(3)), State(0), at=stamps)
-    draw = figures.motion
-    monkeypatch.setattr(figures, 'motion', lambda path, trajectory, log, sequence, _: draw(
-        path, trajectory, log, sequence, 250 * 'W' + '.mcap: /a/topic'))
-    assert inside(panels(motion, TorqueLog(stamps, np.zeros((11, 3))))[0].figure)
+@pytest.mark.parametrize('count', [1, 4, 7])
+def test_titles_of_any_length_stay_inside_the_picture(drawn, count):
+    panel = Panel(90 * 'e', 'rad', [curves(np.eye(3), names=['W' * 20] * 3)])
+    figure = drawn(*count * [panel], title=250 * 'W' + '.mcap: /a/topic')
+    assert inside(figure)
+    assert [axes.axison for axes in figure.axes] == count * [True] + (count % 2) * (
+        [False] if count == 7 else [])
 
 
-@pytest.mark.slow
-def test_the_labels_of_a_trade_stay_inside_the_picture(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(figures, 'Figure', lambda *arguments, **options: drawn.append(
-        figure := Figure(*arguments, **options)) or figure)
-    names = ('exact', 'auto', 'taylor', 'rk4', 'strang', 'explicit_euler')
-    curves = {name: ([10.0 ** -number, 1e-16, 3.0], [1e-7, 10.0 ** -number, 1e-9])
-              for number, name in enumerate(names)}
+def test_the_labels_of_a_trade_stay_inside_the_picture(drawn):
     lines = {'rounding floor 2e-16 rad': 2e-16, 'last-digit effect 3e-16 rad': 3e-16,
              'target 1e-06 rad': 1e-6, 'target 0.1 rad': 0.1,
              'linear interpolation 3e+00 rad': 3.0}
-    figures.work_precision(tmp_path / 'p.png', curves, 250 * 'W', lines)
-    assert inside(drawn[0])
-    texts = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
-    assert texts[-5:] == [*lines]
-
-
-@pytest.mark.slow
-def test_any_name_is_drawn_as_it_is_and_powers_of_ten_as_formulas(tmp_path, monkeypatch):
-    drawn, name = [], '$\\frac{$ \x1b[2J\n机器😀 العربية'
-    for module in (figures, spread):
-        monkeypatch.setattr(module, 'Figure', lambda *arguments, **options: drawn.append(
-            figure := Figure(*arguments, **options)) or figure)
-    times = np.arange(5) * SECOND
-    panel = figures.Series(name, 'rad', times, np.geomspace(1e-6, 1.0, 15).reshape(5, 3))
-    figures.errors(tmp_path / 'a.png', [panel], [panel], [], {}, name)
-    figures.work_precision(tmp_path / 'b.png', {name: ([1e-9], [1e-3])}, name, {name: 1e-6})
-    found = {'runs': 2, 'failed': 0, 'histogram': {'edges_rad': [0.0, 1.0], 'runs': [2]},
-             'angle_from_nominal_rad': dict.fromkeys(('p5', 'p50', 'p95'), 0.5)}
-    spread.draw(tmp_path / 'c.png', found, [(name, 0.5)], name)
-    assert all(figure.texts[0].get_text().startswith('$\\frac{$ \\x1b[2J\\n机器😀')
-               for figure in drawn)
+    errors, names = np.array([1e-9, 1e-16, 3.0]), ('auto', 'rk4', 'explicit_euler')
+    costs = np.array([[1e-7], [1e-3], [1e-9]])
+    figure = drawn(Panel('wall time', 's/s', [Curves(errors, costs, costs, [name])
+                                              for name in names], 'error', 'loglog', lines,
+                         [['']] * 3))
+    assert inside(figure)
+    axes, = figure.axes
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [*names, *lines]
+    assert len({line.get_color() for line in axes.lines[:3]}) == 3
     assert '$\\mathdefault{10^{-6}}$' in [
-        text.get_text() for text in drawn[0].axes[0].get_yticklabels() if text.get_parse_math()]
+        text.get_text() for text in axes.get_xticklabels() if text.get_parse_math()]
+
+
+def test_any_name_is_drawn_as_it_is(drawn):
+    name = '$\\frac{$ \x1b[2J\n机器😀 العربية'
+    figure = drawn(Panel(name, 'rad', [curves(np.eye(3), [name] * 3)], lines={name: 1.0}),
+                   title=name)
+    axes, = figure.axes
+    texts = [figure.texts[0], axes.title, *axes.get_legend().get_texts()]
+    for text in axes.get_title('left'), *(text.get_text() for text in texts if text.get_text()):
+        assert text.startswith('$\\frac{$ \\x1b[2J\\n机器😀')
+
+
+def test_outliers_lie_at_the_edge_and_limits_are_dashed(drawn):
+    marks = Curves(np.array([1.0]), np.full((1, 3), 50.0), np.full((1, 3), 50.0), [''] * 3,
+                   style='marks')
+    band = curves([[2.0], [2.0], [2.0]], ['limit'], style='limits')
+    axes, = drawn(Panel('errors', 'rad', [marks, curves(np.eye(3)), replace(
+        band, low=-band.high)])).axes
+    *errors, lower, upper = axes.lines[:5]
+    assert [line.get_linestyle() for line in (lower, upper)] == ['--', '--']
+    assert (lower.get_ydata()[0], upper.get_ydata()[0]) == (-2.0, 2.0)
+    top = axes.get_ylim()[1]
+    assert 2.0 < top < 3.0
+    assert [line.get_ydata()[0] for line in axes.lines[5:]] == [top] * 3
+    assert all(same_color(line.get_color(), mark.get_color())
+               for line, mark in zip(errors, axes.lines[5:]))
+
+
+def test_curves_have_gaps_where_samples_are_missing_and_angles_jump(drawn):
+    line = Curves(np.array([0.0, 1.0, 9.0, 10.0]), np.zeros((4, 1)), np.zeros((4, 1)), ['a'],
+                  gap=5.0)
+    angle = curves([[6.2], [0.1], [0.2]], ['b'])
+    first, second = drawn(Panel('a', '', [line]), Panel('b', 'rad', [angle], kind='angle')).axes
+    np.testing.assert_array_equal(first.lines[0].get_xdata(), [0.0, 1.0, np.nan, 9.0, 10.0])
+    np.testing.assert_array_equal(second.lines[0].get_ydata(), [6.2, np.nan, 0.1, 0.2])
+    assert second.get_yticklabels()[-1].get_text() == '2π'
+
+
+def test_both_extremes_of_an_interval_are_drawn(drawn):
+    thick = Curves(np.arange(3.0), np.array([[0.0], [-1.0], [0.5]]),
+                   np.array([[1.0], [2.0], [0.5]]), ['a'])
+    axes, = drawn(Panel('a', '', [thick])).axes
+    np.testing.assert_array_equal(axes.lines[0].get_xydata(), [
+        [0, 0], [0, 1], [1, -1], [1, 2], [2, 0.5], [2, 0.5]])

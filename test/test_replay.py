@@ -310,7 +310,7 @@ def test_the_picture_is_a_picture(tmp_path, output):
     picture = tmp_path / 'motion.png'
     assert main.attitude_replay([*ISS, '-o', str(output), '--plot', str(picture)]) == 0
     pixels = matplotlib.image.imread(picture)
-    assert pixels.shape[:2] == (1200, 1080)
+    assert pixels.shape[:2] == (1272, 1080)
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
 
 

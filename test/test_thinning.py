@@ -20,7 +20,8 @@ import json
 import numpy as np
 import pytest
 from rigid_body_ros.report.charts import Curves
-from rigid_body_ros.report.page import embedded, html, Page
+from rigid_body_ros.report.page import embedded, html
+from rigid_body_ros.report.report import Report
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 
 #: Lengths of batches: equal ones, uneven and odd ones, single samples, and empty ones.
@@ -77,7 +78,7 @@ def test_what_is_embedded_stays_text(text):
     data = {text: [text, 1.5, None]}
     assert json.loads(embedded(data)) == data
     assert not set(embedded(data)) & set('<>&\u2028\u2029')
-    page = html(Page(text, text, [(text, text)], warnings=[text], command=text))
-    plain = html(Page('', '', [('', '')], warnings=[''], command='-'))
+    page = html(Report(text, text, [(text, text)], warnings=[text], command=text))
+    plain = html(Report('', '', [('', '')], warnings=[''], command='-'))
     for mark in ('<script', '</script', '<!--', '-->', '<p', '<d'):
         assert page.count(mark) == plain.count(mark)

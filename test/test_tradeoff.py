@@ -45,9 +45,9 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.page import html
 from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting
 from rigid_body_ros.tradeoff.choices import OnWhole
-from rigid_body_ros.tradeoff.page import page
 from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.problem import whole as whole_motion
+from rigid_body_ros.tradeoff.report import report_of
 from rigid_body_ros.tradeoff.result import _limits
 from test_reference import NAMES
 from test_replay import bad_input
@@ -358,7 +358,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
         assert f'    {line}\n' in done.stdout
     assert {run['solver'] for run in written['runs']} == {'auto', 'taylor', 'rk4', 'strang',
                                                           'explicit_euler'}
-    assert matplotlib.image.imread(picture).shape[:2] == (1000, 1440)
+    assert matplotlib.image.imread(picture).shape[:2] == (600, 1080)
     assert '<p class="source">tumbler.mcap: /torque</p>' in web.read_text(encoding='utf-8')
 
 
@@ -454,7 +454,7 @@ def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
 def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     targets = [1e-6, 1e-20]
     result = measure(FREE, targets=targets)
-    text = html(page(result, '</script><b>: /torque', scene.load(TUMBLER[1]), 'the command'))
+    text = html(report_of(result, '</script><b>: /torque', scene.load(TUMBLER[1]), 'the command'))
     assert '<b>' not in text
     assert '<p class="source">&lt;/script&gt;&lt;b&gt;: /torque</p>' in text
     lines = '\n'.join(result.choices[1e-6].measurement.setting.parameters)

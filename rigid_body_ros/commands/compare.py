@@ -36,7 +36,7 @@ REJECTED = 4
 
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.comparison.comparison import compare_recording, compare_sensors, write
-    from rigid_body_ros.comparison.page import draw, page
+    from rigid_body_ros.comparison.report import report_of
     from rigid_body_ros.inference.noise import FEWEST
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name
@@ -60,9 +60,8 @@ def _run(options: argparse.Namespace) -> int:
             with outputs.writing(options.output):
                 write(options.output, comparison, scene.body_frame if scene else '')
         outputs.write_asked(
-            data=comparison.as_dict,
-            draw=lambda path: draw(path, comparison, name),
-            page=lambda line: page(comparison, name, scene, line, options.degrees))
+            lambda line: report_of(comparison, name, scene, line, options.degrees),
+            comparison.as_dict)
     outputs.show(comparison.text(options.degrees), 17)
     if not options.check or not comparison.verdict or comparison.verdict.is_consistent:
         return 0
@@ -120,9 +119,8 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_degrees()
     parser.add_outputs(
         json='write the result, with units, to this file',
-        plot='plot the errors, the torque, the errors after each horizon and the residual torque '
-        'over time',
-        report='the measured and the computed motion, the errors and the summary')
+        plot='plot the same charts as --report',
+        report='the measured and the computed motion, the errors, the torques and the summary')
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -17,11 +17,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from functools import partial
 import os
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import load_scene, note, read_torques
 from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive, within
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.ensemble.runs import Ensemble
     from rigid_body_ros.ensemble.summary import Requirement
     from rigid_body_ros.propagation import Problem
+    from rigid_body_ros.report.report import Report
     from rigid_body_ros.scene import Scene
 
 #: If --times has this value, the command keeps only the final state.
@@ -58,11 +58,14 @@ def _run(options: argparse.Namespace) -> int:
             found = summary.summarized(ensemble, folder, requirements)
             worst.write(folder.path / worst.FOLDER, ensemble, scene, {
                 one['run'] for each in found.get('requirements', ()) for one in each['worst']})
-            _draw(options, folder.picture, found)
-            folder.finish({**identity, **found})
             replay = partial(worst.command, ensemble)
-            outputs.write_asked(page=lambda line: summary.page(
-                found, _title(options), scene, line, partial(replay, folder.path.name)))
+
+            def report(line: str) -> Report:
+                return summary.report_of(found, _title(options), scene, line,
+                                         partial(replay, folder.path.name))
+            _draw(options, folder.picture, report(''))
+            folder.finish({**identity, **found})
+            outputs.write_asked(report)
     outputs.show(summary.text_of(found, partial(replay, options.output)), 17,
                  [options.output, *outputs.names])
     if found['failed'] == found['runs']:
@@ -79,18 +82,17 @@ def _requirements(options: argparse.Namespace) -> list[Requirement]:
         raise InputError(f'--require: {error}') from error
 
 
-def _draw(options: argparse.Namespace, path: Path, found: Mapping[str, Any]) -> None:
-    if not found['histogram']:
+def _draw(options: argparse.Namespace, path: Path, report: Report) -> None:
+    if not report.panels:
         return  # all runs failed
     try:
-        from rigid_body_ros.report import spread  # matplotlib is slow to import
+        from rigid_body_ros.report.picture import draw  # matplotlib is slow to import
     except ModuleNotFoundError as error:
         package = str(error.name).split('.')[0]
         note(options, f'{path}: not drawn: Python module {package!r} is not installed')
         return
-    from rigid_body_ros.ensemble.summary import ranked
     with files.atomic_output(path, '.png') as temporary:
-        spread.draw(temporary, found, ranked(found), _title(options))
+        draw(temporary, report)
 
 
 def _title(options: argparse.Namespace) -> str:

@@ -86,15 +86,14 @@ def _identified(options: argparse.Namespace,
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
            first: Problem, scene: Scene, is_good: bool) -> list[str]:
     """Write the outputs, and return the names of the files; write the scene only if `is_good`."""
-    from rigid_body_ros.identification.page import draw, page
     from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
+    from rigid_body_ros.identification.report import report_of
     name = Path(options.recording[0]).name
     if options.output and is_good:
         fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
         outputs.write_text(options.output, fitted(scene, found))
     outputs.write_asked(
-        data=found.as_dict, draw=lambda path: draw(path, found, first, name),
-        page=lambda line: page(found, first, name, scene, line, options.degrees))
+        lambda line: report_of(found, first, name, scene, line, options.degrees), found.as_dict)
     return [each for each in outputs.names if is_good or each != options.output]
 
 
@@ -152,7 +151,7 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_degrees()
     parser.add_outputs(
         json='write the result to this file',
-        plot='plot the errors and the torques of the first recording over time',
+        plot='plot the same charts as --report',
         report='the estimates, the measured and the computed motion, the remaining errors and the '
         'summary')
 

@@ -30,7 +30,7 @@ from rigid_body_ros.runtime import files, protection
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
-    from rigid_body_ros.report.page import Page
+    from rigid_body_ros.report.report import Report
 
 #: The options that name recordings, the options that name files of any kind, and the suffixes of
 #: the command's outputs.
@@ -99,31 +99,32 @@ class Outputs:
         """Write text to an output."""
         self.write(name, lambda path: path.write_text(text, encoding='utf-8'))
 
-    def write_asked(self, *, page: Callable[[str], Page],
-                    data: Callable[[], Mapping[str, Any]] = dict,
-                    draw: Callable[[Path], object] | None = None) -> None:
+    def write_asked(self, report: Callable[[str], Report],
+                    data: Callable[[], Mapping[str, Any]] = dict) -> None:
         """
         Write the outputs that the user has requested with --json, --plot or --report.
 
         Parameters
         ----------
-        page : callable
-            Takes the command line, and returns the page.
+        report : callable
+            Takes the command line, and returns the report, for a page and a plot.
         data : callable
             Returns the result as JSON data.
-        draw : callable
-            Takes the path of a file, and saves a plot in this file.
 
         """
         asked = vars(self._options)
         if name := asked.get('json'):
             self.write_text(name, f'{json.dumps(data(), indent=1)}\n')
-        if draw and (name := asked.get('plot')):
-            self.write(name, draw)
+        if not (asked.get('plot') or asked.get('report')):
+            return
+        made = report(_command_line(self._options))
+        if name := asked.get('plot'):
+            from rigid_body_ros.report.picture import draw  # matplotlib is slow to import
+            self.write(name, lambda path: draw(path, made))
         if name := asked.get('report'):
             from rigid_body_ros.report.page import write
             with self.writing(name):
-                write(name, page(_command_line(self._options)))
+                write(name, made)
 
     def show(self, summary: str, width: int, names: list[str] | None = None) -> None:
         """Print a summary and the names of the outputs; the row name is padded to `width`."""

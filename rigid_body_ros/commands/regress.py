@@ -41,7 +41,7 @@ _SUFFIX = '.mcap'
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rigid_body_ros.regress.page import page
+    from rigid_body_ros.regress.report import report_of
     with protection.protected('scene', options.scene), \
             TemporaryDirectory(prefix='attitude_regress.') as folder:
         _check(options)
@@ -49,8 +49,7 @@ def _run(options: argparse.Namespace) -> int:
             from rigid_body_ros.scene.parameters import LOCKSTEP
             scene = load_scene(options, mode=LOCKSTEP)
             result, name = _compared(options, scene, Path(folder)), Path(options.reference).name
-            outputs.write_asked(data=result.as_dict,
-                                page=lambda line: page(result, name, scene, line))
+            outputs.write_asked(lambda line: report_of(result, name, scene, line), result.as_dict)
         written = options.update and result.is_same
         if written:
             with files.atomic_output(options.reference, _SUFFIX) as path:

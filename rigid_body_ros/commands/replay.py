@@ -58,15 +58,14 @@ def _replay_one(options: argparse.Namespace) -> int:
         raise InputError('--also: expected an output file or folder (-o), found none')
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
         scene, collect = load_scene(options), None
-        if options.report:  # a command that writes no page does not import what pages need
-            from rigid_body_ros.replay.page import PageCollector
-            collect = partial(PageCollector, scene)
+        if options.report or options.plot:  # otherwise, do not import what reports need
+            from rigid_body_ros.replay.report import ReportCollector
+            collect = partial(ReportCollector, scene)
         with outputs.writing(options.output):
-            result = replay.replay(path, scene, options.output, keep=bool(options.plot),
-                                   collect=collect, **_replay_options(options))
-        collected: Any = result.collected  # a `PageCollector` if there is a page to write
-        outputs.write_asked(page=lambda line: collected.page(result, name, line),
-                            draw=lambda path: result.draw(path, name))
+            result = replay.replay(path, scene, options.output, keep=False, collect=collect,
+                                   **_replay_options(options))
+        collected: Any = result.collected  # a `ReportCollector` if there is a report to write
+        outputs.write_asked(lambda line: collected.report(result, name, line))
     outputs.show(result.text(), 14)
     return OK
 

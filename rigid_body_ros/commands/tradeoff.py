@@ -34,16 +34,11 @@ if TYPE_CHECKING:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rigid_body_ros.tradeoff.page import page
+    from rigid_body_ros.tradeoff.report import report_of
     with checked(options) as outputs:
         scene = load_scene(options)
         result, title = _measure(options, scene)
-
-        def draw(path: Path) -> None:
-            from rigid_body_ros.report import figures  # matplotlib is slow to import
-            figures.work_precision(path, result.curves(), title, result.reference_errors())
-        outputs.write_asked(data=result.as_dict, draw=draw,
-                            page=lambda line: page(result, title, scene, line))
+        outputs.write_asked(lambda line: report_of(result, title, scene, line), result.as_dict)
     show(result.text(all_rows=options.all))
     return 0
 

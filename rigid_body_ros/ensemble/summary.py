@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Judge requirements on the final states, and summarize the results as text and as a page."""
+"""Judge requirements on the final states, and summarize the results as text and as a report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from rigid_body_ros.ensemble import statistics
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.page import Markup, Page, table
+from rigid_body_ros.report.report import Markup, Report, table
 from rigid_body_ros.report.style import MARKED
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.scene import Scene
@@ -234,10 +234,10 @@ def strongest(found: Mapping[str, float]) -> list[tuple[str, float]]:
     return sorted(found.items(), key=lambda item: -abs(item[1]))
 
 
-def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
-         replay: Callable[[int], str]) -> Page:
+def report_of(found: Mapping[str, Any], name: str, scene: Scene, command: str,
+              replay: Callable[[int], str]) -> Report:
     """
-    Return a page that shows the results of an ensemble.
+    Return the report of an ensemble.
 
     Parameters
     ----------
@@ -258,8 +258,8 @@ def page(found: Mapping[str, Any], name: str, scene: Scene, command: str,
     tables = [part for one in requirements for part in _tables(one, replay)]
     angle = f'parameter: {ANGLE}' if requirements else 'parameter'
     tables += _bars(angle, 'rank correlation', ranked(found))
-    return Page(f'{name}: {found["runs"]} runs', _headline(found), facts, [*_panels(found)],
-                warnings=scene.warnings, scene=scene, command=command, table=''.join(tables))
+    return Report(f'{name}: {found["runs"]} runs', _headline(found), facts, [*panels_of(found)],
+                  warnings=scene.warnings, scene=scene, command=command, table=''.join(tables))
 
 
 def _headline(found: Mapping[str, Any]) -> str:
@@ -298,7 +298,8 @@ def _bars(name: str, number: str, found: Sequence[tuple[str, float]]) -> Iterato
         yield table((name, number, ''), cells)
 
 
-def _panels(found: Mapping[str, Any]) -> Iterator[Panel]:
+def panels_of(found: Mapping[str, Any]) -> Iterator[Panel]:
+    """Generate the panels of the results: angles over time, and histograms."""
     histogram, bands = found['histogram'], found.get('bands')
     if bands:
         angles = {k: np.array(bands[f'p{k}_rad'])[:, None] for k in (5, 25, 50, 75, 95)}

@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
@@ -115,34 +114,6 @@ class Replay:
         return lines(f'{name:14}{text}' for name, text in self.rows())
 
     __str__ = text
-
-    def draw(self, path: str | Path, name: str) -> None:
-        """
-        Plot the motion and its torques in a PNG file.
-
-        The result must contain the problem and the trajectory; see the parameter `keep` of
-        `replay`.
-
-        Parameters
-        ----------
-        path : str or Path
-            The PNG file. Its name may have any suffix, and an existing file is overwritten.
-        name : str
-            The name of the recording, which appears in the title.
-
-        Raises
-        ------
-        OSError
-            The file cannot be written.
-
-        """
-        from rigid_body_ros.report import figures  # matplotlib is slow to import
-        problem, motion = self.problem, self.trajectory
-        assert problem
-        assert motion
-        fields = problem.field_torque(motion.times_ns, motion.attitude) if problem.fields else None
-        figures.motion(path, motion, problem.logs, self.scene.euler_sequence,
-                       f'{name}: {self.topic}', self.scene.timeout_ns, fields)
 
     @property
     def warnings(self) -> list[str]:

@@ -23,20 +23,16 @@ identifies them by their hashes.
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 import hashlib
 from html import escape
 import json
 from pathlib import Path
 import platform
 from string import Template
-from typing import Any
 
-from rigid_body_ros.report.charts import Panel
+from rigid_body_ros.report.report import Report, Rows, shown
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.fingerprint import fingerprint
-from rigid_body_ros.scene import Scene
 
 _WEB = Path(__file__).with_name('web')
 #: Characters in a JSON text that could end the script, or end a line of the script.
@@ -44,58 +40,10 @@ _UNSAFE = {ord(char): f'\\u{ord(char):04x}' for char in '<>&\u2028\u2029'}
 #: A longer parameter, such as a URDF, is cut off after this many characters.
 _LONGEST = 200
 
-#: Facts, each with a name and a text. If the name is empty, the text continues the previous fact.
-Rows = Sequence[tuple[str, object]]
 
-
-@dataclass(frozen=True)
-class Page:
+def write(path: str | Path, report: Report) -> None:
     """
-    The contents of a page.
-
-    Attributes
-    ----------
-    title : str
-        What the page is about.
-    headline : str
-        The result in one sentence, without a full stop. It may begin with a lower-case letter.
-    story : sequence of (str, object)
-        The facts, each with a name and a text. If the name is empty, the text continues the
-        previous fact.
-    panels : sequence of Panel
-        The charts.
-    body : dict, optional
-        The motion to animate, as returned by `moving_body.as_data`.
-    warnings : sequence of str
-    copied : sequence of str
-        Texts to show with a button that copies them.
-    table : str
-        The table, as HTML returned by the function `table`; empty if there is no table.
-    picture : str
-        HTML of a picture to show below the charts; empty if there is no picture.
-
-    """
-
-    title: str
-    headline: str
-    story: Rows
-    panels: Sequence[Panel] = ()
-    body: Mapping[str, Any] | None = None
-    warnings: Sequence[str] = ()
-    copied: Sequence[str] = ()
-    table: str = ''
-    picture: str = ''
-    scene: Scene | None = field(default=None, kw_only=True)
-    command: str = field(default='', kw_only=True)
-
-
-class Markup(str):
-    """A string that contains HTML. `table` treats all other strings as plain text."""
-
-
-def write(path: str | Path, page: Page) -> None:
-    """
-    Write a page to an HTML file.
+    Write a report to an HTML file.
 
     Raises
     ------
@@ -104,48 +52,30 @@ def write(path: str | Path, page: Page) -> None:
 
     """
     with files.atomic_output(path, '.html') as temporary:
-        temporary.write_text(html(page), encoding='utf-8', errors='replace')
+        temporary.write_text(html(report), encoding='utf-8', errors='replace')
 
 
-def html(page: Page) -> str:
-    """Return the HTML of a page."""
+def html(report: Report) -> str:
+    """Return the HTML of a report."""
     style, charts, body = (
         ''.join(f'\n{(_WEB / name).read_text(encoding="utf-8")}' for name in names)
         for names in (['page.css'], ['tools.js', 'charts.js'], ['body.js']))
-    data = {'panels': [panel.as_data() for panel in page.panels], 'body': page.body}
-    headline = page.headline[:1].upper() + page.headline[1:]
+    data = {'panels': [panel.as_data() for panel in report.panels], 'body': report.body}
+    headline = report.headline[:1].upper() + report.headline[1:]
     return Template((_WEB / 'page.html').read_text(encoding='utf-8')).substitute(
-        title=escape(page.title), headline=_shown(headline), layout=_layout(page),
+        title=escape(report.title), headline=shown(headline), layout=_layout(report),
         style=style, style_hash=_hash(style),
         script_hashes=' '.join(map(_hash, (charts, body))), charts=charts, body=body,
-        warnings=''.join(f'<p class="warning">{_shown(text)}</p>' for text in page.warnings),
-        story=_facts(page.story), table=page.table, picture=page.picture,
+        warnings=''.join(f'<p class="warning">{shown(text)}</p>' for text in report.warnings),
+        story=_facts(report.story), table=report.table, picture=report.picture,
         copied=''.join(f'<pre>{escape(text)}</pre><button class="copy" type="button">Copy</button>'
-                       for text in page.copied),
-        made=_facts(_origin(page)), data=embedded(data))
+                       for text in report.copied),
+        made=_facts(_origin(report)), data=embedded(data))
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return the HTML of a table. Each cell is plain text or `Markup`."""
-    head, *body = (''.join(f'<{tag}>{_cell(cell)}</{tag}>' for cell in row)
-                   for tag, row in [('th', header), *(('td', row) for row in rows)])
-    lines = ''.join(f'<tr>{row}</tr>' for row in body)
-    return f'<div class="wide-table"><table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody>' \
-           '</table></div>'
-
-
-def _cell(cell: str) -> str:
-    return cell if isinstance(cell, Markup) else _shown(cell)
-
-
-def _shown(text: str) -> str:
-    """Escape a text for HTML, and write the unit of inertia as kg m²."""
-    return escape(text).replace('kg m^2', 'kg m²')
-
-
-def _layout(page: Page) -> str:
+def _layout(report: Report) -> str:
     """Return the name of the page's layout: with a moving body, with charts, or with neither."""
-    return 'moving' if page.body else 'charted' if page.panels else 'listed'
+    return 'moving' if report.body else 'charted' if report.panels else 'listed'
 
 
 def embedded(data: object) -> str:
@@ -158,14 +88,14 @@ def _hash(text: str) -> str:
 
 
 def _facts(rows: Rows) -> str:
-    return ''.join(f'<dt>{escape(name)}</dt><dd>{_shown(str(text))}</dd>' for name, text in rows)
+    return ''.join(f'<dt>{escape(name)}</dt><dd>{shown(str(text))}</dd>' for name, text in rows)
 
 
-def _origin(page: Page) -> Rows:
-    rows = [('command', page.command)] if page.command else []
-    if page.scene:
-        parameters = page.scene.parameters
-        given = {name: value for name, value in page.scene.values.items()
+def _origin(report: Report) -> Rows:
+    rows = [('command', report.command)] if report.command else []
+    if report.scene:
+        parameters = report.scene.parameters
+        given = {name: value for name, value in report.scene.values.items()
                  if value != parameters[name].default}
         rows.append(('scene', ', '.join(f'{name}: {_cut(value)}' for name, value
                                         in given.items())))

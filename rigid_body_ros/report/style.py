@@ -30,7 +30,6 @@ QUATERNION = ('x', 'y', 'z', 'w')
 RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'), ('τ₁', 'τ₂', 'τ₃')
 #: The label for the torque that the fields apply. This torque depends on the attitude.
 FIELDS = 'torque of the fields'
-ERRORS = ('|e|', '|e₁|', '|e₂|', '|e₃|')
 SIGNED = ('e₁', 'e₂', 'e₃')
 
 

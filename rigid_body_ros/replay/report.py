@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Collect a replayed motion batch by batch, and make a page that shows it."""
+"""Collect a replayed motion batch by batch, and report it."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from rigid_body_ros.replay.batches import Batch
 from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.page import Page
 from rigid_body_ros.report.panels import ThinnedTorque
+from rigid_body_ros.report.report import Report
 from rigid_body_ros.report.text import numbers
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
 
-#: How many significant digits the page shows. The output and the terminal show all digits.
+#: How many significant digits the report shows. The output and the terminal show all digits.
 _DIGITS = 4
 #: Two speeds count as equal if the larger is at most this many times the smaller.
 _SAME = 1.05
 
 
-class PageCollector:
+class ReportCollector:
     """
-    Collect the data for a page about a motion, thinning the data while the motion is computed.
+    Collect the data for a report about a motion, thinning the data while the motion is computed.
 
     Parameters
     ----------
@@ -80,17 +80,17 @@ class PageCollector:
         self._keys.add(len(motion.times_ns), times_ns, np.hstack([
             attitude, motion.angular_velocity[chosen], torques, motion.rotor_momentum[chosen]]))
 
-    def page(self, result: Replay, name: str, command: str) -> Page:
-        """Return the page that shows the replay of the recording `name`."""
+    def report(self, result: Replay, name: str, command: str) -> Report:
+        """Return the report of the replay of the recording `name`."""
         times_ns, keys = self._keys.result()
         body = result.scene.body
         story = [('recording', name), *result.rows(_DIGITS),
                  ('start', f'attitude {numbers(result.start.attitude, _DIGITS)} (x y z w), body '
                            f'rates {numbers(result.start.angular_velocity, _DIGITS)} rad/s'),
                  ('moments', f'{numbers(body.principal_moments, _DIGITS)} kg m^2')]
-        return Page(f'{name}: {result.topic}', _headline(times_ns, keys), story, self._panels(),
-                    moving_body.as_data(body, times_ns, keys), result.scene.warnings,
-                    scene=result.scene, command=command)
+        return Report(f'{name}: {result.topic}', _headline(times_ns, keys), story, self._panels(),
+                      moving_body.as_data(body, times_ns, keys), result.scene.warnings,
+                      scene=result.scene, command=command)
 
     def _panels(self) -> list[Panel]:
         start_ns, sequence = self._start_ns or 0, self._scene.euler_sequence

@@ -12,13 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the page that reports an identification, and plot its errors and torques."""
+"""Report an identification: estimates, errors over time, torques, and the moving body."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,6 @@ from rigid_body_ros.inference.torque_panels import residual_panels
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import matrix, moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.page import Page, table
 from rigid_body_ros.report.panels import (
     Drawn,
     error_panel,
@@ -39,6 +37,7 @@ from rigid_body_ros.report.panels import (
     overlay_panel,
     torque_panels,
 )
+from rigid_body_ros.report.report import Report, table
 from rigid_body_ros.scene import Scene
 
 #: Largest lag in the plot of an autocorrelation, s, and minimum number of lags in that plot.
@@ -47,23 +46,23 @@ _LAG, _FEWEST = 2.0, 20
 _NORMAL_95 = 1.96
 
 
-def page(fit: Identification, first: Problem, name: str, scene: Scene,
-         command: str, degrees: bool = False) -> Page:
+def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
+              command: str, degrees: bool = False) -> Report:
     """
-    Return the page that reports an identification.
+    Return the report of an identification.
 
     Parameters
     ----------
     fit : Identification
         The result, with at least one sample.
     first : Problem
-        The problem of the first recording, whose motion, errors and torques the page shows.
+        The problem of the first recording, whose motion, errors and torques the report shows.
     name : str
         Name of the first recording.
     scene : Scene
         The scene that provides the guess.
     command : str
-        The command line to show on the page.
+        The command line to show.
     degrees : bool
         Whether to show angles in degrees.
 
@@ -72,13 +71,13 @@ def page(fit: Identification, first: Problem, name: str, scene: Scene,
     story = [('recording', name), *reasons, *fit.rows(degrees),
              ('moving body', 'the motion with all estimates'), *_restarts(fit)]
     panels, (header, *estimated) = [*_panels(fit, first)], fit.table(degrees)
-    return Page(f'{name}: estimated parameters', headline, story,
-                [*map(in_degrees, panels)] if degrees else panels, _body(fit), scene.warnings,
-                table=table(header, estimated),
-                picture=matrix.picture('correlation of the estimates (orange: positive, blue: '
-                                       'negative)', [*fit.estimates],
-                                       fit.correlation) if fit.estimates else '',
-                scene=scene, command=command)
+    return Report(f'{name}: estimated parameters', headline, story,
+                  [*map(in_degrees, panels)] if degrees else panels, _body(fit), scene.warnings,
+                  table=table(header, estimated),
+                  picture=matrix.picture('correlation of the estimates (orange: positive, blue: '
+                                         'negative)', [*fit.estimates],
+                                         fit.correlation) if fit.estimates else '',
+                  scene=scene, command=command)
 
 
 def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:
@@ -178,37 +177,3 @@ def _body(fit: Identification) -> dict[str, Any]:
     ghosts = [one for one in fit.aligned if one.attitude is not None]
     return body if not ghosts else {**body, 'ghost': moving_body.ghost(
         int(stamps_ns[0]), ghosts[0].stamps_ns, ghosts[0].values)}
-
-
-def draw(path: str | Path, fit: Identification, problem: Problem, name: str) -> None:
-    """
-    Plot the errors and torques of the first recording over time, and save the plot as a PNG file.
-
-    Outliers are left out. Each error plot shows the fitted samples, followed by the samples held
-    back for validation.
-
-    Parameters
-    ----------
-    path : str or Path
-        The PNG file. The name can have any suffix. An existing file is overwritten.
-    fit : Identification
-        The result.
-    problem : Problem
-        The problem of the first recording.
-    name : str
-        Name of the first recording, used in the title.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-
-    """
-    from rigid_body_ros.report import figures  # matplotlib is slow to load
-    panels = []
-    for parts in fit.first_errors():
-        quantity, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
-        panels.append(figures.Series(f'{figures.literal(parts[0].topic)}:\n{quantity} error', unit,
-                                     np.concatenate([part.kept_ns for part in parts]),
-                                     np.concatenate([part.kept for part in parts])))
-    figures.errors(path, panels, (), problem.acting_logs, {}, name)

@@ -12,12 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the HTML page that shows a comparison, and draw its errors."""
+"""Report a comparison: its errors over time, the torques, and the moving body."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,6 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.page import Page
 from rigid_body_ros.report.panels import (
     Drawn,
     error_panel,
@@ -40,21 +38,21 @@ from rigid_body_ros.report.panels import (
     overlay_panel,
     torque_panels,
 )
-from rigid_body_ros.report.style import FIELDS
+from rigid_body_ros.report.report import Report
 from rigid_body_ros.report.text import scaled
 from rigid_body_ros.scene import Scene
 
 
-def page(comparison: Comparison, name: str, scene: Scene | None, command: str,
-         degrees: bool = False) -> Page:
+def report_of(comparison: Comparison, name: str, scene: Scene | None, command: str,
+              degrees: bool = False) -> Report:
     """
-    Return a page that shows a comparison.
+    Return the report of a comparison.
 
     Parameters
     ----------
     comparison : Comparison
-        The comparison. If the motion was computed rather than recorded, the page animates the
-        body.
+        The comparison. If the motion was computed rather than recorded, the report animates
+        the body.
     name : str
         Name of the recording.
     scene : Scene, optional
@@ -73,10 +71,10 @@ def page(comparison: Comparison, name: str, scene: Scene | None, command: str,
     panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
     verdict = [*comparison.verdict.rows()] if comparison.verdict else []
     headline = '; '.join([*(said for _, said in verdict[:1]), _size(comparison, degrees)])
-    return Page(f'{name}: {topics}', headline,
-                [*verdict[1:], ('recording', name), *comparison.facts(degrees), *shown],
-                [*map(in_degrees, panels)] if degrees else panels, body,
-                scene.warnings if scene else (), scene=scene, command=command)
+    return Report(f'{name}: {topics}', headline,
+                  [*verdict[1:], ('recording', name), *comparison.facts(degrees), *shown],
+                  [*map(in_degrees, panels)] if degrees else panels, body,
+                  scene.warnings if scene else (), scene=scene, command=command)
 
 
 def _size(comparison: Comparison, degrees: bool) -> str:
@@ -165,43 +163,3 @@ def _body(problem: Problem, aligned: Sequence[Measured],
             return {**body, 'ghost': moving_body.ghost(int(stamps_ns[0]), sensor.stamps_ns,
                                                        sensor.attitude)}
     return body
-
-
-def draw(path: str | Path, comparison: Comparison, name: str) -> None:
-    """
-    Draw the errors of a comparison over time into a PNG file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The PNG file, with any suffix. An existing file is overwritten.
-    comparison : Comparison
-        The comparison. For each quantity, the figure shows the errors of the first sensor that
-        measures it.
-    name : str
-        Name of the recording, for the title.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-
-    """
-    from rigid_body_ros.report import figures  # matplotlib is slow to import
-    panels = [figures.Series(label, unit, errors.times_ns, getattr(errors, attribute))
-              for label, unit, attribute in QUANTITIES
-              for errors in comparison.of(attribute)[:1]]
-    torque = comparison.residual_torque
-    motion, others = comparison.motion, list[figures.Series]()
-    logs, timeout_ns = (motion.logs, motion.options.timeout_ns) \
-        if isinstance(motion, Problem) else ((), 0)
-    if isinstance(motion, Problem) and motion.fields:
-        times_ns = panels[0].times_ns
-        others.append(figures.Series(FIELDS, 'N m', times_ns, motion.field_torque(
-            times_ns, motion.propagate(at=times_ns).attitude)))
-    if torque:
-        others.append(figures.Series('residual torque', 'N m', torque.times_ns, torque.torques))
-    horizons = {horizon.seconds: np.percentile(horizon.angles, [50.0, 95.0])
-                for horizon in comparison.horizons if len(horizon.angles)}
-    topics = ', '.join(errors.topic for errors in comparison.errors)
-    figures.errors(path, panels, others, logs, horizons, f'{name}: {topics}', timeout_ns)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the page that reports a measured trade-off."""
+"""Report a measured trade-off."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from collections.abc import Iterator
 
 import numpy as np
 from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.page import Page
+from rigid_body_ros.report.report import Report
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.tradeoff.choices import Choice
 from rigid_body_ros.tradeoff.result import Tradeoff, value
 
 
-def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
+def report_of(result: Tradeoff, title: str, scene: Scene, command: str) -> Report:
     """
-    Return the page that reports a trade-off.
+    Return the report of a trade-off.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
     scene : Scene
         The scene of the body.
     command : str
-        The command line to show on the page.
+        The command line to show.
 
     """
     copied = [_parameters(target, choice) for target, choice in result.choices.items() if choice]
-    return Page(title, _headline(result), [*result.rows()], [_work_precision(result)],
-                warnings=scene.warnings, copied=copied, scene=scene, command=command)
+    return Report(title, _headline(result), [*result.rows()], [_work_precision(result)],
+                  warnings=scene.warnings, copied=copied, scene=scene, command=command)
 
 
 def _headline(result: Tradeoff) -> str:

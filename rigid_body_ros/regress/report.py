@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Assemble the HTML page that shows two closed loops and their differences."""
+"""Report two closed loops and their differences."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from rigid_body_ros.regress.loop import COMMANDS, EMPTY, INERTIA, Loop, Pair, Si
 from rigid_body_ros.regress.regression import Regression
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.page import Page
+from rigid_body_ros.report.report import Report
 from rigid_body_ros.scene import Scene
 
 _WHEELS = 'accepted_wheel_torque'
 
 
-def page(regression: Regression, name: str, scene: Scene, command: str) -> Page:
+def report_of(regression: Regression, name: str, scene: Scene, command: str) -> Report:
     """
-    Return a page that shows the result of a regression.
+    Return the report of a regression.
 
     Parameters
     ----------
@@ -50,9 +50,9 @@ def page(regression: Regression, name: str, scene: Scene, command: str) -> Page:
 
     """
     shown = [('moving body', 'the loop, not the reference')]
-    return Page(f'{name}: closed loop', regression.verdict, [*regression.rows()[1:], *shown],
-                [*_panels(regression)], _body(regression, scene), scene.warnings, scene=scene,
-                command=command)
+    return Report(f'{name}: closed loop', regression.verdict, [*regression.rows()[1:], *shown],
+                  [*_panels(regression)], _body(regression, scene), scene.warnings, scene=scene,
+                  command=command)
 
 
 def _panels(regression: Regression) -> Iterator[Panel]:
