@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
+import numpy as np  # noqa: E402
 from rigid_body_ros import (  # noqa: E402
     Experiment,
     identify,
@@ -38,7 +39,7 @@ from rigid_body_ros import (  # noqa: E402
     State,
     TorqueLog,  # noqa: E402
 )
-from simulated import INERTIA, named, recordings, RIGHT, WRONG  # noqa: E402
+from simulated import INERTIA, LITTLE, named, recordings, RIGHT, WRONG  # noqa: E402
 
 #: The true inertia by component name.
 TRUE = {f'inertia.i{name}': float(INERTIA['xyz'.index(name[0]), 'xyz'.index(name[1])])
@@ -70,6 +71,8 @@ class Outcome(NamedTuple):
     suspects: list
     reasons: list
     seconds: float
+    #: The half-widths of the intervals divided by the true errors, and by the true values.
+    widths: list
 
     @property
     def is_good(self):
@@ -94,7 +97,10 @@ def outcome(job):
     cover = sum(limits is not None and limits[0] <= TRUE[one] <= limits[1]
                 for one, limits in intervals.items())
     return Outcome(name, level, result.verdict.level, cover,
-                   [one.name for one in result.verdict.suspects], result.verdict.reasons, taken)
+                   [one.name for one in result.verdict.suspects], result.verdict.reasons, taken,
+                   [0.5 * (limits[1] - limits[0]) / max(abs(result.estimates[one].value
+                                                            - TRUE[one]), 1e-12)
+                    for one, limits in intervals.items() if limits])
 
 
 def main():
@@ -106,7 +112,8 @@ def main():
     parser.add_argument('--kind', help='only this kind; right or wrong for all of them')
     parser.add_argument('--validate', type=float, default=0.0, help='as for attitude_identify')
     options = parser.parse_args()
-    groups = {'right': RIGHT, 'wrong': WRONG, None: (*RIGHT, *WRONG)}
+    groups = {'right': RIGHT, 'wrong': WRONG, 'little': LITTLE,
+              None: (*RIGHT, *WRONG, *LITTLE)}
     kinds = groups[options.kind] if options.kind in groups else [named(options.kind)]
     jobs = [(kind.name, level, seed, options.validate) for kind in kinds
             for level in options.levels for seed in range(options.seeds)]
@@ -120,14 +127,21 @@ def main():
             if is_right(one) and one.reasons:
                 print('   ', '; '.join(one.reasons), flush=True)
     shares(options.levels, found)
-    for title, group in (('Right models', RIGHT), ('Wrong models', WRONG)):
+    usefulness(options.levels, found)
+    for title, group in (
+            ('Right models', RIGHT), ('Wrong models', WRONG), ('Models a little wrong', LITTLE)):
         table(title, [kind for kind in group if kind in kinds], options.levels, found)
     misses(found)
 
 
 def is_right(one):
     """Return whether the model of a recording is correct."""
-    return any(kind.name == one.name for kind in RIGHT)
+    return is_of(RIGHT, one)
+
+
+def is_of(group, one):
+    """Return whether a recording is of one of the kinds of a group."""
+    return any(kind.name == one.name for kind in group)
 
 
 def shares(levels, found):
@@ -137,12 +151,24 @@ def shares(levels, found):
           'among the first two suspects |\n|---|---|---|---|---|')
     for level in levels:
         right = [one for one in found if one.level == level and is_right(one)]
-        wrong = [one for one in found if one.level == level and not is_right(one)]
+        wrong = [one for one in found if one.level == level and is_of(WRONG, one)]
         cells = [share([one.verdict == 'explained' for one in right]),
                  share([k < one.cover for one in right for k in range(6)]),
                  share([one.is_good for one in wrong]),
                  share([one.is_named for one in wrong if named(one.name).causes])]
         print(f'| {level:g} | {" | ".join(cells)} |')
+
+
+def usefulness(levels, found):
+    """Print how useful the intervals of models are that are a little wrong."""
+    print('\n| noise | intervals that cover | median half-width / true error | rejected |\n'
+          '|---|---|---|---|')
+    for level in levels:
+        some = [one for one in found if one.level == level and is_of(LITTLE, one)]
+        widths = [width for one in some for width in one.widths]
+        print(f'| {level:g} | {share([k < one.cover for one in some for k in range(6)])} | '
+              f'{np.median(widths) if widths else np.nan:.2g} | '
+              f'{share([one.verdict == "rejected" for one in some])} |')
 
 
 def share(values):
@@ -175,7 +201,7 @@ def cell(outcomes):
 
 def misses(found):
     """Print the recordings with a wrong verdict."""
-    wrong = [one for one in found if not is_right(one)]
+    wrong = [one for one in found if is_of(WRONG, one)]
     for text, missed in (
             ('right models not called explained', [one for one in found if is_right(one)
                                                    and one.verdict != 'explained']),

@@ -189,6 +189,19 @@ WRONG = (
     wrong('space frame turns', (), space_rate=(0.0, 0.0, 2e-3)),
     wrong('stamps jitter by 10 ms', (), jitter=0.01),
 )
+#: Models that are a little wrong, as those of real robots are.
+LITTLE = (
+    wrong('appendage of a robot', (), appendage=(2.0, 0.001, 0.03)),
+    wrong('gyro filter 5 ms', _CLOCKS, gyro_filter=0.005),
+    wrong('gyro scale 2 %', 'gyro_scale', gyro_scale=(1.02, 0.99, 1.01)),
+    wrong('gyro turned by 1 degree', ('mount@/imu', 'mount@/mocap'), gyro_mount=turned(1)),
+    wrong('mocap turned by 1 degree', ('mount@/mocap', 'mount@/imu'), mount=turned(1)),
+    wrong('little drag', 'damping', drag=3e-4),
+    wrong('stamps jitter by 3 ms', (), jitter=0.003),
+    wrong('little gyro bias', 'gyro_bias', gyro_bias=(0.003, -0.005, 0.002)),
+    wrong('gains 2 % off', 'torque_gains', gains=np.diag([1.02, 0.98, 1.01])),
+    wrong('lag 10 ms', _CLOCKS, lag=0.01),
+)
 
 
 def cross(a, b):
@@ -411,4 +424,4 @@ def filtered(times, values, lag, at):
 
 def named(name):
     """Return the kind with a name."""
-    return next(kind for kind in (*RIGHT, *WRONG) if kind.name == name)
+    return next(kind for kind in (*RIGHT, *WRONG, *LITTLE) if kind.name == name)

@@ -63,6 +63,16 @@ def test_draws_have_the_means_deviations_and_correlations_of_the_fit(tmp_path):
     assert np.all(np.abs(np.corrcoef(rows.T) - CORRELATION) <= 4 * error + 1e-12)
 
 
+def test_the_systematic_part_of_an_interval_widens_the_distribution(tmp_path):
+    path = written(tmp_path / 'fitted.json')
+    data = json.loads(path.read_text())
+    data['estimates']['torque_gain']['systematic'] = 1.959963984540054 * SIGMA[2]
+    path.write_text(json.dumps(data))
+    wider = np.array([1.0, 1.0, 2.0, 1.0])
+    np.testing.assert_allclose(fitted.load(path).covariance,
+                               COVARIANCE * np.outer(wider, wider), rtol=1e-14)
+
+
 def test_a_run_depends_on_seed_and_number_only(tmp_path):
     names = (*ATTITUDE, 'inertia.ixx')
     fit = fitted.load(written(tmp_path / 'fitted.json', names, np.full(4, 0.1), CORRELATION))

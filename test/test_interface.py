@@ -84,7 +84,7 @@ SIGNATURES = [
     (Experiment, 'start, log, measured, wheels=None, fields=(), efforts=None, torques=None'),
     (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
                'rate_noise=None, validate=0.0, priors=None, gravity=(0.0, 0.0, -9.80665), '
-               'accept=0.05, torque_timeout=0.0'),
+               'accept=None, torque_timeout=0.0'),
 ]
 #: Attributes of a trajectory over m times, with shape and type.
 TRAJECTORY = {

@@ -15,12 +15,17 @@
 """A fit says whether its model is wrong, and what is wrong; `simulated` makes the recordings."""
 
 from dataclasses import replace
+import re
 
 from campaign import fit, TRUE
 from conftest import at_night
 import numpy as np
 import pytest
+from rigid_body_ros import Experiment, identify, Measured, RigidBody, State, TorqueLog
+from rigid_body_ros.inference import misfit
 from rigid_body_ros.inference.noise import noise_of
+from scipy.signal import lfilter
+from scipy.special import stdtrit
 from simulated import named, recordings
 
 
@@ -174,3 +179,75 @@ def test_the_noise_of_an_autoregression(coefficient, lasting):
     assert found.lasting == pytest.approx(lasting, rel=0.05)
     left = found.innovations(noise)
     assert abs(np.mean(left[1:] * left[:-1])) < 0.02 * np.mean(left ** 2)
+
+
+@pytest.mark.parametrize(('coefficient', 'count'), [(0.0, 1.0), (0.9, 19.0), (0.98, 99.0)])
+def test_correlated_errors_tell_as_much_as_fewer_independent_ones(coefficient, count):
+    # The mean of n errors of an autoregression varies as that of n (1 - c) / (1 + c) errors.
+    white = np.random.default_rng(0).normal(size=(200_000, 3))
+    errors = lfilter([1.0], [1.0, -coefficient], white, axis=0)
+    found = misfit._persistence(errors, np.ones(len(errors), bool))
+    assert count <= found + 0.02 * count
+    assert found < 1.4 * count + 0.6  # the largest of several estimates is somewhat too large
+
+
+def test_a_small_error_that_lasts_shows_beside_noise():
+    random, seconds = np.random.default_rng(1), np.linspace(0.0, 1.0, 20_000)
+    errors = random.normal(size=(20_000, 3)) + 0.3 * np.sin(2.0 * np.pi * seconds)[:, None]
+    assert misfit._persistence(errors, np.ones(20_000, bool)) > 30.0
+
+
+@pytest.mark.slow
+def test_a_small_mounting_is_no_large_one():
+    kind = named('mocap turned by 1 degree')
+    recording, = recordings(kind, [1])
+    result = fit(kind, recording)
+    assert result.verdict.level == 'approximate'
+    assert result.verdict.suspects[0].name == 'mount@/mocap'
+    assert covered(result) == 6
+    assert 'the model leaves' in result.verdict.reasons[0]
+    assert re.match(r'Ixx = 0\.0\d+ kg m\^2 within \S+ %, Iyy = .*; approximate: ',
+                    result.headline)
+
+
+def of_bodies(factors, **options):
+    """Fit recordings of bodies, whose inertias differ by these factors, as those of one body."""
+    kind = replace(named('all well'), seconds=6.0)
+    experiments = []
+    for factor, one in zip(factors, recordings(kind, range(len(factors)))):
+        measured = [Measured('/mocap', one.attitude_ns, one.attitude, None),
+                    Measured('/imu', one.rate_ns, None, one.rates)]
+        # Twice the torque turns twice the inertia as fast.
+        experiments.append(Experiment(State(0, *one.start), TorqueLog(
+            one.torque_ns, one.torques / factor), measured))
+    return identify(RigidBody.from_moments(0.03, 0.03, 0.03), experiments, **options)
+
+
+@pytest.mark.slow
+def test_the_scatter_between_recordings_says_how_certain_an_estimate_is():
+    factors = [1.02, 0.97, 1.01, 0.98, 1.03]
+    result = of_bodies(factors)
+    assert result.verdict.level == 'approximate'
+    expected = stdtrit(4, 0.975) * np.std(factors, ddof=1) / np.sqrt(5)
+    for name in ('inertia.ixx', 'inertia.iyy', 'inertia.izz'):
+        one = result.estimates[name]
+        half = 0.5 * np.diff(one.interval_95)[0] / TRUE[name]
+        assert 0.3 * expected < half < 3.0 * expected
+        low, high = one.interval_95
+        assert low * np.mean(factors) <= TRUE[name] <= high * np.mean(factors)
+
+
+@pytest.mark.nightly
+def test_a_recording_of_another_body_is_named():
+    reasons = of_bodies([1.0, 1.0, 1.0, 1.3, 1.0]).verdict.reasons
+    assert any(reason.startswith('recording 4 does not fit the others') for reason in reasons)
+
+
+@pytest.mark.slow
+def test_a_fit_that_is_not_as_certain_as_accepted_is_rejected():
+    kind = replace(named('all well'), seconds=6.0)
+    recording, = recordings(kind, [0])
+    verdict = fit(kind, recording, accept=1e-6).verdict
+    assert verdict.level == 'rejected'
+    assert 'inertia.ixx: the interval is wider than the accepted 1e-06' in verdict.reasons
+    assert fit(kind, recording, accept=0.05).verdict.level == 'explained'

@@ -63,7 +63,7 @@ def _run(options: argparse.Namespace) -> int:
             lambda line: report_of(comparison, name, scene, line, options.degrees),
             comparison.as_dict)
     outputs.show(comparison.text(options.degrees), 17)
-    if not options.check or not comparison.verdict or comparison.verdict.is_consistent:
+    if not options.check or not comparison.verdict or comparison.verdict.level != 'rejected':
         return 0
     report(f'{options.command}: the model does not explain the measurements')
     return REJECTED
@@ -110,7 +110,7 @@ def _add_arguments(parser: Parser) -> None:
                         'and 10, if the measurement is long enough)')
     parser.add_argument('--check', action='store_true',
                         help='fit the initial state, then test, as attitude_identify does, '
-                        'whether the model explains the measurements; if it does not, the exit '
+                        'whether the model explains the measurements; if it is rejected, the exit '
                         'status is 4')
     parser.add_argument('-o', '--output', metavar='RESIDUALS',
                         help='write the topics /error/rotation_vector, /error/angular_velocity '

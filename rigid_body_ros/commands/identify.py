@@ -104,7 +104,6 @@ def _suffix(output: str | None) -> str:
 
 def _add_arguments(parser: Parser) -> None:
     from rigid_body_ros.inference.coordinates import GRAVITY
-    from rigid_body_ros.inference.verdict import ACCEPT
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
                         'several recordings of the same body are fitted together. The torques of '
@@ -128,11 +127,10 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument('--gravity', type=float, nargs=3, default=GRAVITY,
                         metavar=('X', 'Y', 'Z'), help='gravity acting on the estimated weight, '
                         'm/s^2, space axes (default: 0 0 -9.80665)')
-    parser.add_argument('--accept', type=positive, default=ACCEPT, metavar='PART',
-                        help='reject a fit if effects missing from the model may shift an '
-                        'estimate by more than this fraction of the scale of that estimate; for '
-                        'the inertia, the scale is the mean moment of inertia (default: '
-                        f'{ACCEPT:g})')
+    parser.add_argument('--accept', type=positive, metavar='PART',
+                        help='reject the fit if the half-width of an interval exceeds this '
+                        'fraction of the scale of its estimate; for the inertia, the scale is the '
+                        'mean moment of inertia (default: any width)')
     parser.add_argument('--attitude-noise', type=positive, metavar='RAD',
                         help='standard deviation of each component of a measured attitude '
                         '(default: estimated for each topic)')

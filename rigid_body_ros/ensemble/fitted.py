@@ -30,6 +30,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.ensemble.applied import components
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, normals, units_with
+from rigid_body_ros.inference.noise import NORMAL_95
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime.limits import read_json
@@ -178,8 +179,15 @@ def _read(data: Mapping[str, Any], units: Mapping[str, str]) -> tuple[dict[str, 
                 raise InputError(f'{name}: expected the unit {quoted(units[name])}, found '
                                  f'{quoted(written)} in {where}')
         values[name] = _typed(estimate.get('value'), float, f'estimates: {name}: value')
-    return values, np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
-                             for k, row in enumerate(rows)])
+    matrix = np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
+                       for k, row in enumerate(rows)])
+    # The intervals of a model that is a little wrong have a systematic part.
+    parts = [_typed(one.get('systematic', 0.0), float, f'estimates: {name}: systematic')
+             for name, one in estimates.items()]
+    with np.errstate(invalid='ignore', divide='ignore'):
+        wider = 1.0 + np.nan_to_num(np.array(parts) / (NORMAL_95 * np.sqrt(np.diag(matrix))),
+                                    posinf=0.0)
+    return values, matrix * np.multiply.outer(wider, wider)
 
 
 def _typed(value: Any, kind: type, where: str) -> Any:

@@ -23,7 +23,12 @@ import math
 import numpy as np
 from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.identification.result import Estimate, Identification, without_effect
+from rigid_body_ros.identification.result import (
+    Estimate,
+    Identification,
+    too_wide,
+    without_effect,
+)
 from rigid_body_ros.inference import errors
 from rigid_body_ros.inference.certainty import Certainty, certainty
 from rigid_body_ros.inference.coordinates import (
@@ -39,7 +44,7 @@ from rigid_body_ros.inference.parameters import (
     WEIGHT,
 )
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.verdict import ACCEPT, tried, with_intervals
+from rigid_body_ros.inference.verdict import tried, with_intervals
 from rigid_body_ros.inference.windows import acted
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
@@ -104,7 +109,7 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
              estimate: Sequence[str] = ('inertia', START), attitude_noise: float | None = None,
              rate_noise: float | None = None, validate: float = 0.0,
              priors: Mapping[str, float | str] | None = None,
-             gravity: Sequence[float] = GRAVITY, accept: float = ACCEPT,
+             gravity: Sequence[float] = GRAVITY, accept: float | None = None,
              torque_timeout: float = Options.torque_timeout) -> Identification:
     """
     Estimate parameters of a body from measurements.
@@ -138,11 +143,10 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
         has the unit of the component. A string such as '5%' is relative to the guess.
     gravity : sequence of 3 float, m/s^2, space axes
         Acceleration of gravity, used for the parameter 'weight'.
-    accept : float
-        Largest systematic error to accept in an estimate. For an entry of the inertia, the error
-        is relative to the mean moment of inertia. For any other parameter, the error is relative
-        to the scale of the parameter. If effects missing from the model may cause a larger error,
-        the model is rejected.
+    accept : float, optional
+        Largest half-width of an interval to accept. For an entry of the inertia, it is relative to
+        the mean moment of inertia, and for any other parameter to the scale of the parameter. If
+        an interval is wider, the fit is rejected.
     torque_timeout : float, s
         Longest time for which a torque sample of an `Experiment` acts, as for `propagate`.
 
@@ -193,8 +197,8 @@ def _training(channels: list[Measured], validate: float) -> list[Measured]:
     return fitted
 
 
-def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: float,
-            is_whole: bool) -> Identification:
+def _result(findings: Findings, every: Sequence[Sequence[Measured]],
+            accept: float | None, is_whole: bool) -> Identification:
     """
     Assemble the result of a fit.
 
@@ -206,8 +210,11 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
     numbers = _numbers(solution)
     known = certainty(solution.problem.information(physics) @ np.linalg.inv(numbers.turn),
                       numbers.names, numbers.values / numbers.scales)
-    sigma = np.where(known.identifiable, np.sqrt(np.diag(known.covariance)) * numbers.scales,
-                     np.inf)
+    sigma = np.sqrt(np.diag(known.covariance)) * numbers.scales
+    # The scatter between recordings counts if it is larger.
+    wider = np.maximum([findings.scatter.get(name, 0.0) for name in numbers.names]
+                       / np.where(sigma > 0.0, sigma, np.inf), 1.0)
+    sigma = np.where(known.identifiable, wider * sigma, np.inf)
     ahead = errors.of_validation(solution, every) if every else []
     fitted = errors.of_training(solution)
     findings = findings.with_validation(every, ahead)
@@ -215,8 +222,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
     moved = [{name: abs(value - before) for name, value, before in zip(
                  numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
              for _, fit in attempts]
-    verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved,
-                                 dict(zip(numbers.names, numbers.scales)), accept)
+    verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved)
     estimates = {name: Estimate(name, unit_of(name.partition('[')[0]), float(numbers.values[i]),
                                 float(numbers.guesses[i]), float(sigma[i]),
                                 bool(known.identifiable[i]), systematic.get(name, 0.0))
@@ -226,12 +232,13 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]], accept: flo
     return Identification(
         setup.body(physics), physics.acting(setup.problems[0].fields),
         [_start(solution, number)[0] for number in range(len(setup.problems))],
-        estimates, _covariance(known, numbers.scales),
+        estimates, _covariance(known, wider * numbers.scales),
         setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
         errors.Misfit.of(fitted, solution.problem.size),
         errors.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged,
-        verdict.with_reasons(without_effect(estimates.values())),
+        verdict.with_reasons(without_effect(estimates.values())).with_reasons(
+            too_wide(estimates.values(), dict(zip(numbers.names, numbers.scales)), accept), True),
         any(log.torques.any() for problem in setup.problems for log in problem.logs),
         findings.predictable_s, _first_motion(solution, max(
             int(one.stamps_ns[-1]) for one in aligned)), aligned)

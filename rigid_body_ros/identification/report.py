@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.inference.errors import correlations, Residuals
-from rigid_body_ros.inference.residual_torque import residual_torque, with_attitude
+from rigid_body_ros.inference.noise import NORMAL_95
 from rigid_body_ros.inference.torque_panels import residual_panels
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import matrix, moving_body, style
@@ -42,8 +42,6 @@ from rigid_body_ros.scene import Scene
 
 #: Largest lag in the plot of an autocorrelation, s, and minimum number of lags in that plot.
 _LAG, _FEWEST = 2.0, 20
-#: Half-width of a 95 % interval, in standard deviations.
-_NORMAL_95 = 1.96
 
 
 def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
@@ -67,11 +65,10 @@ def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
         Whether to show angles in degrees.
 
     """
-    (_, headline), *reasons = fit.verdict.rows(has_estimates=True)
-    story = [('recording', name), *reasons, *fit.rows(degrees),
+    story = [('recording', name), *fit.verdict.rows(has_estimates=True), *fit.rows(degrees),
              ('moving body', 'the motion with all estimates'), *_restarts(fit)]
     panels, (header, *estimated) = [*_panels(fit, first)], fit.table(degrees)
-    return Report(f'{name}: estimated parameters', headline, story,
+    return Report(f'{name}: estimated parameters', fit.headline, story,
                   [*map(in_degrees, panels)] if degrees else panels, _body(fit), scene.warnings,
                   table=table(header, estimated),
                   picture=matrix.picture('correlation of the estimates (orange: positive, blue: '
@@ -99,7 +96,9 @@ def _panels(fit: Identification, first: Problem) -> Iterator[Panel]:
         yield from (replace(panel, lines=lines) for panel in _of_channel(parts, start_ns))
     end_ns = max(int(part.stamps_ns[-1]) for parts in quantities for part in parts)
     yield from torque_panels(first.acting_logs, start_ns, end_ns, fit.motion.options.timeout_ns)
-    yield from _of_torque(fit, start_ns)
+    if fit.residual_torque:
+        yield from residual_panels(fit.residual_torque, [
+            one for one in fit.aligned if one.is_attitude and len(one) > 1], start_ns)
     for parts in quantities:
         yield from _correlations(parts[0])
 
@@ -142,26 +141,14 @@ def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> di
     return lines
 
 
-def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:
-    """Generate panels that show the torque that the estimates do not explain."""
-    sensors = sorted(fit.aligned, key=len, reverse=True)
-    attitudes = [one for one in sensors if one.is_attitude and len(one) > 1]
-    rates = [one for one in sensors if not one.is_attitude]
-    sensor = with_attitude(rates[0], attitudes[0]) if rates and attitudes \
-        else [*rates, *sensors][0]
-    torque = residual_torque(fit.motion, sensor)
-    if torque:
-        yield from residual_panels(torque, attitudes, start_ns)
-
-
 def _correlations(errors: Residuals) -> Iterator[Panel]:
     """Generate a panel with the autocorrelation of a channel's fit errors."""
     if len(errors.stamps_ns) < 4 * _FEWEST or not errors.is_training:
         return
     spacing = 1e-9 * float(np.median(np.diff(errors.stamps_ns)))
-    found = correlations(errors)[1:max(_FEWEST, round(_LAG / spacing)) + 1]
+    found = correlations(errors.errors, errors.inliers)[1:max(_FEWEST, round(_LAG / spacing)) + 1]
     lags = np.arange(1, len(found) + 1) * spacing
-    limit: Floats = np.full((2, 1), _NORMAL_95 / np.sqrt(errors.inliers.sum()))
+    limit: Floats = np.full((2, 1), NORMAL_95 / np.sqrt(errors.inliers.sum()))
     quantity = 'attitude' if errors.is_attitude else 'rate'
     yield Panel(f'{errors.topic}: autocorrelation of the {quantity} errors of the fit', '', [
         Curves(np.asarray(lags, np.float64), found, found, style.SIGNED),

@@ -16,8 +16,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from typing import Any
 
@@ -26,7 +27,13 @@ from rigid_body_ros.common.arrays import as_json, Floats, symmetric
 from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.coordinates import second_moments
 from rigid_body_ros.inference.errors import Misfit, Residuals
-from rigid_body_ros.inference.verdict import Verdict
+from rigid_body_ros.inference.noise import NORMAL_95
+from rigid_body_ros.inference.residual_torque import (
+    residual_torque,
+    ResidualTorque,
+    with_attitude,
+)
+from rigid_body_ros.inference.verdict import REJECTED, Verdict
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
@@ -34,10 +41,10 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, rounded, scaled
 
-#: Half-width of the 95 % interval of a normal variable, in standard deviations.
-_NORMAL_95 = 1.959963984540054
 #: The text lists at most `_PAIRS` pairs of estimates whose correlation exceeds `_CORRELATED`.
 _CORRELATED, _PAIRS = 0.95, 6
+#: The names of the moments of inertia.
+_MOMENTS = tuple(f'inertia.i{axis}{axis}' for axis in 'xyz')
 #: Errors whose autocorrelation exceeds this limit are reported as not white.
 _COLOURED = 0.2
 
@@ -73,7 +80,7 @@ class Estimate:
     @property
     def interval_95(self) -> tuple[float, float] | None:
         """Return the limits of the 95 % interval, or None if the number is not determined."""
-        half = _NORMAL_95 * self.sigma + self.systematic
+        half = NORMAL_95 * self.sigma + self.systematic
         return (self.value - half, self.value + half) if self.identifiable else None
 
     @property
@@ -83,7 +90,7 @@ class Estimate:
 
         This is the standard deviation of a normal variable that has the same 95 % interval.
         """
-        return self.sigma + self.systematic / _NORMAL_95
+        return self.sigma + self.systematic / NORMAL_95
 
 
 def without_effect(estimates: Iterable[Estimate]) -> list[str]:
@@ -92,6 +99,28 @@ def without_effect(estimates: Iterable[Estimate]) -> list[str]:
             + (f' about {one.name[-1]}' if '.' in one.name else '')
             for one in estimates if one.name.startswith('torque_gain') and one.interval_95
             and one.interval_95[0] <= 0.0 <= one.interval_95[1]]
+
+
+def too_wide(estimates: Iterable[Estimate], scales: Mapping[str, float],
+             accept: float | None) -> list[str]:
+    """
+    Return a reason against the fit for each interval that is too wide to be of use.
+
+    The half-width of an interval is relative to its scale; that of an inertia, to the mean moment.
+    Without a limit to `accept`, only a moment of inertia that may be zero is too uncertain.
+    """
+    found = {one.name: one for one in estimates if one.interval_95}
+    moments = [found[name].value for name in _MOMENTS if name in found]
+    texts = []
+    for name, one in found.items():
+        assert one.interval_95
+        half = 0.5 * (one.interval_95[1] - one.interval_95[0])
+        scale = sum(moments) / len(moments) if name.startswith('inertia') else scales[name]
+        if accept is not None and half > accept * scale:
+            texts.append(f'{name}: the interval is wider than the accepted {accept:g}')
+        elif name in _MOMENTS and half >= one.value:
+            texts.append(f'{name}: the interval says nothing')
+    return texts
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +227,24 @@ class Identification:
         variance = slopes @ self.covariance[np.ix_(rows, rows)] @ slopes
         return bool(smallest[0] <= np.sqrt(variance))
 
+    @cached_property
+    def residual_torque(self) -> ResidualTorque | None:
+        """Return the torque that the first recording leaves unexplained, or None if too short."""
+        sensors = sorted(self.aligned, key=len, reverse=True)
+        attitudes = [one for one in sensors if one.is_attitude and len(one) > 1]
+        rates = [one for one in sensors if not one.is_attitude]
+        return residual_torque(self.motion, with_attitude(rates[0], attitudes[0])
+                               if rates and attitudes else [*rates, *sensors][0])
+
+    @property
+    def disturbance(self) -> float | None:
+        """Return the rms of `residual_torque` that exceeds its noise, N m; None if unknown."""
+        found = self.residual_torque
+        if found is None:
+            return None
+        square = np.mean(np.sum(found.torques ** 2, axis=1)) - np.sum(found.noise ** 2)
+        return float(np.sqrt(max(square, 0.0)))
+
     def first_errors(self) -> list[list[Residuals]]:
         """Return the errors of each quantity in the first recording, validation samples last."""
         quantities: dict[str, list[Residuals]] = {}
@@ -205,6 +252,18 @@ class Identification:
             if errors.recording == 0 and errors.inliers.any():
                 quantities.setdefault(errors.name, []).append(errors)
         return [*quantities.values()]
+
+    @property
+    def headline(self) -> str:
+        """Return the verdict and the estimated moments of inertia in one sentence."""
+        known = [self.estimates[name] for name in _MOMENTS if name in self.estimates]
+        said = [f'I{one.name[-2:]} = {rounded(one.value, one.uncertainty)} {one.unit} within '
+                f'{100.0 * NORMAL_95 * one.uncertainty / one.value:.2g} %'
+                for one in known if one.identifiable]
+        count = len(self.starts)
+        several = [f'from {count} recordings'] if count > 1 else []
+        usable = [*said, *several] if self.verdict.level != REJECTED else []
+        return '; '.join([', '.join(usable), *self.verdict.summary]).lstrip('; ')
 
     @property
     def noise(self) -> dict[str, float]:
@@ -236,7 +295,7 @@ class Identification:
             'window_s': self.window_s, 'predictable_s': self.predictable_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
-            'verdict': self.verdict.as_dict(),
+            'verdict': self.verdict.as_dict(), 'disturbance_torque_N_m': self.disturbance,
             'evaluations': self.evaluations, 'converged': self.converged}
 
     def text(self, degrees: bool = False) -> str:
@@ -275,6 +334,9 @@ class Identification:
         if self.predictable_s is not None:
             yield 'predictable', f'for {self.predictable_s:.4g} s from the start; later errors ' \
                                  'say nothing about the model'
+        if self.disturbance and not self.verdict.is_consistent:
+            yield 'disturbance', f'a torque of {self.disturbance:.2g} N m (rms) would explain ' \
+                                 'what is left'
         if self.is_flat:
             yield 'warning', 'the fitted body is a flat plate or a thin rod within its ' \
                              'uncertainty: the intervals reach beyond possible bodies'

@@ -155,15 +155,15 @@ class Misfit:
                 'chi2_per_dof': self.chi2_per_dof}
 
 
-def correlations(residuals: Residuals) -> Floats:
+def correlations(errors: Floats, inliers: NDArray[np.bool_]) -> Floats:
     """
-    Return the autocorrelation of the errors for lags of 0 to m samples, shape (m + 1, 3).
+    Return the autocorrelation of errors for lags of 0 to m samples, shape (m + 1, 3).
 
     The largest lag m is a quarter of the number of samples, but at most 2000. Outliers are
     ignored.
     """
-    kept = residuals.inliers[:, None]
-    errors = np.where(kept, residuals.errors, 0.0)
+    kept = inliers[:, None]
+    errors = np.where(kept, errors, 0.0)
     most = min(len(errors) // 4, _LONGEST)
     pairs, products = (_products(values, most) for values in (kept.astype(float), errors))
     variance = products[0] / max(pairs[0, 0], 1.0)

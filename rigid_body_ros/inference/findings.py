@@ -21,8 +21,8 @@ than 99 out of 100 correct models therefore get the verdict 'explained'.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +41,7 @@ from rigid_body_ros.inference.evidence import (
     widened,
     with_noise,
 )
+from rigid_body_ros.inference.fit import LeastSquares
 from rigid_body_ros.inference.growth import (
     COARSEST,
     grown,
@@ -50,6 +51,7 @@ from rigid_body_ros.inference.growth import (
     rough,
 )
 from rigid_body_ros.inference.hypotheses import marks, undone
+from rigid_body_ros.inference.misfit import scattered, unexplained, with_persistence
 from rigid_body_ros.inference.noise import (
     ALARM,
     batches_of,
@@ -58,7 +60,7 @@ from rigid_body_ros.inference.noise import (
     FEWEST,
     Noise,
 )
-from rigid_body_ros.inference.parameters import components_of
+from rigid_body_ros.inference.parameters import components_of, plausible
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import candidates, extended, Suspect
@@ -76,6 +78,8 @@ _FAR = 3.72
 #: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s and as a fraction
 #: of the measured rates.
 _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
+#: The errors of a recording may be this many times as large as those of most others.
+_NOISIER = 4.0
 #: Errors smaller than this limit count as rounding errors. The unit is rad for attitudes and rad/s
 #: for angular velocities. If the typical rate is above 1 rad/s, the limit for angular velocities
 #: is multiplied by this rate.
@@ -88,13 +92,18 @@ LARGE = 0.5
 _VISIBLE = 0.3
 #: Starts that differ by less than this, rad or relative to the rate, count as equal.
 _SAME_START = 1e-7
-#: Largest plausible fractions of outliers among the samples of a sensor: for outliers that come in
-#: clusters, and for scattered outliers.
-_CLUSTERED, _SCATTERED = 0.03, 0.3
+#: Largest plausible fraction of outliers among the samples of a sensor.
+_MOST_OUTLIERS = 0.3
 #: A change in the inertia is suspected only if the fractions of outliers before and after the
 #: change differ by at least this much, and not in this fraction of the samples at either end.
 _APART, _EDGE = 0.4, 0.1
 INERTIA_CHANGE = 'inertia_change'
+#: A model that leaves more than this of a channel unexplained, rad or relative to the rates, is
+#: rejected.
+_MISFIT = 0.1
+_HALVES = 'the two halves'
+#: Number of suspects that are fitted because they would explain much if the errors did not last.
+_SHARP = 2
 
 
 class Reason(NamedTuple):
@@ -102,6 +111,8 @@ class Reason(NamedTuple):
 
     text: str
     rejects: bool = False
+    #: Whether the reason rejects the model unless a suspect explains it.
+    is_contradiction: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +123,9 @@ class Findings:
     Attributes
     ----------
     solution : Solution
-        The fit, with weights derived from the noise.
+        The fit, with weights derived from the noise, or from the errors if these last.
+    sharp : Solution
+        The same fit, with weights derived from the noise alone.
     reasons : list of Reason
         The reasons against the model.
     suspects : list of Suspect
@@ -125,15 +138,20 @@ class Findings:
     predictable_s : float or None, s
         How long after the start the motion can be predicted in every recording. None if every
         motion can be predicted up to its last sample, or if there is no validation.
+    scatter : dict of str to float
+        For each component, the standard deviation that follows from the scatter between the
+        recordings. Empty if the model explains them, or if there are fewer than three.
 
     """
 
     solution: Solution
+    sharp: Solution
     reasons: list[Reason]
     suspects: list[Suspect]
     drift: dict[str, float]
     noises: list[list[Noise]]
     predictable_s: float | None = None
+    scatter: Mapping[str, float] = field(default_factory=dict)
 
     def with_validation(self, every: Sequence[Sequence[Measured]],
                         ahead: Sequence[Residuals]) -> Findings:
@@ -156,12 +174,13 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     from scipy.special import chdtrc
     few = rough(setup)
     is_wrong = lasts(few) or few.length_ns < setup.shortest_ns or not is_linear(few)
-    fault, drop = undone(setup) if is_wrong and names_suspects else (None, 0.0)
+    fault, drop = undone(few) if is_wrong and names_suspects else (None, 0.0)
     if fault is None:
         solution = grown(setup, few)
         found = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
         return found if names_suspects else replace(found, suspects=[])
-    return Findings(polished(few, *COARSEST), [Reason(fault.text, True)],
+    solution = polished(few, *COARSEST)
+    return Findings(solution, solution, [Reason(fault.text, True)],
                     [Suspect(fault.name, drop, float(chdtrc(1, drop)), text=fault.text)], {}, [])
 
 
@@ -169,7 +188,7 @@ def examined(solution: Solution) -> Findings:
     """Examine the errors of a fit and return the findings."""
     setup = solution.problem.setup
     if _is_rounding(solution):
-        return Findings(solution, [], [], {}, [])
+        return Findings(solution, solution, [], [], {}, [])
     names, known = candidates(setup), setup.parameters.names
     problem = widened(solution, extended(setup, solution.physics, names))
     found, before = noises(problem), solution
@@ -184,8 +203,38 @@ def examined(solution: Solution) -> Findings:
         suspects += _largest([*_changes(solution), *_breaks(solution)])
     reasons, drift = _halves(solution)
     reasons += [*_noise(solution, found), *_outliers(solution), *_correlated(solution, found)]
-    return Findings(solution, reasons, sorted((one for one in suspects if one.p < ALARM),
-                                              key=lambda one: -one.chi2_drop), drift, found)
+    result = Findings(solution, solution, reasons, _significant(suspects), drift, found)
+    return _doubted(result, problem, names) if known and (reasons or result.suspects) else result
+
+
+def _significant(suspects: Iterable[Suspect]) -> list[Suspect]:
+    return sorted((one for one in suspects if one.p < ALARM), key=lambda one: -one.chi2_drop)
+
+
+def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) -> Findings:
+    """
+    Examine the errors again, as those of a model that is a little wrong.
+
+    Such errors are as uncertain as their own correlation makes them, and what may be wrong has a
+    plausible size. Only halves of a recording that differ even then reject the model.
+    """
+    solution = with_persistence(findings.solution, findings.noises)
+    known = solution.problem.setup.parameters.names
+    blunt, sharp = (_significant(_parameters(linear(each), problem.parameters, known, names,
+                                             is_plausible=True))
+                    for each in (problem.weighted(solution.weights), problem))
+    found = {one.name for one in blunt}
+    suspects = _significant([*_marks(solution), *blunt, *_largest(
+        [*_changes(solution), *_breaks(solution)])])
+    contradictions, drift = _halves(solution)
+    reasons = [*(Reason(text, part > _MISFIT) for text, part in unexplained(solution)),
+               *(one._replace(is_contradiction=True) for one in contradictions),
+               *(one for one in findings.reasons if not one.text.startswith(_HALVES))]
+    texts, scatter = scattered(solution)
+    return replace(findings, solution=solution, drift=drift, scatter=scatter,
+                   reasons=[*reasons, *map(Reason, texts)],
+                   # A suspect may also be what makes the errors last.
+                   suspects=[*suspects, *(one for one in sharp[:_SHARP] if one.name not in found)])
 
 
 def start_suspect(solution: Solution) -> Suspect | None:
@@ -227,10 +276,15 @@ def _marks(solution: Solution) -> Iterator[Suspect]:
 
 
 def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
-            names: Sequence[str]) -> Iterator[Suspect]:
+                names: Sequence[str], is_plausible: bool = False) -> Iterator[Suspect]:
     """Generate a suspect for each parameter that was not estimated."""
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
+    if is_plausible:
+        rows = np.diag([1.0 / plausible(name) for name in given.names])[
+            [name not in known for name in given.names]]
+        matrix = np.concatenate([matrix, rows])
+        errors = np.append(errors, np.zeros(len(rows)))
     base = matrix[:, given.columns(known)]
     guesses = parameters.values(parameters.guess)
     for name in names:
@@ -313,8 +367,9 @@ def _halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
     setup = solution.problem.setup
     if not setup.parameters.size:
         return [], {}
-    given = linear(widened(solution, extended(setup, solution.physics, []), 2))
-    (matrix, errors), scales = given.stacked(), setup.parameters.scales
+    problem = widened(solution, extended(setup, solution.physics, []), 2)
+    given, scales = linear(problem), problem.parameters.scales
+    matrix, errors = given.stacked()
     if len({*given.is_late}) < 2:
         return [], {}
     second = given.split([*range(matrix.shape[1])], given.is_late)
@@ -322,14 +377,14 @@ def _halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
     p = float(chdtrc(rank, drop)) if rank else 1.0
     (early, early_sigma), (late, late_sigma) = (solved(half, errors)
                                                 for half in (matrix - second, second))
-    apart = np.abs(early - late)
-    is_known = apart > 2.0 * np.hypot(early_sigma, late_sigma)
-    drift = {name: float(value * scale) if known else 0.0 for name, value, scale, known
-             in zip(given.names, apart, scales, is_known)}
+    apart, sigma = np.abs(early - late), np.hypot(early_sigma, late_sigma)
+    # The fit lies between the halves, so it may be off by half of a difference that is visible,
+    # and more if the difference is significant.
+    shares = np.select([apart > 2.0 * sigma, apart > sigma], [1.0, 0.5], 0.0)
+    drift = dict(zip(given.names, (shares * np.nan_to_num(apart) * scales).tolist()))
     if p >= ALARM:
         return [], drift
-    return [Reason(f'the two halves of the recording give different values '
-                   f'({probability(p)})')], drift
+    return [Reason(f'{_HALVES} of the recording give different values ({probability(p)})')], drift
 
 
 def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
@@ -337,9 +392,13 @@ def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     Generate a reason against the model for each channel whose noise is too large.
 
     Noise is too large if no sensor is plausibly that noisy, or if it exceeds the noise that the
-    user gave.
+    user gave, or that of most other recordings.
     """
     setup = solution.problem.setup
+    levels: dict[tuple[str, bool], list[float]] = {}
+    for channels, sigma in zip(setup.channels, solution.weights.sigma):
+        for channel, level in zip(channels, sigma):
+            levels.setdefault((channel.topic, channel.is_attitude), []).append(level)
     for number, channels in enumerate(setup.channels):
         for channel, errors, inliers, noise in zip(channels, solution.errors[number],
                                                    solution.inliers[number], found[number]):
@@ -353,6 +412,10 @@ def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
                     np.sqrt(np.mean(channel.values ** 2))):
                 yield Reason(f'{channel.topic}: errors of {size:.2g} rad/s are not the noise of a '
                              'gyro', True)
+            others = float(np.median(levels[channel.topic, channel.is_attitude]))
+            if size > _NOISIER * others:
+                yield Reason(f'recording {number + 1} does not fit the others: the errors of '
+                             f'{channel.topic} are {size / others:.2g} times as large')
             given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
             spread = np.sqrt(2.0 * noise.overlap / max(kept.size, 1))
             if given and size ** 2 > (1.0 + _FAR * spread) * given ** 2:
@@ -368,10 +431,10 @@ def _outliers(solution: Solution) -> Iterator[Reason]:
             if np.sum(~inliers) < FEWEST:
                 continue
             together = come_together(~inliers)
-            if together or share > _SCATTERED:
+            if together or share > _MOST_OUTLIERS:
                 how = 'in clusters' if together else 'more than a sensor has'
                 yield Reason(f'{channel.topic}: {100.0 * share:.2g} % of the samples are '
-                             f'outliers, {how}', share > (_CLUSTERED if together else _SCATTERED))
+                             f'outliers, {how}', share > _MOST_OUTLIERS)
 
 
 def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.coordinates import Parameters
-from rigid_body_ros.inference.growth import lasts, misfit, screened
+from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
 from rigid_body_ros.inference.guess import davenport, guess, kabsch
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.noise import FEWEST, spread_of
@@ -89,26 +89,39 @@ class Mark(NamedTuple):
     rows: NDArray[np.intp]
 
 
-def undone(setup: Setup) -> tuple[Hypothesis | None, float]:
+def undone(few: Solution) -> tuple[Hypothesis | None, float]:
     """
     Return the fault that explains why even short windows do not fit, or None.
 
-    The second result is twice the logarithm of the likelihood ratio.
+    The second result is twice the logarithm of the likelihood ratio. The argument is the result of
+    `rough`.
     """
+    setup = few.problem.setup
     before, tried = misfit(screened(setup)), []
     for one in _faults(setup):
         try:
             after = screened(one.setup)
         except (InputError, ValueError):  # nothing is left to fit, or the motion is too fast
             continue
-        if before - misfit(after) > math.log(_MUCH if lasts(after) else _SMALLER):
+        if _is_large(one.name, after) and before - misfit(after) > math.log(
+                _MUCH if lasts(after) else _SMALLER):
             tried.append((misfit(after), one))
     if not tried:
         return None, 0.0
     least = min(size for size, _ in tried)
+    best = next(one for size, one in tried if size <= least + math.log(_ABOUT))
+    # A fit of few evaluations may have stopped too early, so fit the best fault as well as `few`.
+    if setup.parameters.size and misfit(few) - misfit(rough(best.setup)) < math.log(_SMALLER):
+        return None, 0.0
     count = min(len(one) for one in setup.channels[0])
-    return next(one for size, one in tried if size <= least + math.log(_ABOUT)), \
-        6.0 * count * (before - least)
+    return best, 6.0 * count * (before - least)
+
+
+def _is_large(name: str, solution: Solution) -> bool:
+    """Return whether a fitted clock offset or mounting is as large as its guess."""
+    value = solution.physics.values.get(name)
+    guessed = _LATE if name.startswith('clock') else _TURNED
+    return value is None or float(np.linalg.norm(value)) >= 0.5 * guessed
 
 
 def _faults(setup: Setup) -> Iterator[Hypothesis]:

@@ -28,6 +28,8 @@ from rigid_body_ros.mechanics import so3
 ALARM = 1e-4
 #: Minimum number of samples in a batch, and minimum number of outliers that can form clusters.
 FEWEST = 10
+#: Half-width of the 95 % interval of a normal variable, in standard deviations.
+NORMAL_95 = 1.959963984540054
 #: Ratio of the standard deviation of normal noise to its median absolute value.
 NORMAL = 1.4826
 #: The noise of an axis is at least this fraction of the largest noise of the three axes, and at

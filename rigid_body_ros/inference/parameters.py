@@ -33,6 +33,8 @@ class Kind(NamedTuple):
     components: tuple[str, ...]
     unit: str
     neutral: float = 0.0
+    #: Plausible deviation from the neutral value, as a fraction of the scale of the parameter.
+    plausible: float = 1.0
     #: Whether each sensor can have a separate value of this parameter.
     is_of_sensor: bool = False
 
@@ -49,20 +51,20 @@ SPACE = 'space'
 KINDS = {
     'inertia': Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
     'inertia_diagonal': Kind(tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]), 'kg m^2'),
-    'torque_gain': Kind(('torque_gain',), '', 1.0),
-    'torque_gains': Kind(_axes('torque_gains'), '', 1.0),
-    'torque_bias': Kind(_axes('torque_bias'), 'N m'),
-    'torque_delay': Kind(('torque_delay',), 's'),
-    'torque_lag': Kind(('torque_lag',), 's'),
-    WEIGHT: Kind(_axes(WEIGHT), 'kg m'),
-    'clock_offset': Kind(('clock_offset',), 's', is_of_sensor=True),
-    'clock_drift': Kind(('clock_drift',), '', is_of_sensor=True),
+    'torque_gain': Kind(('torque_gain',), '', 1.0, 0.1),
+    'torque_gains': Kind(_axes('torque_gains'), '', 1.0, 0.1),
+    'torque_bias': Kind(_axes('torque_bias'), 'N m', 0.0, 0.1),
+    'torque_delay': Kind(('torque_delay',), 's', 0.0, 0.05),
+    'torque_lag': Kind(('torque_lag',), 's', 0.0, 0.05),
+    WEIGHT: Kind(_axes(WEIGHT), 'kg m', 0.0, 0.1),
+    'clock_offset': Kind(('clock_offset',), 's', 0.0, 0.02, is_of_sensor=True),
+    'clock_drift': Kind(('clock_drift',), '', 0.0, 0.02, is_of_sensor=True),
     SPACE: Kind(_axes(SPACE), 'rad'),
-    'mount': Kind(_axes('mount'), 'rad', is_of_sensor=True),
-    'gyro_bias': Kind(_axes('gyro_bias'), 'rad/s', is_of_sensor=True),
-    'gyro_scale': Kind(_axes('gyro_scale'), '', 1.0, is_of_sensor=True),
-    'damping': Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad'),
-    'rotor_momentum': Kind(_axes('initial_rotor_momentum'), 'N m s'),
+    'mount': Kind(_axes('mount'), 'rad', 0.0, 0.05, is_of_sensor=True),
+    'gyro_bias': Kind(_axes('gyro_bias'), 'rad/s', 0.0, 0.02, is_of_sensor=True),
+    'gyro_scale': Kind(_axes('gyro_scale'), '', 1.0, 0.02, is_of_sensor=True),
+    'damping': Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad', 0.0, 0.05),
+    'rotor_momentum': Kind(_axes('initial_rotor_momentum'), 'N m s', 0.0, 0.02),
 }
 #: Largest magnitude of `torque_delay`, s. The fit does not leave these bounds.
 LONGEST_DELAY = 2.0
@@ -78,6 +80,7 @@ _EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
 #: Units, keyed by the part of a component name before the dot.
 _UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in KINDS.values()},
           'initial_attitude': 'rad', 'initial_angular_velocity': 'rad/s'}
+_PLAUSIBLE = {kind.components[0].split('.')[0]: kind.plausible for kind in KINDS.values()}
 #: Parameters that shift the stamps of samples. The shifts are rounded to whole nanoseconds.
 SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
 _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
@@ -96,6 +99,12 @@ def unit_of(component: str) -> str:
     """Return the unit of a component."""
     component = split_topic(component)[0]
     return moment_unit() if field_of(component[:-2]) else _UNITS[component.split('.')[0]]
+
+
+def plausible(component: str) -> float:
+    """Return the plausible size of a component as a fraction of its scale."""
+    kind = split_topic(component)[0].split('.')[0]
+    return _PLAUSIBLE.get(kind, 0.1)
 
 
 def split_topic(name: str) -> tuple[str, str]:

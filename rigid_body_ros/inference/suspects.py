@@ -22,13 +22,14 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json
-from rigid_body_ros.inference.coordinates import Parameters, Physics, SHORT_LAG
-from rigid_body_ros.inference.fit import LeastSquares
+from rigid_body_ros.inference.coordinates import Parameters, Physics, Prior, SHORT_LAG
+from rigid_body_ros.inference.fit import LeastSquares, Weights
 from rigid_body_ros.inference.growth import fitted
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.parameters import (
     moments_of,
     of_sensors,
+    plausible,
     SPACE,
     split_topic,
     START,
@@ -159,18 +160,25 @@ def with_suspect(solution: Solution, name: str) -> Solution:
         setup = replace(setup, parameters=Parameters(
             [group for group in groups if group != 'torque_gain'], physics,
             setup.parameters.magnitudes))  # without priors, so the prior of the gain is ignored
-    wider = replace(setup, parameters=extended(setup, physics, [name]))
+    parameters = extended(setup, physics, [name])
+    own = [i for i, one in enumerate(parameters.names) if one not in setup.parameters.names]
+    values = parameters.values(Physics(physics.inertia, physics.damping))
+    parameters = parameters.with_priors({**parameters.priors, **{
+        parameters.names[i]: Prior(float(values[i]), plausible(parameters.names[i])
+                                   * float(parameters.scales[i])) for i in own}})
+    wider = replace(setup, parameters=parameters)
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
     start = replace(solution, problem=problem, physics=wider.parameters.guess)
     return fitted(start, solution.length_ns, _TOLERANCE, _MOST, is_last=True)
 
 
-def sum_of_squares(solution: Solution) -> float:
-    """Return the sum of squares of all fit errors, each divided by its standard deviation."""
-    problem = solution.problem
-    return sum(float(np.sum(problem.scaled_errors(k, solution.physics) ** 2))
-               for k in range(len(problem.windows)))
+def sum_of_squares(solution: Solution, weights: Weights) -> float:
+    """Return the sum of squares of errors and of priors, each divided by its deviation."""
+    problem = solution.problem.weighted(weights)
+    errors = [problem.scaled_errors(k, solution.physics) for k in range(len(problem.windows))]
+    return float(sum(np.sum(one ** 2) for one in (
+        problem.parameters.surprise(solution.physics), *errors)))
 
 
 def value_of(solution: Solution, name: str) -> list[float]:

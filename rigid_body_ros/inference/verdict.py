@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from rigid_body_ros.inference.findings import (
     LARGE,
     probability,
 )
+from rigid_body_ros.inference.misfit import persistence
 from rigid_body_ros.inference.noise import ALARM
 from rigid_body_ros.inference.parameters import KINDS, split_topic, START
 from rigid_body_ros.inference.solution import Solution
@@ -43,17 +45,14 @@ from rigid_body_ros.inference.suspects import (
 )
 from rigid_body_ros.recording.measured import Measured
 
-#: Default of `accept`, the largest acceptable systematic error of an estimate relative to its
-#: scale.
-ACCEPT = 0.05
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
 _MEANINGS = {
     EXPLAINED: 'no test rejects the model',
-    APPROXIMATE: 'the model lacks something',
+    APPROXIMATE: 'the model is a little wrong',
     REJECTED: 'the model does not explain the measurements'}
 #: What the verdict means for estimates.
 _CONSEQUENCES = {
-    EXPLAINED: '', APPROXIMATE: '; the intervals are wider to cover its effect',
+    EXPLAINED: '', APPROXIMATE: '; the intervals cover the effect',
     REJECTED: '; do not use the estimates'}
 #: Maximum number of suspects to fit, and maximum number of suspects to list.
 _TRIED, _LISTED = 5, 3
@@ -61,6 +60,8 @@ _TRIED, _LISTED = 5, 3
 #: if its drop is at least `_ALIKE` times the drop of the best suspect. A suspect adds to the
 #: systematic part of the intervals if its drop is at least `_COUNTS` times the largest drop.
 _ALIKE, _COUNTS = 0.98, 0.1
+#: Errors are white if so many samples, or fewer, tell as much as one.
+_WHITE = 2.0
 
 
 @dataclass(frozen=True)
@@ -88,10 +89,16 @@ class Verdict:
         """Return whether there is no reason against the model."""
         return self.level == EXPLAINED
 
-    def with_reasons(self, texts: Sequence[str]) -> Verdict:
+    def with_reasons(self, texts: Sequence[str], rejects: bool = False) -> Verdict:
         """Return the verdict with more reasons; a model with reasons is at most approximate."""
-        level = APPROXIMATE if texts and self.is_consistent else self.level
+        level = REJECTED if texts and rejects else \
+            APPROXIMATE if texts and self.is_consistent else self.level
         return replace(self, level=level, reasons=[*self.reasons, *texts])
+
+    @property
+    def summary(self) -> list[str]:
+        """Return the level with its meaning and the first reason, as parts of a sentence."""
+        return [f'{self.level}: {_MEANINGS[self.level]}', *self.reasons[:1]]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict under the names used in the JSON file."""
@@ -125,32 +132,34 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     from scipy.special import chdtrc
     solution, result = findings.solution, []
     setup = solution.problem.setup
-    names = [one.name for one in findings.suspects if not one.text][:_TRIED]
+    chances = {one.name: one.p for one in findings.suspects if not one.text}
+    names = [*chances][:_TRIED]
     is_bad_fit = findings.reasons and not any(one.text and one.name != INERTIA_CHANGE
                                               for one in findings.suspects)
     if is_bad_fit and 'inertia' in candidates(setup) and 'inertia' not in names:
         names.append('inertia')  # always try it: the guess may be too poor for a score test
     if not names:
         return []
-    before = sum_of_squares(replace(solution, problem=solution.problem.weighted(
-        solution.weights)))
+    before = sum_of_squares(solution, solution.weights)
     for name in names:
         try:
-            fit = with_suspect(solution, name)
+            fit = with_suspect(findings.sharp, name)
         except ValueError:  # the motion of this fit cannot be computed
             continue
-        drop, value = max(before - sum_of_squares(fit), 0.0), value_of(fit, name)
+        drop = max(before - sum_of_squares(fit, solution.weights), 0.0)
+        value = value_of(fit, name)
         p = float(chdtrc(len(value), drop))
-        if p < ALARM:  # check again: the score test is linear and may have predicted too much
+        # Check again: the score test is linear and may have predicted too much. A suspect that
+        # makes the errors white is named, even if they last too long for a test without it.
+        if p < ALARM or max(chain(*persistence(fit))) < _WHITE:
             validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
-            result.append((Suspect(name, drop, p, value, command=command_with(setup, name),
-                                   validation_chi2_per_dof=validation), fit))
+            result.append((Suspect(name, drop, min(p, chances.get(name, p)), value, '',
+                                   command_with(setup, name), validation), fit))
     return result
 
 
 def with_intervals(findings: Findings, attempts: Sequence[Suspect],
-                   moved: Sequence[Mapping[str, float]], scales: Mapping[str, float],
-                   accept: float) -> tuple[Verdict, dict[str, float]]:
+                   moved: Sequence[Mapping[str, float]]) -> tuple[Verdict, dict[str, float]]:
     """
     Return the verdict and, for each estimate, the systematic part of its interval.
 
@@ -162,10 +171,6 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
         The suspects that were fitted.
     moved : sequence of dict of str to float
         For each suspect, how much each estimate changes if the suspect is fitted as well.
-    scales : dict of str to float
-        The scales of the estimates.
-    accept : float
-        Largest systematic error to accept in an estimate, as for `identify`.
 
     """
     suspects = _ranked(findings, attempts)[:_LISTED]
@@ -174,14 +179,11 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
     best = max((one.chi2_drop for one in attempts), default=0.0)
     counted = [move for suspect, move in zip(attempts, moved)
                if suspect.chi2_drop >= _COUNTS * best]
-    systematic = {name: float(np.sqrt(np.nansum(np.square(
-        [findings.drift.get(name, 0.0), *(move[name] for move in counted)])))) for name in scales}
-    mean = float(np.trace(findings.solution.physics.inertia)) / 3.0
-    too_far = [name for name, part in systematic.items()
-               if part > accept * (mean if name.startswith('inertia') else scales[name])]
-    texts = [f'what the model lacks moves {listed(too_far)} by more than the accepted '
-             f'{accept:g}'] if too_far else []
-    return _judged(findings, suspects, bool(too_far), texts), systematic
+    parts = [findings.drift, *counted]
+    systematic = {name: float(np.sqrt(np.nansum([one.get(name, 0.0) ** 2 for one in parts])))
+                  for name in dict.fromkeys(name for one in parts for name in one)}
+    is_rejected = not attempts and any(one.is_contradiction for one in findings.reasons)
+    return _judged(findings, suspects, is_rejected), systematic
 
 
 def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
@@ -224,16 +226,15 @@ def scored(findings: Findings, command: Callable[[str], str]) -> Verdict:
                    best > LARGE * findings.solution.count)
 
 
-def _judged(findings: Findings, suspects: list[Suspect], is_rejected: bool,
-            more: Sequence[str] = ()) -> Verdict:
-    """Return the verdict that follows from the findings, with `more` reasons at the end."""
+def _judged(findings: Findings, suspects: list[Suspect], is_rejected: bool) -> Verdict:
+    """Return the verdict that follows from the findings."""
     if not findings.reasons and not suspects:
         return Verdict(EXPLAINED, [], [])
     texts = [reason.text for reason in findings.reasons]
     if suspects and suspects[0].text not in texts:
         texts.append(_words(suspects))
     rejects = is_rejected or any(reason.rejects for reason in findings.reasons)
-    return Verdict(REJECTED if rejects else APPROXIMATE, [*texts, *more], suspects)
+    return Verdict(REJECTED if rejects else APPROXIMATE, texts, suspects)
 
 
 def _advised(suspect: Suspect, command: Callable[[str], str]) -> Suspect:

@@ -1,0 +1,153 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Assess a model that is a little wrong, as that of every real robot.
+
+What such a model leaves unexplained is no noise: its errors last. Estimates are therefore less
+certain than the number of samples suggests. Several recordings tell best how certain they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.errors import correlations
+from rigid_body_ros.inference.evidence import linear, widened
+from rigid_body_ros.inference.noise import batches_of, Noise, NORMAL_95
+from rigid_body_ros.inference.solution import Solution
+from rigid_body_ros.inference.suspects import extended
+
+#: At least one in so many independent errors counts as a degree of freedom that is left.
+_FEW = 4.0
+#: Numbers of parts of a recording whose means are compared.
+_BATCHES = 8, 16, 32, 64
+#: Minimum number of recordings whose scatter says how certain an estimate is.
+_RECORDINGS = 3
+#: A recording does not fit the others if it differs by more than this many times what the others
+#: scatter. A recording is held by this part of the mean information.
+_APART, _HELD = 6.0, 0.05
+#: Probability below the upper end of a 95 % interval.
+_QUANTILE = 0.975
+
+
+def with_persistence(solution: Solution, found: list[list[Noise]]) -> Solution:
+    """
+    Return a fit whose weights account for the correlation of the errors, however long it lasts.
+
+    If errors are independent only n samples apart, n samples tell as much as one. The number of
+    unknowns is subtracted from the number of independent errors.
+    """
+    times = persistence(solution)
+    effective = sum(3.0 * float(inliers.sum()) / time for every, kept in zip(
+        times, solution.inliers) for time, inliers in zip(every, kept))
+    free = max(effective - solution.problem.size, effective / _FEW)
+    share = effective / free * _student(free) ** 2
+    spreads = [[spread * max(np.sqrt(time * share) / noise.lasting, 1.0)
+                for spread, time, noise in zip(*every)]
+               for every in zip(solution.weights.spreads, times, found)]
+    weights = replace(solution.weights, spreads=spreads)
+    return replace(solution, weights=weights, problem=solution.problem.weighted(weights))
+
+
+def persistence(solution: Solution) -> list[list[float]]:
+    """Return how many samples tell as much as one, for each channel of each recording."""
+    return [[_persistence(*pair) for pair in zip(*every)]
+            for every in zip(solution.errors, solution.inliers)]
+
+
+def _student(freedom: float) -> float:
+    """Return the 95 % quantile of Student's distribution divided by that of the normal one."""
+    from scipy.special import stdtrit
+    return float(stdtrit(max(freedom, 1.0), _QUANTILE)) / NORMAL_95
+
+
+def _persistence(errors: Floats, inliers: NDArray[np.bool_]) -> float:
+    """
+    Return how many samples tell as much as one sample with an independent error.
+
+    This is the sum of the autocorrelation up to its first zero. Noise hides a small error that
+    lasts from this sum, but not from the scatter of the means of many samples.
+    """
+    kept = inliers & np.isfinite(errors[:, 0])
+    errors = np.where(kept[:, None], errors, 0.0)
+    found = correlations(errors, kept).mean(axis=1)
+    ends = np.flatnonzero(found <= 0.0)
+    times = [float(1.0 + 2.0 * np.sum(found[1:ends[0] if len(ends) else None]))]
+    for count in _BATCHES:
+        means, squares = batches_of(errors, max(len(errors) // count, 1))
+        times.append(float(means.sum() / max(squares.sum(), 1e-300)))
+    return max(times)
+
+
+def unexplained(solution: Solution) -> Iterator[tuple[str, float]]:
+    """
+    Generate what the model leaves unexplained of each quantity, as text and as a number.
+
+    For an angular velocity, this is the rms error relative to the rms of the measurement; for an
+    attitude, the rms error, rad.
+    """
+    parts: dict[tuple[str, bool], list[tuple[Floats, Floats]]] = {}
+    for every in zip(solution.problem.setup.channels, solution.errors, solution.inliers):
+        for channel, errors, inliers in zip(*every):
+            kept = inliers & np.isfinite(errors[:, 0])
+            parts.setdefault((channel.topic, channel.is_attitude), []).append(
+                (errors[kept], channel.values))
+    for (topic, is_attitude), pairs in parts.items():
+        size, whole = (_rms(np.concatenate(each)) for each in zip(*pairs))
+        part = size if is_attitude else size / max(whole, 1e-12)
+        what = f'{part:.2g} rad of the attitude' if is_attitude else \
+            f'{100.0 * part:.2g} % of the angular velocity'
+        yield f'{topic}: the model leaves {what} unexplained (rms)', part
+
+
+def _rms(vectors: Floats) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors ** 2, axis=1)))) if len(vectors) else 0.0
+
+
+def scattered(solution: Solution) -> tuple[list[str], dict[str, float]]:
+    """
+    Return how certain the estimates are, judged by the scatter between the recordings.
+
+    The first result names the recordings that do not fit the others. The second result holds a
+    standard deviation for each shared component: that of a normal variable with the same 95 %
+    interval as Student's distribution for that many recordings. Both are empty if there are fewer
+    than three recordings.
+
+    From the joint estimates, each recording alone would move by -A^-1 g, where A is its
+    information matrix and g its gradient (a Gauss-Newton step). What a recording hardly determines
+    is held by a small part of the information of all. All recordings count alike, because one that
+    disagrees only seems to be noisy.
+    """
+    setup = solution.problem.setup
+    count, size = len(setup.problems), setup.parameters.size
+    if count < _RECORDINGS or not size:
+        return [], {}
+    problem = widened(solution, extended(setup, solution.physics, []))
+    given = linear(problem)
+    matrices, gradients = np.zeros((count, size, size)), np.zeros((count, size, 1))
+    for window, block in zip(problem.windows, given.blocks):
+        matrices[window.experiment] += block[:, :-1].T @ block[:, :-1]
+        gradients[window.experiment] += block[:, :-1].T @ block[:, -1:]
+    squares = np.linalg.solve(matrices + _HELD * matrices.mean(axis=0), gradients)[:, :, 0] ** 2
+    sizes = _student(count - 1) * np.sqrt(squares.sum(axis=0) / (count * (count - 1)))
+    others = (squares.sum(axis=0) - squares) / (count - 1)
+    ratios = np.sqrt(np.max(squares / np.maximum(others, 1e-300), axis=1))
+    texts = [f'recording {k + 1} does not fit the others: alone, it differs {ratios[k]:.2g} '
+             'times as much as they do' for k in np.flatnonzero(ratios > _APART)]
+    return texts, dict(zip(given.names, (sizes * problem.parameters.scales).tolist()))
