@@ -132,7 +132,7 @@ class Findings:
         What explains a significant part of the errors according to score tests, best first.
     drift : dict of str to float
         For each component, the difference between the estimates from the first and second halves
-        of the recordings, or 0 if this difference is not significant.
+        of the recordings, or 0 if it is smaller than its standard deviation.
     noises : list of list of Noise
         The noise of each channel of each recording. Empty if all errors are rounding errors.
     predictable_s : float or None, s
@@ -378,10 +378,9 @@ def _halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
     (early, early_sigma), (late, late_sigma) = (solved(half, errors)
                                                 for half in (matrix - second, second))
     apart, sigma = np.abs(early - late), np.hypot(early_sigma, late_sigma)
-    # The fit lies between the halves, so it may be off by half of a difference that is visible,
-    # and more if the difference is significant.
-    shares = np.select([apart > 2.0 * sigma, apart > sigma], [1.0, 0.5], 0.0)
-    drift = dict(zip(given.names, (shares * np.nan_to_num(apart) * scales).tolist()))
+    # A difference that is visible, if not significant, tells how far the fit may be off.
+    drift = dict(zip(given.names, np.where(apart > sigma, np.nan_to_num(apart) * scales,
+                                           0.0).tolist()))
     if p >= ALARM:
         return [], drift
     return [Reason(f'{_HALVES} of the recording give different values ({probability(p)})')], drift
