@@ -13,8 +13,9 @@
 # limitations under the License.
 
 """
-Measure how often you can trust the verdict of `identify`, for 20 correct and 40 incorrect models.
+Measure how often you can trust the verdict of `identify`.
 
+There are 20 kinds of correct models, 40 of incorrect models, and 10 that are a little wrong.
 Run `python benchmarks/campaign.py [--seeds N] [--levels 0.1,1,10] [--kind NAME]`. It prints one
 line for each recording of `simulated.py`, which shares no code with the package, and then the
 tables of `docs/campaign.md`.
@@ -71,7 +72,7 @@ class Outcome(NamedTuple):
     suspects: list
     reasons: list
     seconds: float
-    #: The half-widths of the intervals divided by the true errors, and by the true values.
+    #: The half-widths of the intervals divided by the true errors.
     widths: list
 
     @property

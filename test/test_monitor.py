@@ -152,13 +152,16 @@ def test_a_message_of_a_window_that_was_judged_is_rejected():
 @pytest.mark.slow
 def test_memory_is_bounded():
     monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=1.0))
-    sizes = []
+    sizes, aside = [], []
     for message in sorted(messages(180), key=lambda message: message[0]):
         put(monitor, *message)
         [*monitor.judgements()]
         rows = (*monitor._torques.values(), *monitor._sensors.values())
         sizes.append(sum(len(each._all()[0]) for each in rows))
+        aside.append(sum(len(stamps_ns) for each in rows for stamps_ns, _ in each._aside))
     assert max(sizes[-6000:]) <= max(sizes[:6000])
+    per_second = campaign.TORQUE_HZ + campaign.MOCAP_HZ + campaign.GYRO_HZ
+    assert max(aside) == max(aside[-6000:]) == 120 * per_second
 
 
 @pytest.mark.slow

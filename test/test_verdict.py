@@ -21,9 +21,20 @@ from campaign import fit, TRUE
 from conftest import at_night
 import numpy as np
 import pytest
-from rigid_body_ros import Experiment, identify, Measured, RigidBody, State, TorqueLog
+from rigid_body_ros import (
+    Experiment,
+    identify,
+    Measured,
+    Problem,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
+from rigid_body_ros.identification.result import Estimate, too_wide
 from rigid_body_ros.inference import misfit
 from rigid_body_ros.inference.noise import noise_of
+from rigid_body_ros.recording.observed import Measurements
 from scipy.signal import lfilter
 from scipy.special import stdtrit
 from simulated import named, recordings
@@ -251,3 +262,29 @@ def test_a_fit_that_is_not_as_certain_as_accepted_is_rejected():
     assert verdict.level == 'rejected'
     assert 'inertia.ixx: the interval is wider than the accepted 1e-06' in verdict.reasons
     assert fit(kind, recording, accept=0.05).verdict.level == 'explained'
+
+
+def test_an_interval_of_a_moment_may_not_contain_zero():
+    unknown = [Estimate(f'inertia.i{axis}{axis}', 'kg m^2', 1.0, 1.0, np.inf, False)
+               for axis in 'xyz']
+    product = Estimate('inertia.ixy', 'kg m^2', 1e-3, 0.0, 0.1, True)
+    assert too_wide([*unknown, product], {}, None) == []
+    assert too_wide([*unknown, product], {}, 0.1) == [
+        'inertia.ixy: the interval is wider than the accepted 0.1']
+    for sigma, texts in ((0.5, []), (0.52, ['inertia.ixx: the interval contains 0'])):
+        known = replace(unknown[0], sigma=sigma, identifiable=True)
+        assert too_wide([known, *unknown[1:]], {}, None) == texts
+
+
+@pytest.mark.slow
+def test_a_suspect_beside_the_moment_of_a_field_is_fitted():
+    kind = replace(named('torque bias'), seconds=12.0)
+    one, = recordings(kind, [0])
+    pivot = UniformField((1e-6, 0.0, 0.0), (0.0, 0.0, -9.8), 'pivot')
+    problem = Problem(RigidBody.from_moments(0.03, 0.03, 0.03), State(0, *one.start),
+                      TorqueLog(one.torque_ns, one.torques), fields=[pivot])
+    measured = Measurements([Measured('/mocap', one.attitude_ns, one.attitude, None),
+                             Measured('/imu', one.rate_ns, None, one.rates)])
+    result = identify(problem.body, (problem, measured),
+                      estimate=['inertia', 'start', 'pivot.moment'])
+    assert 'torque_bias' in {one.name for one in result.verdict.suspects}

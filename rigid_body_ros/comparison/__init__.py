@@ -17,8 +17,8 @@ Compare measured motions with a propagated or recorded motion.
 
 `comparison` aligns the measurements, computes their errors, and judges the model, all with the
 fits of `inference`. `predictable` estimates for how long a motion can be predicted at all. Later
-errors say nothing about the model. `result` is what a comparison found, with its text, and `page`
-makes the page and the picture.
+errors say nothing about the model. `result` is what a comparison found, with its text, and
+`report` prepares its page and its picture.
 """
 
 from rigid_body_ros.comparison.comparison import compare

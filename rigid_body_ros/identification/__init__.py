@@ -17,7 +17,7 @@ Identify the parameters of a body from measurements.
 
 The entry point is `identify`, in `estimation`, which fits with `inference`. It returns an
 `Identification`, which is defined in `result`. The command `attitude_identify` uses `recorded` to
-read and write files, and `page` to report the result.
+read and write files, and `report` to report the result.
 """
 
 from rigid_body_ros.identification.estimation import Experiment, identify

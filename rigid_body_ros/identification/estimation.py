@@ -202,8 +202,8 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     """
     Assemble the result of a fit.
 
-    The argument `every` holds all samples, or is empty if there is no validation. If there are any
-    faults of the samples, no suspects are named.
+    The argument `every` holds all samples, or is empty if there is no validation. Unless the
+    recordings are whole, no suspects are named.
     """
     solution = findings.solution
     setup, physics = solution.problem.setup, solution.physics

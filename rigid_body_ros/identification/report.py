@@ -71,9 +71,9 @@ def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
     return Report(f'{name}: estimated parameters', fit.headline, story,
                   [*map(in_degrees, panels)] if degrees else panels, _body(fit), scene.warnings,
                   table=table(header, estimated),
-                  picture=matrix.picture('correlation of the estimates (orange: positive, blue: '
-                                         'negative)', [*fit.estimates],
-                                         fit.correlation) if fit.estimates else '',
+                  matrix=matrix.picture('correlation of the estimates (orange: positive, blue: '
+                                        'negative)', [*fit.estimates],
+                                        fit.correlation) if fit.estimates else '',
                   scene=scene, command=command)
 
 

@@ -106,20 +106,21 @@ def too_wide(estimates: Iterable[Estimate], scales: Mapping[str, float],
     """
     Return a reason against the fit for each interval that is too wide to be of use.
 
-    The half-width of an interval is relative to its scale; that of an inertia, to the mean moment.
-    Without a limit to `accept`, only a moment of inertia that may be zero is too uncertain.
+    An interval is too wide if its half-width exceeds `accept` times the scale of the estimate, or
+    the mean moment for an inertia. The interval of a moment of inertia must not contain 0.
     """
-    found = {one.name: one for one in estimates if one.interval_95}
-    moments = [found[name].value for name in _MOMENTS if name in found]
+    found = {one.name: one for one in estimates}
+    mean = sum(found[name].value for name in _MOMENTS if name in found) / len(_MOMENTS)
     texts = []
     for name, one in found.items():
-        assert one.interval_95
-        half = 0.5 * (one.interval_95[1] - one.interval_95[0])
-        scale = sum(moments) / len(moments) if name.startswith('inertia') else scales[name]
+        half = NORMAL_95 * one.uncertainty
+        scale = mean if name.startswith('inertia') else scales[name]
+        if not one.identifiable:
+            continue
         if accept is not None and half > accept * scale:
             texts.append(f'{name}: the interval is wider than the accepted {accept:g}')
         elif name in _MOMENTS and half >= one.value:
-            texts.append(f'{name}: the interval says nothing')
+            texts.append(f'{name}: the interval contains 0')
     return texts
 
 
@@ -260,10 +261,10 @@ class Identification:
         said = [f'I{one.name[-2:]} = {rounded(one.value, one.uncertainty)} {one.unit} within '
                 f'{100.0 * NORMAL_95 * one.uncertainty / one.value:.2g} %'
                 for one in known if one.identifiable]
-        count = len(self.starts)
-        several = [f'from {count} recordings'] if count > 1 else []
-        usable = [*said, *several] if self.verdict.level != REJECTED else []
-        return '; '.join([', '.join(usable), *self.verdict.summary]).lstrip('; ')
+        if len(self.starts) > 1:
+            said.append(f'from {len(self.starts)} recordings')
+        is_usable = known and self.verdict.level != REJECTED
+        return '; '.join([*([', '.join(said)] if is_usable else []), *self.verdict.summary])
 
     @property
     def noise(self) -> dict[str, float]:
@@ -334,7 +335,7 @@ class Identification:
         if self.predictable_s is not None:
             yield 'predictable', f'for {self.predictable_s:.4g} s from the start; later errors ' \
                                  'say nothing about the model'
-        if self.disturbance and not self.verdict.is_consistent:
+        if not self.verdict.is_consistent and self.disturbance:
             yield 'disturbance', f'a torque of {self.disturbance:.2g} N m (rms) would explain ' \
                                  'what is left'
         if self.is_flat:

@@ -23,9 +23,10 @@ and divides recordings into `windows`. `fit` is the least-squares problem of som
 clocks, mountings and the start.
 
 After a fit, `errors` holds what is left and `certainty` what the data does not determine.
-`evidence` linearizes the fit, with its `noise`, and `findings` tests the errors. `hypotheses`
-undoes faults of a recording, `suspects` are parameters that were not estimated, and `verdict` says
-whether the model explains the measurements.
+`evidence` linearizes the fit, with its `noise`. `findings` judges the errors: `reasons` tests
+them, `hypotheses` undoes faults of a recording, and `suspects` are parameters that were not
+estimated. `misfit` assesses a model that is a little wrong, and `verdict` says whether the model
+explains the measurements.
 
 `residual_torque` is the torque that a model lacks. `horizons` restarts a motion from measured
 states, and `monitor`, with `window_error` and `alarms`, does so while messages arrive.

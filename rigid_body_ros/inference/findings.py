@@ -23,10 +23,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import Residuals
 from rigid_body_ros.inference.evidence import (
@@ -36,7 +34,6 @@ from rigid_body_ros.inference.evidence import (
     Linearized,
     noises,
     solved,
-    split_channels,
     weighted,
     widened,
     with_noise,
@@ -54,13 +51,18 @@ from rigid_body_ros.inference.hypotheses import marks, undone
 from rigid_body_ros.inference.misfit import scattered, unexplained, with_persistence
 from rigid_body_ros.inference.noise import (
     ALARM,
-    batches_of,
-    chance,
-    come_together,
     FEWEST,
     Noise,
 )
 from rigid_body_ros.inference.parameters import components_of, plausible
+from rigid_body_ros.inference.reasons import (
+    halves,
+    of_correlation,
+    of_noise,
+    of_outliers,
+    probability,
+    Reason,
+)
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import candidates, extended, Suspect
@@ -70,16 +72,6 @@ from rigid_body_ros.recording.measured import Measured
 #: Minimum number of windows in the search for a sudden change in the inertia. The search tests,
 #: for each window, whether the inertia changes at the beginning of the window.
 _PIECES = 16
-#: Errors are averaged over batches of this length, in seconds, to find errors that persist.
-_BATCH = 1.0
-#: A normal variable exceeds its mean by more than this many standard deviations with probability
-#: 1e-4.
-_FAR = 3.72
-#: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s and as a fraction
-#: of the measured rates.
-_NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
-#: The errors of a recording may be this many times as large as those of most others.
-_NOISIER = 4.0
 #: Errors smaller than this limit count as rounding errors. The unit is rad for attitudes and rad/s
 #: for angular velocities. If the typical rate is above 1 rad/s, the limit for angular velocities
 #: is multiplied by this rate.
@@ -92,8 +84,6 @@ LARGE = 0.5
 _VISIBLE = 0.3
 #: Starts that differ by less than this, rad or relative to the rate, count as equal.
 _SAME_START = 1e-7
-#: Largest plausible fraction of outliers among the samples of a sensor.
-_MOST_OUTLIERS = 0.3
 #: A change in the inertia is suspected only if the fractions of outliers before and after the
 #: change differ by at least this much, and not in this fraction of the samples at either end.
 _APART, _EDGE = 0.4, 0.1
@@ -101,18 +91,8 @@ INERTIA_CHANGE = 'inertia_change'
 #: A model that leaves more than this of a channel unexplained, rad or relative to the rates, is
 #: rejected.
 _MISFIT = 0.1
-_HALVES = 'the two halves'
 #: Number of suspects that are fitted because they would explain much if the errors did not last.
 _SHARP = 2
-
-
-class Reason(NamedTuple):
-    """A reason against a model, and whether this reason alone is enough to reject the model."""
-
-    text: str
-    rejects: bool = False
-    #: Whether the reason rejects the model unless a suspect explains it.
-    is_contradiction: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +181,9 @@ def examined(solution: Solution) -> Findings:
     # If nothing is fitted, what explains much of the other errors also explains the outliers.
     elif known or all(one.chi2_drop <= LARGE * solution.count for one in suspects):
         suspects += _largest([*_changes(solution), *_breaks(solution)])
-    reasons, drift = _halves(solution)
-    reasons += [*_noise(solution, found), *_outliers(solution), *_correlated(solution, found)]
+    reasons, drift = halves(solution)
+    reasons += [*of_noise(solution, found), *of_outliers(solution),
+                *of_correlation(solution, found)]
     result = Findings(solution, solution, reasons, _significant(suspects), drift, found)
     return _doubted(result, problem, names) if known and (reasons or result.suspects) else result
 
@@ -226,10 +207,10 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
     found = {one.name for one in blunt}
     suspects = _significant([*_marks(solution), *blunt, *_largest(
         [*_changes(solution), *_breaks(solution)])])
-    contradictions, drift = _halves(solution)
+    contradictions, drift = halves(solution)
     reasons = [*(Reason(text, part > _MISFIT) for text, part in unexplained(solution)),
-               *(one._replace(is_contradiction=True) for one in contradictions),
-               *(one for one in findings.reasons if not one.text.startswith(_HALVES))]
+               *contradictions,
+               *(one for one in findings.reasons if not one.is_contradiction)]
     texts, scatter = scattered(solution)
     return replace(findings, solution=solution, drift=drift, scatter=scatter,
                    reasons=[*reasons, *map(Reason, texts)],
@@ -355,118 +336,6 @@ def _change(drop: float, p: float, seconds: float) -> Suspect:
     """Return a change in the inertia at a time since the start, s."""
     return Suspect(INERTIA_CHANGE, drop, p, [seconds],
                    f'the inertia changes about {seconds:.4g} s after the start')
-
-
-def _halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
-    """
-    Compare the estimates from the first and the second halves of the recordings.
-
-    Return a list of reasons, which is empty if the estimates agree, and `Findings.drift`.
-    """
-    from scipy.special import chdtrc
-    setup = solution.problem.setup
-    if not setup.parameters.size:
-        return [], {}
-    problem = widened(solution, extended(setup, solution.physics, []), 2)
-    given, scales = linear(problem), problem.parameters.scales
-    matrix, errors = given.stacked()
-    if len({*given.is_late}) < 2:
-        return [], {}
-    second = given.split([*range(matrix.shape[1])], given.is_late)
-    drop, rank = explained(second, matrix, errors)
-    p = float(chdtrc(rank, drop)) if rank else 1.0
-    (early, early_sigma), (late, late_sigma) = (solved(half, errors)
-                                                for half in (matrix - second, second))
-    apart, sigma = np.abs(early - late), np.hypot(early_sigma, late_sigma)
-    # A difference that is visible, if not significant, tells how far the fit may be off.
-    drift = dict(zip(given.names, np.where(apart > sigma, np.nan_to_num(apart) * scales,
-                                           0.0).tolist()))
-    if p >= ALARM:
-        return [], drift
-    return [Reason(f'{_HALVES} of the recording give different values ({probability(p)})')], drift
-
-
-def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
-    """
-    Generate a reason against the model for each channel whose noise is too large.
-
-    Noise is too large if no sensor is plausibly that noisy, or if it exceeds the noise that the
-    user gave, or that of most other recordings.
-    """
-    setup = solution.problem.setup
-    levels: dict[tuple[str, bool], list[float]] = {}
-    for channels, sigma in zip(setup.channels, solution.weights.sigma):
-        for channel, level in zip(channels, sigma):
-            levels.setdefault((channel.topic, channel.is_attitude), []).append(level)
-    for number, channels in enumerate(setup.channels):
-        for channel, errors, inliers, noise in zip(channels, solution.errors[number],
-                                                   solution.inliers[number], found[number]):
-            kept = errors[inliers & np.isfinite(errors[:, 0])]
-            size = float(np.sqrt(np.mean(kept ** 2))) if len(kept) else 0.0
-            if channel.is_attitude:
-                if size > _NOISIEST_ATTITUDE:
-                    yield Reason(f'{channel.topic}: attitude errors of {size:.2g} rad are not the '
-                                 'noise of a sensor', True)
-            elif size > _NOISIEST_RATE and size > _NOISIEST_PART * float(
-                    np.sqrt(np.mean(channel.values ** 2))):
-                yield Reason(f'{channel.topic}: errors of {size:.2g} rad/s are not the noise of a '
-                             'gyro', True)
-            others = float(np.median(levels[channel.topic, channel.is_attitude]))
-            if size > _NOISIER * others:
-                yield Reason(f'recording {number + 1} does not fit the others: the errors of '
-                             f'{channel.topic} are {size / others:.2g} times as large')
-            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            spread = np.sqrt(2.0 * noise.overlap / max(kept.size, 1))
-            if given and size ** 2 > (1.0 + _FAR * spread) * given ** 2:
-                yield Reason(f'{channel.topic}: errors of {size:.2g} exceed the given noise of '
-                             f'{given:.2g}')
-
-
-def _outliers(solution: Solution) -> Iterator[Reason]:
-    """Generate a reason against the model for each channel with clustered or too many outliers."""
-    for number, channels in enumerate(solution.problem.setup.channels):
-        for channel, inliers in zip(channels, solution.inliers[number]):
-            share = float(np.mean(~inliers))
-            if np.sum(~inliers) < FEWEST:
-                continue
-            together = come_together(~inliers)
-            if together or share > _MOST_OUTLIERS:
-                how = 'in clusters' if together else 'more than a sensor has'
-                yield Reason(f'{channel.topic}: {100.0 * share:.2g} % of the samples are '
-                             f'outliers, {how}', share > _MOST_OUTLIERS)
-
-
-def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
-    """
-    Generate a reason against the model for each channel with errors that persist.
-
-    Such errors stay correlated for longer than the noise of the channel explains.
-    """
-    problem = solution.problem
-    sums: dict[tuple[int, int], list[Floats]] = {}
-    for k, window in enumerate(problem.windows):
-        for channel, errors in split_channels(problem, k,
-                                              problem.scaled_errors(k, solution.physics)):
-            noise = found[window.experiment][channel]
-            left = noise.innovations(errors)
-            stamps_ns = window.channels[channel].stamps_ns
-            spacing = max(float(np.median(np.diff(stamps_ns))) * 1e-9, 1e-9) \
-                if len(stamps_ns) > 1 else 1.0
-            size = max(FEWEST, round(_BATCH / spacing))
-            if len(left) >= size:
-                sums.setdefault((window.experiment, channel), []).append(batches_of(left, size))
-    for (number, channel), parts in sums.items():
-        p = chance(found[number][channel], np.concatenate(parts, axis=1))
-        if p < ALARM:
-            one = problem.setup.channels[number][channel]
-            what = 'attitude' if one.is_attitude else 'angular velocity'
-            yield Reason(f'{one.topic}: errors of the {what} last for a second or more '
-                         f'({probability(p)})')
-
-
-def probability(p: float) -> str:
-    """Format a probability as text."""
-    return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
 
 
 def _validation(findings: Findings, every: Sequence[Sequence[Measured]],

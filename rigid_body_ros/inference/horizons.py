@@ -144,7 +144,7 @@ def _error(problem: Problem, sensor: Measured, start: State, row: int) -> float:
 
 def _restarted(problem: Problem, sensor: Measured, first: NDArray[np.int64],
                last: NDArray[np.int64], until_ns: NDArray[np.int64]) -> list[State]:
-    """Fit motions to a few samples from each of the first ones, and return their states there."""
+    """For each window, fit a motion to its first few samples, and return the state at `first`."""
     counts = np.searchsorted(sensor.stamps_ns, until_ns, 'right') - first
     counts = np.minimum(np.clip(counts, 2, _SAMPLES), last - first + 1)
     momenta = problem.rotor_momentum(sensor.stamps_ns[first])

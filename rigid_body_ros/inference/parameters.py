@@ -103,8 +103,9 @@ def unit_of(component: str) -> str:
 
 def plausible(component: str) -> float:
     """Return the plausible size of a component as a fraction of its scale."""
-    kind = split_topic(component)[0].split('.')[0]
-    return _PLAUSIBLE.get(kind, 0.1)
+    component = split_topic(component)[0]
+    return KINDS[WEIGHT].plausible if field_of(component[:-2]) else \
+        _PLAUSIBLE[component.split('.')[0]]
 
 
 def split_topic(name: str) -> tuple[str, str]:

@@ -162,10 +162,10 @@ def with_suspect(solution: Solution, name: str) -> Solution:
             setup.parameters.magnitudes))  # without priors, so the prior of the gain is ignored
     parameters = extended(setup, physics, [name])
     own = [i for i, one in enumerate(parameters.names) if one not in setup.parameters.names]
-    values = parameters.values(Physics(physics.inertia, physics.damping))
+    values, scales = parameters.values(parameters.guess), parameters.scales
     parameters = parameters.with_priors({**parameters.priors, **{
         parameters.names[i]: Prior(float(values[i]), plausible(parameters.names[i])
-                                   * float(parameters.scales[i])) for i in own}})
+                                   * float(scales[i])) for i in own}})
     wider = replace(setup, parameters=parameters)
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
@@ -174,7 +174,7 @@ def with_suspect(solution: Solution, name: str) -> Solution:
 
 
 def sum_of_squares(solution: Solution, weights: Weights) -> float:
-    """Return the sum of squares of errors and of priors, each divided by its deviation."""
+    """Return the sum of squares of errors and priors, each in its standard deviations."""
     problem = solution.problem.weighted(weights)
     errors = [problem.scaled_errors(k, solution.physics) for k in range(len(problem.windows))]
     return float(sum(np.sum(one ** 2) for one in (

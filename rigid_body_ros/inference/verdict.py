@@ -29,11 +29,11 @@ from rigid_body_ros.inference.findings import (
     Findings,
     INERTIA_CHANGE,
     LARGE,
-    probability,
 )
 from rigid_body_ros.inference.misfit import persistence
 from rigid_body_ros.inference.noise import ALARM
 from rigid_body_ros.inference.parameters import KINDS, split_topic, START
+from rigid_body_ros.inference.reasons import probability
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import (
     candidates,

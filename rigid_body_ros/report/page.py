@@ -67,7 +67,7 @@ def html(report: Report) -> str:
         style=style, style_hash=_hash(style),
         script_hashes=' '.join(map(_hash, (charts, body))), charts=charts, body=body,
         warnings=''.join(f'<p class="warning">{shown(text)}</p>' for text in report.warnings),
-        story=_facts(report.story), table=report.table, picture=report.picture,
+        story=_facts(report.story), table=report.table, picture=report.matrix,
         copied=''.join(f'<pre>{escape(text)}</pre><button class="copy" type="button">Copy</button>'
                        for text in report.copied),
         made=_facts(_origin(report)), data=embedded(data))

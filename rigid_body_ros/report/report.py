@@ -51,8 +51,8 @@ class Report:
         Texts to show with a button that copies them.
     table : str
         The table, as HTML returned by the function `table`; empty if there is no table.
-    picture : str
-        HTML of a picture to show below the charts; empty if there is no picture.
+    matrix : str
+        HTML of a correlation matrix to show below the charts; empty if there is none.
 
     """
 
@@ -64,7 +64,7 @@ class Report:
     warnings: Sequence[str] = ()
     copied: Sequence[str] = ()
     table: str = ''
-    picture: str = ''
+    matrix: str = ''
     scene: Scene | None = field(default=None, kw_only=True)
     command: str = field(default='', kw_only=True)
 
