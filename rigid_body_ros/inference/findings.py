@@ -47,7 +47,7 @@ from rigid_body_ros.inference.growth import (
     polished,
     rough,
 )
-from rigid_body_ros.inference.hypotheses import marks, undone
+from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
 from rigid_body_ros.inference.misfit import scattered, unexplained, with_persistence
 from rigid_body_ros.inference.noise import (
     ALARM,
@@ -175,7 +175,8 @@ def examined(solution: Solution) -> Findings:
     solution = weighted(solution, found) if setup.most else with_noise(solution, found)
     problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
         widened(solution, extended(setup, solution.physics, names))
-    suspects = [*_marks(solution), *_parameters(linear(problem), problem.parameters, known, names)]
+    suspects = [*faults_of_outliers(solution),
+                *_parameters(linear(problem), problem.parameters, known, names)]
     if not setup.is_computed:
         suspects = [one for one in suspects if one.chi2_drop > _VISIBLE * solution.count]
     # If nothing is fitted, what explains much of the other errors also explains the outliers.
@@ -205,7 +206,7 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
                                              is_plausible=True))
                     for each in (problem.weighted(solution.weights), problem))
     found = {one.name for one in blunt}
-    suspects = _significant([*_marks(solution), *blunt, *_largest(
+    suspects = _significant([*faults_of_outliers(solution), *blunt, *_largest(
         [*_changes(solution), *_breaks(solution)])])
     contradictions, drift = halves(solution)
     reasons = [*(Reason(text, part > _MISFIT) for text, part in unexplained(solution)),
@@ -243,17 +244,6 @@ def _is_rounding(solution: Solution) -> bool:
                for setup in [solution.problem.setup]
                for channels, every in zip(setup.channels, solution.weights.sigma)
                for channel, noise in zip(channels, every))
-
-
-def _marks(solution: Solution) -> Iterator[Suspect]:
-    """Generate the faults of some samples that explain the outliers of a channel."""
-    from scipy.special import chdtrc
-    for number, channels in enumerate(solution.problem.setup.channels):
-        for row in range(len(channels)):
-            for mark in marks(solution, number, row):
-                left = solution.errors[number][row][mark.rows]
-                drop = float(np.sum((left / solution.weights.sigma[number][row]) ** 2))
-                yield Suspect(mark.name, drop, float(chdtrc(left.size, drop)), text=mark.text)
 
 
 def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],

@@ -44,6 +44,7 @@ from rigid_body_ros.inference.residual_torque import (
 )
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
+from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.measured import Measured
@@ -79,14 +80,6 @@ class Hypothesis(NamedTuple):
     name: str
     text: str
     setup: Setup
-
-
-class Mark(NamedTuple):
-    """A fault of some samples of a channel: its name, a description, and the samples."""
-
-    name: str
-    text: str
-    rows: NDArray[np.intp]
 
 
 def undone(few: Solution) -> tuple[Hypothesis | None, float]:
@@ -292,8 +285,20 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[Hypothe
             yield Hypothesis(full, f'{topic}: {text}', replace(setup, parameters=wider))
 
 
-def marks(solution: Solution, number: int, row: int) -> Iterator[Mark]:
+def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:
     """Generate the faults of some samples that explain the outliers of a channel."""
+    from scipy.special import chdtrc
+    for number, channels in enumerate(solution.problem.setup.channels):
+        for row in range(len(channels)):
+            for name, text, rows in _of_outliers(solution, number, row):
+                left = solution.errors[number][row][rows]
+                drop = float(np.sum((left / solution.weights.sigma[number][row]) ** 2))
+                yield Suspect(name, drop, float(chdtrc(left.size, drop)), text=text)
+
+
+def _of_outliers(solution: Solution, number: int, row: int
+                 ) -> Iterator[tuple[str, str, NDArray[np.intp]]]:
+    """Generate the name and the description of each fault, and the samples that it explains."""
     setup = solution.problem.setup
     channel, errors = setup.channels[number][row], solution.errors[number][row]
     sigma = solution.weights.sigma[number][row]
@@ -310,10 +315,9 @@ def marks(solution: Solution, number: int, row: int) -> Iterator[Mark]:
     still = _still(channel.values, expected, sigma, apart)
     if np.mean(still[bad]) > _MOST:
         times = seconds[still]
-        yield Mark(f'frozen_{"attitude" if channel.is_attitude else "rates"}',
-                   f'{channel.topic}: the {what} is frozen in {still.sum()} samples from '
-                   f'{times[0]:.4g} s to {times[-1]:.4g} s after the start',
-                   np.flatnonzero(still & bad))
+        yield f'frozen_{"attitude" if channel.is_attitude else "rates"}', \
+            f'{channel.topic}: the {what} is frozen in {still.sum()} samples from ' \
+            f'{times[0]:.4g} s to {times[-1]:.4g} s after the start', np.flatnonzero(still & bad)
     elif not far:
         return
     elif channel.is_attitude:
@@ -321,16 +325,16 @@ def marks(solution: Solution, number: int, row: int) -> Iterator[Mark]:
         turn = davenport(turns)
         if np.linalg.norm(so3.log(turn)) > _MOVES * sigma and np.mean(
                 so3.angle_between(turns, turn) < _SAME * sigma) > _MOST:
-            yield Mark('flipped_attitude', f'{channel.topic}: the attitude is flipped in '
-                       f'{bad.sum()} of {len(bad)} samples, first {seconds[bad][0]:.4g} s after '
-                       f'the start: {_turn_text(turn)} about the body', np.flatnonzero(bad))
+            yield 'flipped_attitude', f'{channel.topic}: the attitude is flipped in ' \
+                f'{bad.sum()} of {len(bad)} samples, first {seconds[bad][0]:.4g} s after ' \
+                f'the start: {_turn_text(turn)} about the body', np.flatnonzero(bad)
     else:
         values = np.abs(channel.values[np.abs(finite) > _SAME * sigma])
         limit, margin = float(np.median(values)), _SAME * sigma
         if np.mean(np.abs(values - limit) < margin) > _MOST and np.mean(
                 np.abs(channel.values) > limit + margin) < 1.0 - _MOST:
-            yield Mark('gyro_saturation', f'{channel.topic}: the gyro saturates at {limit:.4g} '
-                       'rad/s', np.flatnonzero(bad))
+            yield 'gyro_saturation', f'{channel.topic}: the gyro saturates at {limit:.4g} rad/s', \
+                np.flatnonzero(bad)
 
 
 def faults_of_samples(motion: Recorded, channels: Sequence[Measured]

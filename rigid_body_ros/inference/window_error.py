@@ -31,9 +31,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.motion import errors_of, States
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 
@@ -99,23 +101,17 @@ class WindowError:
     residuals: tuple[tuple[Floats | None, Floats | None], ...]
 
 
-class _Motions(NamedTuple):
+class _Motion(NamedTuple):
     """
     A motion with its derivatives.
 
     The derivatives are with respect to the initial attitude and initial rates, in body axes.
     """
 
-    attitude: Floats
-    rates: Floats
+    states: States
     #: Shape (m, 6, p). At each of the m times, there is one row for each component of the rotation
     #: vector and the rates, and one column for each of the p initial values.
     derivatives: Floats
-
-    def change_to(self, attitude: Floats, rates: Floats) -> Floats:
-        """Return the given states minus the states of this motion, shape (m, 6)."""
-        turned = so3.log(so3.multiply(so3.conjugate(self.attitude), attitude))
-        return np.concatenate([turned, rates - self.rates], axis=1)
 
 
 class _Estimate(NamedTuple):
@@ -169,17 +165,18 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     times_ns = np.unique(np.concatenate(
         [[turn_ns, end_ns], *(sensor.stamps_ns for sensor in inside)]))
     model = problem.between(start, end_ns)
-    motions = _motions(model, times_ns, has_attitude)
+    motion = _motion(model, times_ns, has_attitude)
     row = int(np.searchsorted(times_ns, turn_ns))
-    later = State(turn_ns, motions.attitude[row], motions.rates[row], _momentum(problem, turn_ns))
+    later = State(turn_ns, motion.states.attitude[row], motion.states.angular_velocity[row],
+                  _momentum(problem, turn_ns))
     _, found, ahead = _Samples(last, noises, has_attitude).estimated(problem, later, end_ns)
-    to_end, sent = ahead.derivatives[-1], motions.derivatives[-1]
-    change = motions.change_to(ahead.attitude[-1], ahead.rates[-1])[-1] + to_end @ found.change
+    to_end, sent = ahead.derivatives[-1], motion.derivatives[-1]
+    change = _change(_at(motion.states, [-1]), _at(ahead.states, [-1]))[0] + to_end @ found.change
     covariance = to_end @ found.covariance @ to_end.T + sent @ estimate.covariance @ sent.T
-    by_torque = _by_torque(model, motions, times_ns, estimate, found)
+    by_torque = _by_torque(model, motion, times_ns, estimate, found)
     torque, torque_covariance = _explained(change, covariance, to_end @ by_torque, has_attitude)
-    residuals = tuple(_residuals(sensor, motions, np.searchsorted(times_ns, sensor.stamps_ns))
-                      for sensor in inside)
+    residuals = tuple(errors_of(sensor, _at(motion.states, np.searchsorted(
+        times_ns, sensor.stamps_ns))) for sensor in inside)
     attitude = change[:3] if has_attitude else np.full(3, np.nan)
     return WindowError(begin_ns, end_ns, attitude, change[3:], covariance, torque,
                        torque_covariance, estimate.outliers + found.outliers, residuals)
@@ -223,26 +220,22 @@ def _corrected(start: State, change: Floats) -> State:
                  start.rotor_momentum)
 
 
-def _motions(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _Motions:
+def _motion(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _Motion:
     """Compute a motion and its derivatives with respect to the estimated initial values."""
     changes = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
     starts = [problem.start, *(_corrected(problem.start, change) for change in changes)]
-    found = [problem.replaced(start=start).propagate(at=times_ns) for start in starts]
-    base, *others = found
-    motions = _Motions(base.attitude, base.angular_velocity, np.empty(0))
-    derivatives = [motions.change_to(other.attitude, other.angular_velocity)
-                   for other in others]
-    return motions._replace(derivatives=np.stack(derivatives, axis=-1) / _CHANGE)
+    states, *others = (problem.replaced(start=start).propagate(at=times_ns) for start in starts)
+    return _Motion(states, np.stack([_change(states, other) for other in others], -1) / _CHANGE)
 
 
-def _residuals(sensor: Measured, motions: _Motions, rows: NDArray[np.intp]
-               ) -> tuple[Floats | None, Floats | None]:
-    """Return measured minus computed attitudes and angular velocities."""
-    turned = None if sensor.attitude is None else so3.log(
-        so3.multiply(so3.conjugate(motions.attitude[rows]), sensor.attitude))
-    rates = None if sensor.angular_velocity is None else \
-        sensor.angular_velocity - motions.rates[rows]
-    return turned, rates
+def _at(states: States, rows: Sequence[int] | NDArray[np.intp]) -> Poses:
+    return Poses(states.attitude[rows], states.angular_velocity[rows])
+
+
+def _change(states: States, others: States) -> Floats:
+    """Return other states minus the given ones, shape (m, 6)."""
+    turned = so3.log(so3.multiply(so3.conjugate(states.attitude), others.attitude))
+    return np.concatenate([turned, others.angular_velocity - states.angular_velocity], axis=1)
 
 
 class _Samples(NamedTuple):
@@ -254,7 +247,7 @@ class _Samples(NamedTuple):
     has_attitude: bool
 
     def estimated(self, problem: Problem, start: State,
-                  until_ns: int) -> tuple[State, _Estimate, _Motions]:
+                  until_ns: int) -> tuple[State, _Estimate, _Motion]:
         """
         Correct the start state until the motion fits the samples.
 
@@ -264,20 +257,20 @@ class _Samples(NamedTuple):
             [*(sensor.stamps_ns for sensor in self.sensors), [until_ns]]))
         for _ in range(_CORRECTIONS):
             model = problem.between(start, int(times_ns[-1]))
-            motions = _motions(model, times_ns, self.has_attitude)
-            estimate = self._solved(times_ns, motions)
+            motion = _motion(model, times_ns, self.has_attitude)
+            estimate = self._solved(times_ns, motion)
             start, change = _corrected(start, estimate.change), estimate.change
             if change @ np.linalg.solve(estimate.covariance, change) < _NEGLIGIBLE:
                 break
-        return start, estimate, motions
+        return start, estimate, motion
 
-    def _solved(self, times_ns: NDArray[np.int64], motions: _Motions) -> _Estimate:
-        count, outliers = motions.derivatives.shape[2], 0
+    def _solved(self, times_ns: NDArray[np.int64], motion: _Motion) -> _Estimate:
+        count, outliers = motion.derivatives.shape[2], 0
         gain = np.zeros((count, len(times_ns), 6))
         normal, wide, right = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
         for sensor, noise in zip(self.sensors, self.noises):
             rows = np.searchsorted(times_ns, sensor.stamps_ns)
-            found = _residuals(sensor, motions, rows)
+            found = errors_of(sensor, _at(motion.states, rows))
             if not self.has_attitude:
                 found = None, found[1]
             for errors, part, sigma, factor in zip(
@@ -286,7 +279,7 @@ class _Samples(NamedTuple):
                     continue
                 kept = _usual(errors, sigma)
                 outliers += int(np.sum(~kept))
-                columns = motions.derivatives[rows[kept], part].reshape(-1, count) / sigma
+                columns = motion.derivatives[rows[kept], part].reshape(-1, count) / sigma
                 weight = columns.T @ columns
                 normal += weight
                 wide += factor * weight
@@ -303,7 +296,7 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
     return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
 
 
-def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
+def _by_torque(problem: Problem, motion: _Motion, times_ns: NDArray[np.int64],
                first: _Estimate, last: _Estimate) -> Floats:
     """
     Return how much a constant torque changes the last estimate, per N m, shape (p, 3).
@@ -315,10 +308,9 @@ def _by_torque(problem: Problem, motions: _Motions, times_ns: NDArray[np.int64],
     seconds = 1e-9 * (end_ns - problem.start.time_ns)
     size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds
     others = [problem.biased(torque, end_ns).propagate(at=times_ns) for torque in size * np.eye(3)]
-    moved = np.stack([motions.change_to(other.attitude, other.angular_velocity)
-                      for other in others], axis=-1) / size
+    moved = np.stack([_change(motion.states, other) for other in others], axis=-1) / size
     # The torque also changes the first estimate, and thereby the prediction.
-    moved -= motions.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
+    moved -= motion.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
     return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 
 
