@@ -12,12 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Each of many bodies has the same bits, and the same errors, as the body alone."""
+"""One body and many have the bits of exact arithmetic, and the same errors."""
 
 import numpy as np
 import pytest
 from rigid_body_ros import RigidBodies, RigidBody
 from rigid_body_ros.kernels import body_layout, tensors
+from rigid_body_ros.kernels import tensor as exact
 
 COUNT = 100
 RANDOM = np.random.default_rng(31)
@@ -106,11 +107,17 @@ DAMPING = {
 
 
 def alone(tensor, damping=None):
-    """Return the constants of one body as text, or its error."""
+    """Return the constants of one body in exact arithmetic as text, or its error."""
     try:
-        return RigidBody(tensor, damping)._constants.tobytes().hex()
+        body = RigidBody(tensor, damping)
     except ValueError as error:
         return str(error)
+    drag = exact.damping_coefficients(body.inertia, body.damping) if body.is_damped \
+        else np.zeros((2, 3, 3))
+    constants = body_layout.pack(exact.euler_coefficients(body.inertia),
+                                 *exact.principal(body.inertia), drag)
+    np.testing.assert_array_equal(body._constants.view(np.int64), constants.view(np.int64))
+    return constants.tobytes().hex()
 
 
 def rows(bodies):

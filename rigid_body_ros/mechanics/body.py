@@ -21,13 +21,14 @@ Classical Mechanics, chapters 4 and 5.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
-from rigid_body_ros.engine import body_layout
+from rigid_body_ros.engine import body_layout, kernels, tensors
 from rigid_body_ros.engine import tensor as tensor_constants
 from rigid_body_ros.mechanics import so3, urdf
 
@@ -93,22 +94,46 @@ class RigidBody:
         self.inertia = _checked_tensor(tensor)
         self.damping = _checked_damping(damping)
         self.is_damped = bool(self.damping.any())
-        #: The principal moments, shape (2, 3), and the principal axes, shape (2, 3, 3). The first
-        #: row holds the high-order parts, the second row the low-order parts.
-        self._principal = tensor_constants.principal(self.inertia)
+        self._exact: NDArray[Any] = self.inertia
+        self._constants = self._computed()
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
-        self._set_constants(self.inertia)
         self.inertia.flags.writeable = self.damping.flags.writeable = False
 
-    def _set_constants(self, exact: NDArray[Any]) -> None:
-        """Compute the constants from a tensor of doubles, or of Fractions (sums of doubles)."""
+    def _computed(self) -> Floats:
+        """Return the constants that the compiled kernel computes, or else the exact constants."""
+        constants, is_certain = np.zeros((1, body_layout.SIZE)), np.empty(1, np.bool_)
+        kernels.fill_constants(self.inertia[None], self.damping[None], constants, is_certain,
+                               tensors.workspace())
+        if is_certain[0]:
+            if self.is_damped:
+                _check_damping_coefficients(constants[0, body_layout.DAMPING:])
+            return constants[0]
+        principal = tensor_constants.principal(self.inertia)
+        _checked_excess(principal[0][0])
+        return self._exact_constants(*principal)
+
+    def _set_exact(self, exact: NDArray[Any]) -> None:
+        """Compute the coefficients from a tensor whose entries are Fractions (sums of doubles)."""
         self._exact = exact
-        #: Coefficients of Euler's equations, shape (2, 3, 9).
-        self._coefficients = _euler_coefficients(exact)
-        self._constants = body_layout.pack(self._coefficients, *self._principal,
-                                           _damping_coefficients(exact, self.damping))
+        self._constants = self._exact_constants(*self._principal)
+
+    def _exact_constants(self, moments: Floats, axes: Floats) -> Floats:
+        return body_layout.pack(_euler_coefficients(self._exact), moments, axes,
+                                _damping_coefficients(self._exact, self.damping))
+
+    @property
+    def _coefficients(self) -> Floats:
+        """Return the coefficients of Euler's equations and their low-order parts, (2, 3, 9)."""
+        columns = self._constants[:body_layout.MOMENTS].reshape(2, 9, 4)
+        return columns[:, :, :3].swapaxes(1, 2)
+
+    @property
+    def _principal(self) -> tuple[Floats, Floats]:
+        """Return the principal moments and axes with their parts, as `tensor.principal` does."""
+        vectors = self._constants[body_layout.MOMENTS:body_layout.DAMPING].reshape(8, 4)[:, :3]
+        return vectors[:2], vectors[2:].reshape(2, 3, 3).swapaxes(1, 2)
 
     @classmethod
     def from_moments(cls, ixx: float, iyy: float, izz: float,
@@ -328,9 +353,11 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
 
 def _checked_tensor(values: ArrayLike, name: str = 'inertia') -> Floats:
     tensor = np.array(values, float)
-    if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
+    if tensor.shape != (3, 3) or not np.isfinite(tensor).all():
         raise ValueError(f'{name}: expected 3 by 3 finite numbers, '
                          f'found {quoted(tensor.tolist())}')
+    if (tensor == tensor.T).all():
+        return tensor
     if np.max(np.abs(tensor - tensor.T)) > ROUNDING * np.max(np.abs(tensor)):
         raise ValueError(f'{name}: expected a symmetric tensor, found {tensor.tolist()}')
     return 0.5 * tensor + 0.5 * tensor.T
@@ -355,11 +382,15 @@ def _damping_coefficients(tensor: NDArray[Any], damping: Floats) -> Floats:
     except ArithmeticError:
         raise ValueError('damping: expected entries whose quotients by the moments of inertia fit '
                          f'a double, found {damping.tolist()}') from None
-    largest = np.max(np.abs(coefficients[0]))
+    _check_damping_coefficients(coefficients[0])
+    return coefficients
+
+
+def _check_damping_coefficients(coefficients: Floats) -> None:
+    largest = np.max(np.abs(coefficients))
     if largest > FASTEST_DAMPING:
         raise ValueError('damping: expected quotients by the moments of inertia of at most '
                          f'{FASTEST_DAMPING:g} 1/s, found {largest:.6g} 1/s')
-    return coefficients
 
 
 def _check_thickness(tensor: Floats, mass: float, distance: float) -> None:
@@ -374,20 +405,21 @@ def _check_thickness(tensor: Floats, mass: float, distance: float) -> None:
 
 
 def _checked_excess(moments: Floats) -> float:
-    smallest, middle, largest = moments
-    found = f'principal moments {smallest:.17g}, {middle:.17g}, {largest:.17g} kg m^2'
-    if smallest <= 0.0:
-        raise ValueError(f'inertia: expected a positive definite tensor, found {found}')
-    excess = float(largest / (smallest + middle) - 1.0)
+    smallest, middle, largest = moments.tolist()
+    excess = largest / (smallest + middle) - 1.0 if smallest > 0.0 else math.inf
     if excess > TRIANGLE_EXCESS:
-        raise ValueError(f'inertia: not physical, {found}: the largest exceeds the sum of the '
-                         f'other two by {100 * excess:.3g} % (limit {100 * TRIANGLE_EXCESS:g} %)')
+        found = f'principal moments {smallest:.17g}, {middle:.17g}, {largest:.17g} kg m^2'
+        raise ValueError(
+            f'inertia: not physical, {found}: the largest exceeds the sum of the other two by '
+            f'{100 * excess:.3g} % (limit {100 * TRIANGLE_EXCESS:g} %)' if smallest > 0.0 else
+            f'inertia: expected a positive definite tensor, found {found}')
     return excess if excess > ROUNDING else 0.0
 
 
 def _symmetry(moments: Floats) -> str:
-    close = np.diff(moments) <= ROUNDING * moments[2]
-    return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
+    smallest, middle, largest = moments.tolist()
+    close = (middle - smallest <= ROUNDING * largest) + (largest - middle <= ROUNDING * largest)
+    return ('asymmetric top', 'symmetric top', 'sphere')[close]
 
 
 def _euler_coefficients(tensor: NDArray[Any]) -> Floats:

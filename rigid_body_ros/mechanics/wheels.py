@@ -216,7 +216,7 @@ class Wheels:
         except ValueError as error:
             raise ValueError('wheels: expected axial inertia that the body can have, found that '
                              f'the rest is impossible: {error}') from None
-        carrier._set_constants(exact)
+        carrier._set_exact(exact)
         rate = self.decay_rate(carrier)
         if rate > FASTEST_DAMPING:
             raise ValueError('wheels: expected friction whose quotients by the moments of inertia '

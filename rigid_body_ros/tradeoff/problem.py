@@ -237,7 +237,8 @@ def _principal_body(moments: Floats) -> RigidBody:
 def _components(axes: Floats, vectors: Floats) -> Floats:
     """Return the high and low parts of vectors along axes that have high and low parts, too."""
     result = np.empty((len(vectors), 3, 2))
-    kernels.fill_components(axes[0], axes[1], vectors, result)
+    high, low = np.ascontiguousarray(axes)
+    kernels.fill_components(high, low, vectors, result)
     return result
 
 
