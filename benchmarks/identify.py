@@ -31,16 +31,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 
-from rigid_body_ros import (  # noqa: E402
-    Experiment,
-    identify,
-    Measured,
-    propagate,
-    RigidBody,
-    State,
-    TorqueLog,
-)
+from rigid_body_ros import Experiment, identify, Measured, State, TorqueLog  # noqa: E402
 from rigid_body_ros.mechanics import so3  # noqa: E402
+from rigid_body_ros.mechanics.body import RigidBody  # noqa: E402
+from rigid_body_ros.propagation import propagate  # noqa: E402
 from tumbling import INERTIA, Truth  # noqa: E402
 
 ATTITUDE, RATE = 2e-3, 5e-3

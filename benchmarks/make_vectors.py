@@ -31,14 +31,7 @@ from typing import NamedTuple
 
 import bits
 import numpy as np
-from rigid_body_ros import (
-    GravityGradient,
-    Problem,
-    RigidBody,
-    State,
-    TorqueLog,
-    UniformField,
-)
+from rigid_body_ros import GravityGradient, Problem, RigidBody, State, TorqueLog, UniformField
 from vectors import alone, Motion, OPTIONS, Output, read, VECTORS
 
 sys.path.insert(0, str(VECTORS.parent))

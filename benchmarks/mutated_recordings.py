@@ -151,7 +151,7 @@ class Recording:
         if self.joints:
             inertials = {'base_link': inertial(1.0, self.truth.inertia), **self.inertials}
             scene.write_text(re.sub(' +inertia.*\n', '', scene.read_text()) + (
-                "    link: base_link\n    robot_description: "
+                '    link: base_link\n    robot_description: '
                 f"'{robot(*self.joints, inertials=inertials)}'\n"))
         measured = f'/{self.topic}'
         if self.kind in TEXTS:

@@ -27,14 +27,7 @@ import sys
 
 import bits
 import numpy as np
-from rigid_body_ros import (
-    GravityGradient,
-    propagate,
-    RigidBody,
-    State,
-    TorqueLog,
-    UniformField,
-)
+from rigid_body_ros import GravityGradient, propagate, RigidBody, State, TorqueLog, UniformField
 from rigid_body_ros.mechanics import euler, so3, urdf
 
 #: Which results of a motion to compute: those of `bits.groups`, or one for each solver it names.

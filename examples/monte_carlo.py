@@ -27,13 +27,7 @@ from pathlib import Path
 import time
 
 import numpy as np
-from rigid_body_ros import (
-    propagate_many,
-    read,
-    RigidBodies,
-    so3,
-    States,
-)
+from rigid_body_ros import propagate_many, read, RigidBodies, so3, States
 
 ROOT = Path(__file__).resolve().parent.parent
 BODIES, SPREAD = 1000, 0.05

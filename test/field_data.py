@@ -40,12 +40,12 @@ RATES = TRUTH.angular_velocity + 2e-3 * RANDOM.normal(size=(COUNT, 3))
 PARAMETERS = '/**:\n  ros__parameters:\n    initial_angular_velocity: {y: 0.6}\n'
 SCENE = PARAMETERS + '    inertia: {ixx: 0.045, iyy: 0.120, izz: 0.140, ixy: 0.002}\n'
 #: The same body with a sensor in the axes of another link.
-LINKS = PARAMETERS + '''    link: base_link
+LINKS = PARAMETERS + """    link: base_link
     robot_description: '<robot name="a"><link name="base_link"><inertial><mass value="1"/>
       <inertia ixx="0.045" iyy="0.120" izz="0.140" ixy="0.002" ixz="0" iyz="0"/></inertial></link>
       <link name="imu_link"/><joint name="m" type="fixed"><parent link="base_link"/>
       <child link="imu_link"/><origin xyz="0.1 0 0" rpy="0.1 0.2 0.3"/></joint></robot>'
-'''
+"""
 #: The errors in a JSON file, and the noise of the measurements, rad and rad/s.
 NOISE = {'attitude_error_rad': 1e-3, 'rate_error_rad_s': 2e-3}
 ATTITUDES, GYRO = NOISE

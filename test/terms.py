@@ -19,14 +19,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from rigid_body_ros import (
-    GravityGradient,
-    propagate,
-    RigidBody,
-    State,
-    TorqueLog,
-    UniformField,
-)
+from rigid_body_ros import GravityGradient, propagate, RigidBody, State, TorqueLog, UniformField
 import truth
 
 _HERE = Path(__file__).resolve().parent

@@ -27,8 +27,8 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import propagate, scene
 from rigid_body_ros.commands import main
-from rigid_body_ros.ensemble import statistics, summary
-from rigid_body_ros.ensemble.statistics import histogram, percentiles
+from rigid_body_ros.ensemble import distributions, summary
+from rigid_body_ros.ensemble.distributions import histogram, percentiles
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report import picture
 from rigid_body_ros.report.page import write
@@ -111,8 +111,8 @@ def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
 @pytest.mark.parametrize('kept', [0, 2 ** 24], ids=['passes', 'in memory'])
 def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path, monkeypatch,
                                                       kept):
-    monkeypatch.setattr(statistics, '_KEPT', kept)
-    monkeypatch.setattr(statistics, '_TIMES', 9)
+    monkeypatch.setattr(distributions, '_KEPT', kept)
+    monkeypatch.setattr(distributions, '_TIMES', 9)
     assert main.attitude_ensemble([*arguments, '--times', '3.3']) == 0
     ensemble = zarr.open_group(tmp_path / 'out' / 'motion.zarr', mode='r')
     rows = [0, 2, 4, 6, 8, 10, 12, 14, 17]

@@ -20,15 +20,7 @@ import subprocess
 import sys
 
 from conftest import at_night, ROOT, SECOND
-from live import (
-    decoded,
-    late_torques,
-    PATIENCE,
-    publish_when_due,
-    replayed,
-    spin_until,
-    TUMBLER,
-)
+from live import decoded, late_torques, PATIENCE, publish_when_due, replayed, spin_until, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 import numpy as np

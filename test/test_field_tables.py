@@ -180,8 +180,7 @@ XYZ = 'xyz[0],xyz[1],xyz[2]'
     ('it', False), ('Accelerometer', False), ('log_vehicle_acceleration_0', False),
     ('vehicle_angular_acceleration_setpoint_0', False), ('gyro_and_torque', False)])
 @pytest.mark.parametrize('heading', ['time,x,y,z', f'time,{XYZ}'])
-def test_axes_without_a_name_are_rates_only_in_a_file_of_that_name(tmp_path, name, is_gyro,
-                                                                  heading):
+def test_bare_axes_are_rates_only_in_a_file_of_that_name(tmp_path, name, is_gyro, heading):
     path = table(tmp_path / f'{name}.csv', heading, TIMES, RATES)
     if is_gyro:
         np.testing.assert_array_equal(read_measured(path).angular_velocity, RATES)
@@ -226,8 +225,9 @@ KNOWN = '--columns: expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (
 
 
 @pytest.mark.parametrize(('columns', 'message'), [
-    ('time=5,wx=4,wy=3,wz=2', "--columns: time: expected a number from 1 to 4, or one of A, B, C, "
-     "D, found '5'"), ('time=0,wx=4,wy=3,wz=2', "or one of A, B, C, D, found '0'"),
+    ('time=5,wx=4,wy=3,wz=2',
+     "--columns: time: expected a number from 1 to 4, or one of A, B, C, D, found '5'"),
+    ('time=0,wx=4,wy=3,wz=2', "or one of A, B, C, D, found '0'"),
     ('time=E,wx=4,wy=3,wz=2', "or one of A, B, C, D, found 'E'"),
     ('time=1,wx=4,wy=3', 'line 1: no column for wz; '), ('wx=4,wy=3,wz=2', 'no column for time; '),
     ('time=1,wx (rpm)=4,wy=3,wz=2', KNOWN), ('time=1,wx=4,wy=3,wz=2,speed=2', KNOWN)])

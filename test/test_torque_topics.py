@@ -20,16 +20,7 @@ import subprocess
 
 from conftest import at_night, SECOND
 from geometry_msgs.msg import Twist, Vector3Stamped, Wrench, WrenchStamped
-from live import (
-    commit,
-    decoded,
-    live_values,
-    PATIENT,
-    replayed,
-    run_clock,
-    set_parameter,
-    TUMBLER,
-)
+from live import commit, decoded, live_values, PATIENT, replayed, run_clock, set_parameter, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest

@@ -27,16 +27,7 @@ import numpy as np
 from pyarrow import parquet
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import (
-    EffortLog,
-    messages,
-    Propagator,
-    read,
-    recording,
-    regress,
-    scene,
-    State,
-)
+from rigid_body_ros import EffortLog, messages, Propagator, read, recording, regress, scene, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify

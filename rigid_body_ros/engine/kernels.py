@@ -30,9 +30,7 @@ from rigid_body_ros.kernels import (
     tensors,
     triangles,
 )
-from rigid_body_ros.kernels import (
-    extent as extents,
-)
+from rigid_body_ros.kernels import extent as extents
 
 add_lag = bind(lags.add_lag)
 decode = bind(messages.decode)

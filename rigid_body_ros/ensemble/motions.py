@@ -165,8 +165,8 @@ class Motions:
         import numcodecs
         import zarr
         group = zarr.open_group(self._path, mode='a', zarr_format=2)
-        for name, values, more in (('time', self.times, {'units': 's', 'long_name':
-                                                          'time since the start'}),
+        for name, values, more in (('time', self.times, {
+                                       'units': 's', 'long_name': 'time since the start'}),
                                    ('component', np.array([*COMPONENTS]),
                                     {'unit': [*COMPONENTS.values()]})):
             # Do not set a fill value: xarray would treat all values equal to the fill value as

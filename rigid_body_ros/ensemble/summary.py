@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
-from rigid_body_ros.ensemble import statistics
+from rigid_body_ros.ensemble import distributions
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 from rigid_body_ros.report.charts import Curves, Panel
@@ -107,16 +107,16 @@ class Requirement:
             'effects' says how much each parameter affects the quantity.
 
         """
-        numbers = statistics.final(folder, self.quantity)
+        numbers = distributions.final(folder, self.quantity)
         with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
             met = int(_RELATIONS[self.relation](numbers, self.limit).sum())
-        values, bars = statistics.distribution(numbers)
+        values, bars = distributions.distribution(numbers)
         return {'require': str(self), 'unit': UNITS[self.quantity], 'met': met,
                 'share': met / folder.runs, 'interval_95': interval(met, folder.runs),
                 'percentiles': values,
                 'histogram': bars and {'edges': bars['edges_rad'], 'runs': bars['runs']},
                 'worst': self._worst(numbers),
-                'effects': statistics.effects(ensemble, folder, numbers)}
+                'effects': distributions.effects(ensemble, folder, numbers)}
 
     def _worst(self, numbers: Floats) -> list[dict[str, Any]]:
         """
@@ -149,13 +149,13 @@ def summarized(ensemble: Ensemble, folder: Folder,
     """
     angles = folder.numbers(ANGLE)
     succeeded = int(np.isfinite(angles).sum())
-    found, bars = statistics.distribution(angles)
+    found, bars = distributions.distribution(angles)
     results = {'runs': folder.runs, 'failed': folder.runs - succeeded,
-               'failures': statistics.causes(folder.messages()),
+               'failures': distributions.causes(folder.messages()),
                'angle_from_nominal_rad': found, 'histogram': bars}
     if succeeded and folder.motions:
-        results['bands'] = statistics.bands(folder.motions, ensemble.nominal_motion, succeeded)
-    results['rank_correlation'] = statistics.correlations(ensemble, folder, angles)
+        results['bands'] = distributions.bands(folder.motions, ensemble.nominal_motion, succeeded)
+    results['rank_correlation'] = distributions.correlations(ensemble, folder, angles)
     if requirements:
         results['requirements'] = [one.judged(ensemble, folder) for one in requirements]
     return results

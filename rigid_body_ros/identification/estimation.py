@@ -23,26 +23,13 @@ import math
 import numpy as np
 from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.identification.result import (
-    Estimate,
-    Identification,
-    too_wide,
-    without_effect,
-)
+from rigid_body_ros.identification.result import Estimate, Identification, too_wide, without_effect
 from rigid_body_ros.inference import errors
 from rigid_body_ros.inference.certainty import Certainty, certainty
-from rigid_body_ros.inference.coordinates import (
-    checked_priors,
-    GRAVITY,
-)
+from rigid_body_ros.inference.coordinates import checked_priors, GRAVITY
 from rigid_body_ros.inference.findings import Findings, judged
 from rigid_body_ros.inference.inputs import channels_of, setup_of
-from rigid_body_ros.inference.parameters import (
-    checked_names,
-    START,
-    unit_of,
-    WEIGHT,
-)
+from rigid_body_ros.inference.parameters import checked_names, START, unit_of, WEIGHT
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.verdict import tried, with_intervals
 from rigid_body_ros.inference.windows import acted
@@ -228,7 +215,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
                                 bool(known.identifiable[i]), systematic.get(name, 0.0))
                  for i, name in enumerate(numbers.names)}
     aligned = errors.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
-                                   physics, setup.problems[0].start.time_ns)
+                                physics, setup.problems[0].start.time_ns)
     return Identification(
         setup.body(physics), physics.acting(setup.problems[0].fields),
         [_start(solution, number)[0] for number in range(len(setup.problems))],

@@ -28,11 +28,7 @@ from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.coordinates import second_moments
 from rigid_body_ros.inference.errors import Misfit, Residuals
 from rigid_body_ros.inference.noise import NORMAL_95
-from rigid_body_ros.inference.residual_torque import (
-    residual_torque,
-    ResidualTorque,
-    with_attitude,
-)
+from rigid_body_ros.inference.residual_torque import residual_torque, ResidualTorque, with_attitude
 from rigid_body_ros.inference.verdict import REJECTED, Verdict
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field

@@ -39,21 +39,10 @@ from rigid_body_ros.inference.evidence import (
     with_noise,
 )
 from rigid_body_ros.inference.fit import LeastSquares
-from rigid_body_ros.inference.growth import (
-    COARSEST,
-    grown,
-    is_linear,
-    lasts,
-    polished,
-    rough,
-)
+from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
 from rigid_body_ros.inference.misfit import scattered, unexplained, with_persistence
-from rigid_body_ros.inference.noise import (
-    ALARM,
-    FEWEST,
-    Noise,
-)
+from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise
 from rigid_body_ros.inference.parameters import components_of, plausible
 from rigid_body_ros.inference.reasons import (
     halves,

@@ -285,7 +285,7 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
     moved = LeastSquares(setup, windows, problem.states(), previous.weights)
     moved.steps = problem.steps
     return solution_of(moved, physics, length_ns, previous.evaluations + problem.evaluations,
-                     converged, is_last)
+                       converged, is_last)
 
 
 def _with_fitted_rates(solution: Solution) -> Setup:

@@ -37,11 +37,7 @@ from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
 from rigid_body_ros.inference.guess import davenport, guess, kabsch
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.noise import FEWEST, spread_of
-from rigid_body_ros.inference.residual_torque import (
-    interpolated,
-    measured_rates,
-    residual_torque,
-)
+from rigid_body_ros.inference.residual_torque import interpolated, measured_rates, residual_torque
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import Suspect

@@ -21,21 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.inference.evidence import (
-    explained,
-    linear,
-    solved,
-    split_channels,
-    widened,
-)
-from rigid_body_ros.inference.noise import (
-    ALARM,
-    batches_of,
-    chance,
-    come_together,
-    FEWEST,
-    Noise,
-)
+from rigid_body_ros.inference.evidence import explained, linear, solved, split_channels, widened
+from rigid_body_ros.inference.noise import ALARM, batches_of, chance, come_together, FEWEST, Noise
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import extended
 

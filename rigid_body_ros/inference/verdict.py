@@ -25,11 +25,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.errors import listed
 from rigid_body_ros.inference.errors import Misfit, of_validation
-from rigid_body_ros.inference.findings import (
-    Findings,
-    INERTIA_CHANGE,
-    LARGE,
-)
+from rigid_body_ros.inference.findings import Findings, INERTIA_CHANGE, LARGE
 from rigid_body_ros.inference.misfit import persistence
 from rigid_body_ros.inference.noise import ALARM
 from rigid_body_ros.inference.parameters import KINDS, split_topic, START

@@ -101,7 +101,7 @@ class WindowError:
     residuals: tuple[tuple[Floats | None, Floats | None], ...]
 
 
-class _Motion(NamedTuple):
+class _LinearMotion(NamedTuple):
     """
     A motion with its derivatives.
 
@@ -220,12 +220,13 @@ def _corrected(start: State, change: Floats) -> State:
                  start.rotor_momentum)
 
 
-def _motion(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _Motion:
+def _motion(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _LinearMotion:
     """Compute a motion and its derivatives with respect to the estimated initial values."""
-    changes = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
-    starts = [problem.start, *(_corrected(problem.start, change) for change in changes)]
+    steps = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
+    starts = [problem.start, *(_corrected(problem.start, step) for step in steps)]
     states, *others = (problem.replaced(start=start).propagate(at=times_ns) for start in starts)
-    return _Motion(states, np.stack([_change(states, other) for other in others], -1) / _CHANGE)
+    changes = np.stack([_change(states, other) for other in others], axis=-1)
+    return _LinearMotion(states, changes / _CHANGE)
 
 
 def _at(states: States, rows: Sequence[int] | NDArray[np.intp]) -> Poses:
@@ -247,7 +248,7 @@ class _Samples(NamedTuple):
     has_attitude: bool
 
     def estimated(self, problem: Problem, start: State,
-                  until_ns: int) -> tuple[State, _Estimate, _Motion]:
+                  until_ns: int) -> tuple[State, _Estimate, _LinearMotion]:
         """
         Correct the start state until the motion fits the samples.
 
@@ -264,7 +265,7 @@ class _Samples(NamedTuple):
                 break
         return start, estimate, motion
 
-    def _solved(self, times_ns: NDArray[np.int64], motion: _Motion) -> _Estimate:
+    def _solved(self, times_ns: NDArray[np.int64], motion: _LinearMotion) -> _Estimate:
         count, outliers = motion.derivatives.shape[2], 0
         gain = np.zeros((count, len(times_ns), 6))
         normal, wide, right = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
@@ -296,7 +297,7 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
     return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
 
 
-def _by_torque(problem: Problem, motion: _Motion, times_ns: NDArray[np.int64],
+def _by_torque(problem: Problem, motion: _LinearMotion, times_ns: NDArray[np.int64],
                first: _Estimate, last: _Estimate) -> Floats:
     """
     Return how much a constant torque changes the last estimate, per N m, shape (p, 3).

@@ -29,13 +29,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
-from rigid_body_ros.kernels import (
-    body_layout,
-    euler_equations,
-    four,
-    state_layout,
-    vector,
-)
+from rigid_body_ros.kernels import body_layout, euler_equations, four, state_layout, vector
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.jit import inlined, internal, record, WRITTEN
 

@@ -31,13 +31,13 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
 from rigid_body_ros.messages import MessageType
 
+if TYPE_CHECKING:  # moved to rclpy.endpoint_info in Lyrical
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
 try:
     from rclpy.event_handler import SubscriptionEventCallbacks
 except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
-
-if TYPE_CHECKING:  # moved to rclpy.endpoint_info in Lyrical
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 #: One call takes messages for at most this many seconds.
 _BUDGET = 0.02

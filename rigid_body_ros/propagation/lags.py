@@ -151,7 +151,7 @@ class LaggingSources:
 
     def excess(self, times_ns: NDArray[np.int64]) -> Floats:
         """
-        Return the excess (torques minus commands), N m, at ascending times.
+        Return the torques minus the commands, N m, at ascending times.
 
         See `layout.Lags.excess` for the shape.
         """

@@ -25,14 +25,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import (
-    FieldTerms,
-    kernels,
-    layout,
-    many_loop,
-    motion_layout,
-    Rows,
-)
+from rigid_body_ros.engine import FieldTerms, kernels, layout, many_loop, motion_layout, Rows
 from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody

@@ -30,15 +30,8 @@ the metadata.yaml file that makes the output a rosbag2 bag.
 """
 
 from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of
-from rigid_body_ros.recording.problem import (
-    chosen,
-    Logged,
-    read_epochs,
-    started,
-)
-from rigid_body_ros.recording.problem import (
-    read as read_problem,
-)
+from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, started
+from rigid_body_ros.recording.problem import read as read_problem
 from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import (
     joined,

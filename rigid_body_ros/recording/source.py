@@ -158,8 +158,7 @@ class Source:
         self._longer = 0
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files, self._compressed, self._missing = open_files(path, stack,
-                                                                        columns)
+            self._files, self._compressed, self._missing = open_files(path, stack, columns)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
             self.topic, self._encoding = _select_topic(path, self.types, topic, kinds,
                                                        preferred)

@@ -34,14 +34,7 @@ from rigid_body_ros import recording
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import joint_commands, VECTOR3
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.recording import (
-    Logged,
-    NotInOrderError,
-    Source,
-    Streams,
-    Topics,
-    whole,
-)
+from rigid_body_ros.recording import Logged, NotInOrderError, Source, Streams, Topics, whole
 from rigid_body_ros.recording.account import merged
 from rigid_body_ros.replay import outputs
 from rigid_body_ros.replay.batches import Batch, Batches, Collector, INPUT, Request
