@@ -82,10 +82,13 @@ class TorqueLog:
         if interpolation != 'hold' and np.unique(in_space).size > 1:
             raise ValueError(f'interpolation {interpolation}: expected torques in one frame, '
                              'found torques in body axes and in space axes')
-        if not np.all(times[1:] > times[:-1]):
+        if len(times) > 1 and not (times[1:] > times[:-1]).all():
             order = np.argsort(times, kind='stable')
             chosen = order[np.append(np.diff(times[order]) != 0, True)]
             times, values, in_space = times[chosen], values[chosen], in_space[chosen]
+        if len(times) > 1 and int(times[-1]) - int(times[0]) >= NEVER_NS:
+            raise ValueError('times_ns: expected times within 292 years of each other, '
+                             f'found {times[0]} ns and {times[-1]} ns')
         self.times_ns: NDArray[np.int64] = times
         self.torques: Floats = values
         self.in_space: NDArray[np.bool_] = in_space
@@ -309,11 +312,9 @@ class TorqueLog:
 def _checked_samples(times_ns: ArrayLike, samples: ArrayLike, name: str = 'torque',
                      plural: str = 'torques') -> tuple[NDArray[np.int64], Floats]:
     times = instants(times_ns)
-    if times.size and int(times.max()) - int(times.min()) >= NEVER_NS:
-        raise ValueError('times_ns: expected times within 292 years of each other, '
-                         f'found {times.min()} ns and {times.max()} ns')
-    values = np.array(samples, float).reshape(-1, 3) if np.size(samples) == 0 \
-        else np.array(samples, float, order='C')
+    values = np.array(samples, float, order='C')
+    if not values.size:
+        values = values.reshape(-1, 3)
     if values.shape != (times.size, 3):
         raise ValueError(f'{plural}: expected shape ({times.size}, 3), found {values.shape}')
     if not np.isfinite(values).all():  # checking row by row would take ten times as long
@@ -325,6 +326,8 @@ def _checked_samples(times_ns: ArrayLike, samples: ArrayLike, name: str = 'torqu
 
 def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
                     count: int) -> NDArray[np.bool_]:
+    if isinstance(frame, str) and frame in FRAMES:
+        return np.full(count, frame == 'space')
     names = np.asarray(frame)
     if names.shape not in ((), (count,)):
         raise ValueError(f'frame: expected one name or {count}, found {names.size}')
