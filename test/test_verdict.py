@@ -22,10 +22,12 @@ from conftest import at_night
 import numpy as np
 import pytest
 from rigid_body_ros import (
+    compare,
     Experiment,
     identify,
     Measured,
     Problem,
+    propagate,
     RigidBody,
     State,
     TorqueLog,
@@ -36,6 +38,7 @@ from rigid_body_ros.inference import misfit
 from rigid_body_ros.inference.noise import noise_of
 from rigid_body_ros.recording.observed import Measurements
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 from simulated import named, recordings
 
@@ -288,3 +291,53 @@ def test_a_suspect_beside_the_moment_of_a_field_is_fitted():
     result = identify(problem.body, (problem, measured),
                       estimate=['inertia', 'start', 'pivot.moment'])
     assert 'torque_bias' in {one.name for one in result.verdict.suspects}
+
+
+def on_the_ground(torque, has_attitude=False, bias=0.01):
+    """Return 10 s of noise of the sensors of a body that stands still while torques are logged."""
+    random, times = np.random.default_rng(5), np.arange(1000) * 10_000_000
+    log = TorqueLog(times[::5], torque * np.cumsum(random.normal(size=(200, 3)), axis=0))
+    measured = [Measured('/imu', times, None, bias + 2e-3 * random.normal(size=(1000, 3)))]
+    if has_attitude:
+        turned = Rotation.from_rotvec(2e-3 * random.normal(size=(1000, 3)))
+        measured.append(Measured('/mocap', times, turned.as_quat(), None))
+    return Experiment(State(0), log, measured)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('has_attitude', [False, True])
+@pytest.mark.parametrize(('torque', 'text'), [
+    (5e-3, 'the logged torque has no visible effect'), (0.0, 'this says nothing about it')])
+@pytest.mark.parametrize('names', [('inertia', 'start'), ('start', 'torque_gains')])
+def test_a_body_that_does_not_move_is_rejected_with_one_reason(has_attitude, torque, text, names):
+    recording = on_the_ground(torque, has_attitude)
+    verdict = identify(RigidBody(np.diag([0.03, 0.03, 0.03])), recording, estimate=names).verdict
+    assert (verdict.level, verdict.suspects) == ('rejected', [])
+    reason, *others = verdict.reasons
+    assert reason == f'the body does not visibly move: {text}'
+    assert all('has no visible effect about' in other for other in others)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('torque', 'level'), [(5e-3, 'rejected'), (0.0, 'explained')])
+def test_only_a_body_that_should_move_is_compared_with_a_reason(torque, level):
+    recording = on_the_ground(torque, True, bias=0.0)
+    verdict = compare(RigidBody(np.diag([0.03, 0.03, 0.03])), recording.start, recording.log,
+                      measured=recording.measured, align=['start']).verdict
+    assert verdict.level == level
+    assert verdict.reasons == ([] if level == 'explained' else [
+        'the body does not visibly move: the logged torque has no visible effect'])
+
+
+@pytest.mark.slow
+def test_a_motion_of_three_degrees_is_a_motion():
+    recording, body = on_the_ground(3e-6, bias=0.0), RigidBody.from_moments(0.02, 0.03, 0.04)
+    gyro, = recording.measured
+    motion = propagate(body, recording.start, recording.log, at=gyro.stamps_ns)
+    assert motion.rotation.magnitude().max() < 0.06
+    moving = replace(gyro, angular_velocity=gyro.angular_velocity + motion.angular_velocity)
+    result = identify(body, replace(recording, measured=[moving]),
+                      estimate=['start', 'torque_gain'])
+    assert result.verdict.is_consistent
+    gain = result.estimates['torque_gain']
+    assert abs(gain.value - 1.0) < 4.0 * gain.sigma < 0.2

@@ -41,7 +41,7 @@ from rigid_body_ros.inference.evidence import (
 from rigid_body_ros.inference.fit import LeastSquares
 from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
-from rigid_body_ros.inference.misfit import scattered, unexplained, with_persistence
+from rigid_body_ros.inference.misfit import at_rest, scattered, unexplained, with_persistence
 from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise
 from rigid_body_ros.inference.parameters import components_of, plausible
 from rigid_body_ros.inference.reasons import (
@@ -103,7 +103,8 @@ class Findings:
         For each component, the difference between the estimates from the first and second halves
         of the recordings, or 0 if it is smaller than its standard deviation.
     noises : list of list of Noise
-        The noise of each channel of each recording. Empty if all errors are rounding errors.
+        The noise of each channel of each recording. Empty if all errors are rounding errors, or
+        if a fault or a body at rest explains everything.
     predictable_s : float or None, s
         How long after the start the motion can be predicted in every recording. None if every
         motion can be predicted up to its last sample, or if there is no validation.
@@ -142,11 +143,14 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     """
     from scipy.special import chdtrc
     few = rough(setup)
-    is_wrong = lasts(few) or few.length_ns < setup.shortest_ns or not is_linear(few)
+    is_wrong = not at_rest(few) and (
+        lasts(few) or few.length_ns < setup.shortest_ns or not is_linear(few))
     fault, drop = undone(few) if is_wrong and names_suspects else (None, 0.0)
     if fault is None:
         solution = grown(setup, few)
         found = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
+        if still := at_rest(found.solution):
+            return replace(found, reasons=[Reason(still, True)], suspects=[], noises=[])
         return found if names_suspects else replace(found, suspects=[])
     solution = polished(few, *COARSEST)
     return Findings(solution, solution, [Reason(fault.text, True)],

@@ -29,9 +29,12 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.errors import correlations
 from rigid_body_ros.inference.evidence import linear, widened
+from rigid_body_ros.inference.guess import davenport
 from rigid_body_ros.inference.noise import batches_of, Noise, NORMAL_95
+from rigid_body_ros.inference.parameters import is_of_sensor
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import extended
+from rigid_body_ros.mechanics import so3
 
 #: At least one in so many independent errors counts as a degree of freedom that is left.
 _FEW = 4.0
@@ -42,6 +45,10 @@ _RECORDINGS = 3
 #: A recording does not fit the others if it differs by more than this many times what the others
 #: scatter. A recording is held by this part of the mean information.
 _APART, _HELD = 6.0, 0.05
+#: A body is at rest if it turns by less than this (rms, rad), if its mean angular velocity is at
+#: most the bias of a gyro (rad/s), and if a fit leaves this part of the measurements unexplained.
+#: Without fitted parameters, the errors must be so many times as large.
+_STILL, _BIAS, _LEFT, _LARGER = 0.1, 0.05, 0.8, 10.0
 #: Probability below the upper end of a 95 % interval.
 _QUANTILE = 0.975
 
@@ -114,6 +121,31 @@ def unexplained(solution: Solution) -> Iterator[tuple[str, float]]:
         what = f'{part:.2g} rad of the attitude' if is_attitude else \
             f'{100.0 * part:.2g} % of the angular velocity'
         yield f'{topic}: the model leaves {what} unexplained (rms)', part
+
+
+def at_rest(solution: Solution) -> str:
+    """Return why a recorded body that does not move says nothing about a model; '' if it moves."""
+    setup = solution.problem.setup
+    if not setup.is_computed:
+        return ''
+    least = _LARGER if all(map(is_of_sensor, setup.parameters.groups)) else np.sqrt(_LEFT)
+    for every in zip(setup.channels, solution.errors, solution.inliers):
+        for channel, errors, inliers in zip(*every):
+            kept = inliers & np.isfinite(errors[:, 0])
+            values = channel.values[kept]
+            if channel.is_attitude:
+                apart = so3.log(so3.multiply(so3.conjugate(davenport(values)), values))
+                turned = apart
+            else:
+                apart, steps = values - values.mean(axis=0), np.gradient(channel.stamps_ns[kept])
+                turned = np.cumsum(1e-9 * steps[:, None] * apart, axis=0)
+                if _rms(values.mean(axis=0)[None]) > _BIAS:
+                    return ''
+            if _rms(turned) > _STILL or _rms(errors[kept]) < least * _rms(apart):
+                return ''
+    acts = any(log.torques.any() for problem in setup.problems for log in problem.logs)
+    return 'the body does not visibly move: ' + (
+        'the logged torque has no visible effect' if acts else 'this says nothing about it')
 
 
 def _rms(vectors: Floats) -> float:

@@ -130,8 +130,8 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     setup = solution.problem.setup
     chances = {one.name: one.p for one in findings.suspects if not one.text}
     names = [*chances][:_TRIED]
-    is_bad_fit = findings.reasons and not any(one.text and one.name != INERTIA_CHANGE
-                                              for one in findings.suspects)
+    is_bad_fit = findings.reasons and findings.noises and not any(
+        one.text and one.name != INERTIA_CHANGE for one in findings.suspects)
     if is_bad_fit and 'inertia' in candidates(setup) and 'inertia' not in names:
         names.append('inertia')  # always try it: the guess may be too poor for a score test
     if not names:
