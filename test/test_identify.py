@@ -34,7 +34,9 @@ from rigid_body_ros import (
 )
 from rigid_body_ros.identification import Experiment, identify
 from rigid_body_ros.inference.certainty import triangle
+from rigid_body_ros.inference.inputs import channels_of, setup_of
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.observed import Measurements
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
@@ -668,3 +670,23 @@ def test_actuators_are_those_of_a_propagation(names, scene):
             assert found.estimates[name].value == pytest.approx(value, abs=1e-8)
     if scene:
         assert inertia_error(found) < 1e-8
+
+
+@pytest.mark.parametrize('extra', [(), ('weight',), ('torque_lag',)])
+def test_motions_that_are_computed_together_are_those_of_each_alone(extra):
+    names = ('inertia', 'torque_gains', 'torque_bias', 'torque_delay', 'damping', 'gyro_bias',
+             'clock_offset', 'rotor_momentum', *extra)
+    problem, measured = tumble(2.0).experiment(tumble(2.0).measured(ATTITUDE, RATE)).observed(
+        GUESS, 0.0)
+    setup = setup_of([problem], [channels_of(measured.sensors, 0)], names)
+    window, = setup.windows(setup.span_ns, setup.given)
+    near = setup.parameters.guess
+    every = [near, *(setup.parameters.near(near, 1e-3 * unit)
+                     for unit in np.eye(setup.parameters.size)), near]
+    states = Poses(*(np.tile(each, (len(every), 1)) for each in (
+        problem.start.attitude, problem.start.angular_velocity)))
+    together = window.predict(every, states)
+    for i, one in enumerate(every):
+        for found, expected in zip(together, window.predict([one], states.rows([i]))):
+            np.testing.assert_array_equal(found[i], expected[0])
+    assert len({part.tobytes() for part in together[1]}) == len(every) - 1

@@ -16,21 +16,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.motion import Motion, Recorded, span_of, States
+from rigid_body_ros.inference.motion import Motion, Recorded, span_of
 from rigid_body_ros.inference.sensors import clocked, mounts, space_axes
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator
+from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.states import Poses
+from rigid_body_ros.mechanics.states import Poses, States
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import Problem, Trajectory
+from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.recording.measured import Measured
 
 #: Parameters that change the torques in a window.
@@ -106,10 +107,6 @@ class Window:
     #: A cache of the torques: the gain, delay and lag of the latest prediction as bytes, and the
     #: problem with the torques that result from them.
     _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
-    #: A cache of the latest motion, with its parameters and times: parameters of the sensors do
-    #: not change the motion.
-    _moved: tuple[tuple[bytes, ...], NDArray[np.int64], Trajectory] | None = field(
-        init=False, default=None)
     #: A cache of the sample times: the times of all channels in the latest prediction, the indices
     #: of each channel's times in the union of all times, and the union itself.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
@@ -152,13 +149,9 @@ class Window:
         """
         found = [np.empty((len(physics), len(channel), 4 if channel.is_attitude else 3))
                  for channel in self.channels]
-        for i, (one, attitude, velocity) in enumerate(zip(physics, states.attitude,
-                                                          states.angular_velocity)):
-            rows, times_ns = self._instants(one)
-            motion = self._motion(one, attitude, velocity, times_ns)
+        for which, rows, motions in self._motions(physics, states):
             for channel, values, here in zip(self.channels, found, rows):
-                values[i] = (motion.attitude if channel.is_attitude
-                             else motion.angular_velocity)[here]
+                values[which] = motions[0 if channel.is_attitude else 1][:, here]
         space = space_axes(physics)
         return [_attitudes(values, mount, space) if channel.is_attitude
                 else _rates(values, mount, physics, channel.topic)
@@ -168,31 +161,67 @@ class Window:
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
         """Propagate a state from the beginning of the window to a given time."""
-        motion = self._motion(physics, attitude, velocity, np.array([time_ns]))
-        return motion.attitude[0], motion.angular_velocity[0]
+        found = self._moved(self._acting(physics, time_ns), [physics], Poses(
+            attitude[None], velocity[None]), np.array([time_ns]))
+        return found.attitude[0, 0], found.angular_velocity[0, 0]
 
-    def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
-                times_ns: NDArray[np.int64]) -> States:
+    def _motions(self, physics: Sequence[Physics], states: Poses
+                 ) -> Iterator[tuple[list[int], list[NDArray[np.intp]], Poses]]:
         """
-        Return the motion at the given times.
+        Generate the motions that have the same times and torques, and can be computed together.
 
-        At times before the beginning of the window, the motion is at its initial state.
+        The first two items are the indices of these motions, and where the samples of each channel
+        lie in them.
         """
-        if isinstance(self.problem, Recorded):
-            return self.problem.propagate(at=np.clip(times_ns, *span_of(self.problem)))
-        key = physics.of_motion(), attitude.tobytes(), velocity.tobytes()
-        if self._moved and self._moved[0] == key and self._moved[1] is times_ns:
-            return self._moved[2]
-        momentum = self.problem.start.rotor_momentum + physics.value('rotor_momentum')
+        groups: list[tuple[Motion, NDArray[np.int64], list[NDArray[np.intp]], list[int]]] = []
+        for i, one in enumerate(physics):
+            rows, times_ns = self._instants(one)
+            acting = self._acting(one, int(times_ns[-1]))
+            if groups and groups[-1][0] is acting and groups[-1][1] is times_ns:
+                groups[-1][3].append(i)
+            else:
+                groups.append((acting, times_ns, rows, [i]))
+        for acting, times_ns, rows, which in groups:
+            # Parameters of the sensors do not change the motion.
+            keys = [(physics[i].of_motion(), *(each[i].tobytes() for each in states))
+                    for i in which]
+            own = dict(zip(keys, which))
+            found = self._moved(acting, [physics[i] for i in own.values()],
+                                states.rows([*own.values()]), times_ns)
+            place = {key: k for k, key in enumerate(own)}
+            yield which, rows, found.rows([place[key] for key in keys])
+
+    def _moved(self, problem: Motion, physics: Sequence[Physics], states: Poses,
+               times_ns: NDArray[np.int64]) -> Poses:
+        """
+        Return the motions at the given times, each array of shape (c, n, 3 or 4).
+
+        At times before the beginning of the window, a motion is at its initial state.
+        """
+        times_ns = np.clip(times_ns, *span_of(self.problem))
+        if isinstance(problem, Recorded):
+            poses = problem.propagate(at=times_ns)
+            return Poses(poses.attitude[None], poses.angular_velocity[None])
+        momenta = np.array([one.value('rotor_momentum') for one in physics]) \
+            + self.problem.start.rotor_momentum
         if self.axial is not None:
-            momentum = momentum + self.axial @ velocity
-        start = State(self.anchor_ns, attitude, velocity, momentum)
-        fields = physics.acting(self.problem.fields) if physics.values else None
-        problem = self._acting(physics, int(times_ns[-1])).replaced(
-            body=physics.body, start=start, fields=fields or None)
-        motion = problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
-        self._moved = key, times_ns, motion
-        return motion
+            momenta += states.angular_velocity @ self.axial
+        fields = [one.acting(self.problem.fields) for one in physics]
+        if problem.actuators or len({*map(len, fields)}) > 1:
+            motions = [problem.replaced(body=one.body, start=State(self.anchor_ns, *own),
+                                        fields=field or None).propagate(at=times_ns)
+                       for one, field, *own in zip(physics, fields, *states, momenta)]
+            return Poses(*(np.array([getattr(one, name) for one in motions])
+                           for name in Poses._fields))
+        bodies = RigidBodies([one.inertia for one in physics], np.array(
+            [one.damping for one in physics]))
+        found = propagate_many(
+            bodies, States(self.anchor_ns, *states, momenta), [problem.logs] * len(physics),
+            at=times_ns, wheels=problem.wheels, fields=fields if fields[0] else (),
+            **asdict(problem.options))
+        if any(found.messages):
+            raise ValueError(next(filter(None, found.messages)))
+        return Poses(found.attitude, found.angular_velocity)
 
     def _instants(self, physics: Physics) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
         """
@@ -211,13 +240,14 @@ class Window:
         """Return the total number of samples in all channels."""
         return sum(len(channel) for channel in self.channels)
 
-    def _acting(self, physics: Physics, end_ns: int) -> Problem:
+    def _acting(self, physics: Physics, end_ns: int) -> Motion:
         """
         Return the problem of this window with the torques that act on the body.
 
         The torques include the torque bias, which acts until `end_ns`.
         """
-        assert isinstance(self.problem, Problem)
+        if isinstance(self.problem, Recorded):
+            return self.problem
         key = b''.join(physics.value(name).tobytes() for name in _OF_TORQUES)
         if not self._applied or key != self._applied[0]:
             self._applied = key, acted(self.problem, physics)
