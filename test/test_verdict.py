@@ -33,6 +33,7 @@ from rigid_body_ros import (
     TorqueLog,
     UniformField,
 )
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Estimate, too_wide
 from rigid_body_ros.inference import misfit
 from rigid_body_ros.inference.noise import noise_of
@@ -341,3 +342,32 @@ def test_a_motion_of_three_degrees_is_a_motion():
     assert result.verdict.is_consistent
     gain = result.estimates['torque_gain']
     assert abs(gain.value - 1.0) < 4.0 * gain.sigma < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'prior'), [
+    ('gyro bias', {'gyro_bias': 1e-5}),
+    *at_night(('mount of the gyro 5 degrees', {'mount': 1e-4}),
+              ('gyro scale', {'gyro_scale': '0.01%'}))])
+def test_a_suspect_that_the_user_rules_out_is_not_named_and_does_not_widen(name, prior):
+    kind = replace(named(name), seconds=12.0)
+    recording, = recordings(kind, [0])
+    usual, narrow = fit(kind, recording), fit(kind, recording, priors=prior)
+    assert [one.name.partition('@')[0] for one in usual.verdict.suspects] == [*prior]
+    assert narrow.verdict.suspects == []
+    for one, other in zip(usual.estimates.values(), narrow.estimates.values()):
+        assert (one.value, one.sigma) == (other.value, other.sigma)
+        assert other.systematic <= one.systematic
+    assert any(one.systematic > 0.0 for one in usual.estimates.values())
+
+
+@pytest.mark.parametrize(('prior', 'text'), [
+    ({'mounting': 0.1}, r'prior: expected parameters that are estimated or may be suspects '
+     r'\(inertia, .*\), found \'mounting\''),
+    ({'damping': '5%'}, 'prior: damping.dxx: expected a standard deviation greater than zero, '
+     'found 5% of a guess of 0'),
+    ({'torque_bias': -1.0}, 'prior: torque_bias.x: expected a standard deviation greater than '
+     'zero, found -1.0 of a guess of 0')])
+def test_a_prior_of_no_suspect_or_size_is_an_error(prior, text):
+    with pytest.raises(InputError, match=text):
+        identify(RigidBody(np.eye(3)), on_the_ground(1.0), priors=prior)

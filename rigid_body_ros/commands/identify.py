@@ -123,7 +123,8 @@ def _add_arguments(parser: Parser) -> None:
                         help='standard deviation of the guess for a parameter, in the unit of the '
                         'parameter or, with a percent sign, relative to the guess. The guess is '
                         'the value in the scene or, if scenes have no such parameter, the value '
-                        'that has no effect. The option may be repeated')
+                        'that has no effect. For a parameter that is not estimated, this is its '
+                        'plausible size as a suspect. The option may be repeated')
     parser.add_argument('--gravity', type=float, nargs=3, default=GRAVITY,
                         metavar=('X', 'Y', 'Z'), help='gravity acting on the estimated weight, '
                         'm/s^2, space axes (default: 0 0 -9.80665)')

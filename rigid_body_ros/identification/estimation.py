@@ -31,6 +31,7 @@ from rigid_body_ros.inference.findings import Findings, judged
 from rigid_body_ros.inference.inputs import channels_of, setup_of
 from rigid_body_ros.inference.parameters import checked_names, START, unit_of, WEIGHT
 from rigid_body_ros.inference.solution import Solution
+from rigid_body_ros.inference.suspects import candidates, extended
 from rigid_body_ros.inference.verdict import tried, with_intervals
 from rigid_body_ros.inference.windows import acted
 from rigid_body_ros.mechanics import so3
@@ -127,7 +128,8 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
         ignores these samples, and the model is then used to predict them.
     priors : dict of str to float or str, optional
         Standard deviations of the guesses, keyed by the name of a parameter or component. A number
-        has the unit of the component. A string such as '5%' is relative to the guess.
+        has the unit of the component. A string such as '5%' is relative to the guess. The prior of
+        a parameter that is not estimated is its plausible size as a suspect.
     gravity : sequence of 3 float, m/s^2, space axes
         Acceleration of gravity, used for the parameter 'weight'.
     accept : float, optional
@@ -166,7 +168,7 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
     training = [_training(channels, validate) for channels in every]
     setup = setup_of([problem.replaced(body=body) for problem, _ in observed], training, names,
                      attitude_noise, rate_noise, gravity)
-    known = checked_priors(priors or {}, setup.parameters, setup.given)
+    known = checked_priors(priors or {}, extended(setup, setup.given, candidates(setup)))
     is_whole = not any(faults_of(one.torques, one.sensors) for _, one in observed)
     findings = judged(replace(setup, parameters=setup.parameters.with_priors(known)), is_whole)
     return _result(findings, every if validate else [], accept, is_whole)

@@ -30,6 +30,7 @@ from rigid_body_ros.inference.parameters import (
     field_of,
     is_of_sensor,
     KINDS,
+    plausible,
     SHIFTS,
     split_topic,
     START,
@@ -208,7 +209,7 @@ class Parameters:
     guess : Physics
     magnitudes : Magnitudes
     priors : dict of str to Prior
-        Priors, keyed by component name.
+        Priors, keyed by component name, also those of suspects.
 
     """
 
@@ -255,11 +256,22 @@ class Parameters:
         steps[self.shifts] = 1e-5
         return steps
 
+    @property
+    def own_priors(self) -> dict[str, Prior]:
+        """Return the priors of the fitted components; the others are those of suspects."""
+        return {name: prior for name, prior in self.priors.items() if name in self.names}
+
+    @property
+    def plausible(self) -> Floats:
+        """Return how far each component is plausibly from its guess if it is a suspect."""
+        return np.array([self.priors[name].sigma if name in self.priors else scale * plausible(
+            name) for name, scale in zip(self.names, self.scales)])
+
     def surprise(self, physics: Physics) -> Floats:
         """Return how far each value is from its prior, in standard deviations of the prior."""
         values = dict(zip(self.names, self.values(physics)))
         return np.array([(values[name] - prior.value) / prior.sigma
-                         for name, prior in self.priors.items()])
+                         for name, prior in self.own_priors.items()])
 
     def columns(self, groups: Iterable[str]) -> list[int]:
         """Return the indices of the components of the given parameters."""
@@ -350,8 +362,7 @@ class Parameters:
         return _attribute(name, _values(name, physics) + scaled, physics)
 
 
-def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
-                   guess: Physics) -> dict[str, Prior]:
+def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, Prior]:
     """
     Check the priors given by the user, and return the prior of each component.
 
@@ -361,24 +372,22 @@ def checked_priors(priors: Mapping[str, float | str], parameters: Parameters,
         Standard deviations, keyed by the name of a parameter or component. A number has the unit
         of the component. A string such as '5%' is relative to the guess.
     parameters : Parameters
-        The fitted parameters.
-    guess : Physics
-        The guess given by the user.
+        The fitted parameters and the suspects, with the guess given by the user.
 
     Raises
     ------
     InputError
-        A name does not refer to any estimated component, a number is not positive, or a percentage
-        is given for a guess of 0.
+        A name does not refer to any component of `parameters`, a number is not positive, or a
+        percentage is given for a guess of 0.
 
     """
-    values = dict(zip(parameters.names, parameters.values(guess)))
+    values = dict(zip(parameters.names, parameters.values(parameters.guess)))
     result = {}
     for name, given in priors.items():
         components = [name] if name in values else [
-            one for one in components_of(name) if one in values]
+            one for one in values if {one, split_topic(one)[0]} & {*components_of(name)}]
         if not components:
-            raise InputError(f'prior: expected parameters that are estimated, without start '
+            raise InputError(f'prior: expected parameters that are estimated or may be suspects '
                              f'({listed(parameters.groups)}), found {name!r}')
         text = str(given)
         try:

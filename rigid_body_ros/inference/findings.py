@@ -43,7 +43,7 @@ from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, p
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
 from rigid_body_ros.inference.misfit import at_rest, scattered, unexplained, with_persistence
 from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise
-from rigid_body_ros.inference.parameters import components_of, plausible
+from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.reasons import (
     halves,
     of_correlation,
@@ -245,7 +245,7 @@ def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
     if is_plausible:
-        rows = np.diag([1.0 / plausible(name) for name in given.names])[
+        rows = np.diag(parameters.scales / parameters.plausible)[
             [name not in known for name in given.names]]
         matrix = np.concatenate([matrix, rows])
         errors = np.append(errors, np.zeros(len(rows)))

@@ -354,8 +354,9 @@ class LeastSquares:
                 if window.is_first and len(self.unknowns[k])]
         shared = self.parameters.size
         width = shared + sum(len(self.unknowns[k]) for k in kept)
-        known = np.zeros((len(self.parameters.priors), width))
-        for row, (name, prior) in zip(known, self.parameters.priors.items()):
+        priors = self.parameters.own_priors
+        known = np.zeros((len(priors), width))
+        for row, (name, prior) in zip(known, priors.items()):
             i = self.parameters.names.index(name)
             row[i] = self.parameters.scales[i] / prior.sigma
         blocks, column = [known], shared

@@ -29,7 +29,6 @@ from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.parameters import (
     moments_of,
     of_sensors,
-    plausible,
     SPACE,
     split_topic,
     START,
@@ -159,13 +158,12 @@ def with_suspect(solution: Solution, name: str) -> Solution:
             name: np.full(3, physics.number('torque_gain'))})
         setup = replace(setup, parameters=Parameters(
             [group for group in groups if group != 'torque_gain'], physics,
-            setup.parameters.magnitudes))  # without priors, so the prior of the gain is ignored
+            setup.parameters.magnitudes, setup.parameters.priors))
     parameters = extended(setup, physics, [name])
     own = [i for i, one in enumerate(parameters.names) if one not in setup.parameters.names]
-    values, scales = parameters.values(parameters.guess), parameters.scales
+    values, sizes = parameters.values(parameters.guess), parameters.plausible
     parameters = parameters.with_priors({**parameters.priors, **{
-        parameters.names[i]: Prior(float(values[i]), plausible(parameters.names[i])
-                                   * float(scales[i])) for i in own}})
+        parameters.names[i]: Prior(float(values[i]), float(sizes[i])) for i in own}})
     wider = replace(setup, parameters=parameters)
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
