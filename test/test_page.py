@@ -244,6 +244,20 @@ def test_nothing_is_wider_than_the_window(chromium, path, scheme, width):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('width', [390, 1280])
+def test_a_table_of_estimates_is_not_cut(chromium, others, width):
+    with browser.opened(chromium, others['identify'], width) as page:
+        box, name = page.locator('main .wide-table'), page.locator('td:first-child').first
+        left = name.bounding_box()['x']
+        is_cut = box.evaluate('box => box.scrollWidth > box.clientWidth')
+        assert is_cut == (width == 390)
+        box.evaluate('box => box.scrollTo(box.scrollWidth, 0)')
+        unit, around = page.locator('td:last-child').first.bounding_box(), box.bounding_box()
+        assert unit['x'] + unit['width'] <= around['x'] + around['width'] + 1.0 <= width
+        assert name.bounding_box()['x'] == pytest.approx(left, abs=1.0)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize('width', [390, 1280, 1920])
 def test_the_slider_stays_in_sight_and_the_body_fills_its_place(chromium, path, width):
     with browser.opened(chromium, path, width) as page:
