@@ -250,6 +250,17 @@ def test_the_scatter_between_recordings_says_how_certain_an_estimate_is():
         assert 0.3 * expected < half < 3.0 * expected
         low, high = one.interval_95
         assert low * np.mean(factors) <= TRUE[name] <= high * np.mean(factors)
+    rows = [row for row in result.rows() if row[0].startswith('recording')]
+    assert len(rows) == 2 * len(factors)
+    for (name, text), one in zip(rows, result.residuals):
+        size, whole = (np.sqrt(np.mean(np.sum(each ** 2, axis=1)))
+                       for each in (one.errors[one.inliers], one.measured))
+        left = f'{size:.2g} rad of the attitude' if one.is_attitude else \
+            f'{100.0 * size / whole:.2g} % of the angular velocity'
+        assert (name, text) == (f'recording {one.recording + 1}',
+                                f'{one.topic}: {left} unexplained (rms)')
+        assert result.as_dict()['unexplained'][one.name] == pytest.approx(
+            size if one.is_attitude else size / whole, rel=1e-12)
 
 
 @pytest.mark.nightly

@@ -26,7 +26,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats, symmetric
 from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.coordinates import second_moments
-from rigid_body_ros.inference.errors import Misfit, Residuals
+from rigid_body_ros.inference.errors import Misfit, Residuals, unexplained
 from rigid_body_ros.inference.noise import NORMAL_95
 from rigid_body_ros.inference.residual_torque import residual_torque, ResidualTorque, with_attitude
 from rigid_body_ros.inference.verdict import REJECTED, Verdict
@@ -289,6 +289,8 @@ class Identification:
                            'matrix': as_json(self.covariance)},
             'correlation': as_json(self.correlation),
             'noise': self.noise, 'autocorrelation': self.autocorrelation,
+            'unexplained': {one.name: unexplained([one])[1] for one in self.residuals
+                            if one.is_training},
             'window_s': self.window_s, 'predictable_s': self.predictable_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
@@ -321,6 +323,10 @@ class Identification:
             yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
         for first, second, value in _correlated(self):
             yield 'correlated', f'{first} and {second}: {value:.4f}'
+        for one in self.residuals:
+            if one.is_training and len(self.starts) > 1:
+                yield f'recording {one.recording + 1}', \
+                    f'{one.topic}: {unexplained([one])[0]} unexplained (rms)'
         for name, level in self.noise.items():
             factor, unit = scaled('rad' if 'attitude' in name.split()[1] else 'rad/s', degrees)
             colour = _colour(self.autocorrelation[name])

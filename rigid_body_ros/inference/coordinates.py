@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -96,7 +96,7 @@ class Physics:
     @cached_property
     def body(self) -> RigidBody:
         """Return the body with the fitted inertia and damping."""
-        return _body(self.inertia.tobytes(), self.damping.tobytes())
+        return RigidBody(self.inertia, self.damping)
 
     def value(self, name: str, topic: str = '') -> Floats:
         """
@@ -134,13 +134,6 @@ class Physics:
             for one in fields]
         weight = self.value(WEIGHT)
         return [*acting, UniformField(weight, self.gravity, WEIGHT)] if weight.any() else acting
-
-
-@lru_cache(maxsize=64)
-def _body(inertia: bytes, damping: bytes) -> RigidBody:
-    # Cache the bodies, because they are expensive to create. In a fit, a third of the evaluations
-    # change neither the inertia nor the damping.
-    return RigidBody(*(np.frombuffer(each).reshape(3, 3) for each in (inertia, damping)))
 
 
 class Magnitudes(NamedTuple):

@@ -110,6 +110,26 @@ class Residuals:
         return float(np.sum(self.kept[1:] * self.kept[:-1])) / total if total else 0.0
 
 
+def unexplained(parts: Sequence[Residuals]) -> tuple[str, float]:
+    """
+    Return what a model leaves unexplained of one quantity, as text and as a number.
+
+    For an angular velocity, this is the rms error relative to the rms of the measurement; for an
+    attitude, the rms error, rad.
+    """
+    size, whole = (rms(np.concatenate([getattr(one, name) for one in parts]))
+                   for name in ('kept', 'measured'))
+    if parts[0].is_attitude:
+        return f'{size:.2g} rad of the attitude', size
+    part = size / max(whole, 1e-12)
+    return f'{100.0 * part:.2g} % of the angular velocity', part
+
+
+def rms(vectors: Floats) -> float:
+    """Return the root-mean-square length of some vectors, or 0 if there are none."""
+    return float(np.sqrt(np.mean(np.sum(vectors ** 2, axis=1)))) if len(vectors) else 0.0
+
+
 @dataclass(frozen=True)
 class Misfit:
     """

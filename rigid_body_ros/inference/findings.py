@@ -41,7 +41,7 @@ from rigid_body_ros.inference.evidence import (
 from rigid_body_ros.inference.fit import LeastSquares
 from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
-from rigid_body_ros.inference.misfit import at_rest, scattered, unexplained, with_persistence
+from rigid_body_ros.inference.misfit import at_rest, left_by, scattered, with_persistence
 from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise
 from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.reasons import (
@@ -202,7 +202,7 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
     suspects = _significant([*faults_of_outliers(solution), *blunt, *_largest(
         [*_changes(solution), *_breaks(solution)])])
     contradictions, drift = halves(solution)
-    reasons = [*(Reason(text, part > _MISFIT) for text, part in unexplained(solution)),
+    reasons = [*(Reason(text, part > _MISFIT) for text, part in left_by(solution)),
                *contradictions,
                *(one for one in findings.reasons if not one.is_contradiction)]
     texts, scatter = scattered(solution)

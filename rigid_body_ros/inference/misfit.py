@@ -27,7 +27,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.inference.errors import correlations
+from rigid_body_ros.inference.errors import (
+    correlations,
+    of_training,
+    Residuals,
+    rms,
+    unexplained,
+)
 from rigid_body_ros.inference.evidence import linear, widened
 from rigid_body_ros.inference.guess import davenport
 from rigid_body_ros.inference.noise import batches_of, Noise, NORMAL_95
@@ -102,25 +108,14 @@ def _persistence(errors: Floats, inliers: NDArray[np.bool_]) -> float:
     return max(times)
 
 
-def unexplained(solution: Solution) -> Iterator[tuple[str, float]]:
-    """
-    Generate what the model leaves unexplained of each quantity, as text and as a number.
-
-    For an angular velocity, this is the rms error relative to the rms of the measurement; for an
-    attitude, the rms error, rad.
-    """
-    parts: dict[tuple[str, bool], list[tuple[Floats, Floats]]] = {}
-    for every in zip(solution.problem.setup.channels, solution.errors, solution.inliers):
-        for channel, errors, inliers in zip(*every):
-            kept = inliers & np.isfinite(errors[:, 0])
-            parts.setdefault((channel.topic, channel.is_attitude), []).append(
-                (errors[kept], channel.values))
-    for (topic, is_attitude), pairs in parts.items():
-        size, whole = (_rms(np.concatenate(each)) for each in zip(*pairs))
-        part = size if is_attitude else size / max(whole, 1e-12)
-        what = f'{part:.2g} rad of the attitude' if is_attitude else \
-            f'{100.0 * part:.2g} % of the angular velocity'
-        yield f'{topic}: the model leaves {what} unexplained (rms)', part
+def left_by(solution: Solution) -> Iterator[tuple[str, float]]:
+    """Generate a text and a number for each quantity, which say what the model cannot explain."""
+    quantities: dict[tuple[str, bool], list[Residuals]] = {}
+    for one in of_training(solution):
+        quantities.setdefault((one.topic, one.is_attitude), []).append(one)
+    for parts in quantities.values():
+        what, part = unexplained(parts)
+        yield f'{parts[0].topic}: the model leaves {what} unexplained (rms)', part
 
 
 def at_rest(solution: Solution) -> str:
@@ -129,27 +124,23 @@ def at_rest(solution: Solution) -> str:
     if not setup.is_computed:
         return ''
     least = _LARGER if all(map(is_of_sensor, setup.parameters.groups)) else np.sqrt(_LEFT)
-    for every in zip(setup.channels, solution.errors, solution.inliers):
-        for channel, errors, inliers in zip(*every):
-            kept = inliers & np.isfinite(errors[:, 0])
-            values = channel.values[kept]
-            if channel.is_attitude:
-                apart = so3.log(so3.multiply(so3.conjugate(davenport(values)), values))
-                turned = apart
-            else:
-                apart, steps = values - values.mean(axis=0), np.gradient(channel.stamps_ns[kept])
-                turned = np.cumsum(1e-9 * steps[:, None] * apart, axis=0)
-                if _rms(values.mean(axis=0)[None]) > _BIAS:
-                    return ''
-            if _rms(turned) > _STILL or _rms(errors[kept]) < least * _rms(apart):
+    for one in of_training(solution):
+        values = one.measured[one.inliers]
+        if not len(values):
+            continue
+        if one.is_attitude:
+            apart = turned = so3.log(so3.multiply(so3.conjugate(davenport(values)), values))
+        else:
+            apart = values - values.mean(axis=0)
+            seconds = 1e-9 * np.diff(one.kept_ns, prepend=one.kept_ns[0])
+            turned = np.cumsum(seconds[:, None] * apart, axis=0)
+            if rms(values.mean(axis=0)[None]) > _BIAS:
                 return ''
+        if rms(turned) > _STILL or rms(one.kept) < least * rms(apart):
+            return ''
     acts = any(log.torques.any() for problem in setup.problems for log in problem.logs)
     return 'the body does not visibly move: ' + (
         'the logged torque has no visible effect' if acts else 'this says nothing about it')
-
-
-def _rms(vectors: Floats) -> float:
-    return float(np.sqrt(np.mean(np.sum(vectors ** 2, axis=1)))) if len(vectors) else 0.0
 
 
 def scattered(solution: Solution) -> tuple[list[str], dict[str, float]]:

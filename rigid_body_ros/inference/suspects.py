@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -91,10 +91,7 @@ class Suspect:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields under the names used in the JSON file."""
-        return {'name': self.name, 'chi2_drop': self.chi2_drop,
-                'validation_chi2_per_dof': self.validation_chi2_per_dof, 'p': self.p,
-                'value': as_json(np.array(self.value)), 'command': self.command,
-                'text': self.text}
+        return {**asdict(self), 'value': as_json(np.array(self.value))}
 
 
 def candidates(setup: Setup) -> list[str]:
