@@ -27,13 +27,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.inference.errors import (
-    correlations,
-    of_training,
-    Residuals,
-    rms,
-    unexplained,
-)
+from rigid_body_ros.inference.errors import correlations, of_training, Residuals, rms, unexplained
 from rigid_body_ros.inference.evidence import linear, widened
 from rigid_body_ros.inference.guess import davenport
 from rigid_body_ros.inference.noise import batches_of, Noise, NORMAL_95
