@@ -33,7 +33,6 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.certainty import triangle
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.parameters import WEIGHT
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics import so3
@@ -259,18 +258,14 @@ class LeastSquares:
         of any prediction with respect to each unknown.
         """
         window, unknown, steps = self.windows[k], self.unknowns[k], self.steps[0]
-        own, free = len(unknown), self._free(k)
+        own = len(unknown)
         step = np.append(self.steps[1][k, unknown], steps)
         moves = np.zeros((1 + len(step), 6))
         moves[1 + np.arange(own), unknown] = step[:own]
-        states = self._changed(k, change + moves)
-        predicted = window.predict([physics] * (1 + own - free) + [*moved_physics],
-                                   states.rows(np.r_[0, 1 + free:len(moves)]))
-        base = [one[0] for one in predicted]
-        slope = [np.concatenate(parts) for parts in zip(
-            self._turned(k, base, states.attitude[:1 + free], step[:free]),
-            slopes(window, base, [(one[1:] - one[0]) / step[free:, None, None]
-                                  for one in predicted]))]
+        predicted = window.predict([physics] * (1 + own) + [*moved_physics],
+                                   self._changed(k, change + moves))
+        slope = slopes(window, [one[0] for one in predicted], [
+            (one[1:] - one[0]) / step[:, None, None] for one in predicted])
         found = np.max([np.abs(one).max(axis=(1, 2), initial=0.0) for one in slope], axis=0)
         largest[np.append(unknown, 6 + np.arange(len(steps)))] = found
         columns = np.zeros((len(step) + 1, 3 * window.size + own))
@@ -280,11 +275,6 @@ class LeastSquares:
         columns[np.arange(own), np.arange(own)] = 1.0 / _PRIOR
         columns[-1, :own] = change[unknown] / _PRIOR
         return triangle(columns)
-
-    def _free(self, k: int) -> int:
-        """Return how many unknowns of a window have derivatives that need no propagation."""
-        is_in_body = self.windows[k].is_in_body and WEIGHT not in self.parameters.groups
-        return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 
     def _adapt(self, largest: Floats) -> None:
         """
@@ -296,18 +286,6 @@ class LeastSquares:
         shifts = self.parameters.shifts
         shared[shifts] = self.parameters.steps[shifts]
         self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
-
-    def _turned(self, k: int, base: list[Floats], attitude: Floats, step: Floats) -> list[Floats]:
-        """
-        Return the derivatives of the predictions with respect to the initial attitude.
-
-        The result is valid only if all torques are in body axes.
-        """
-        space = 2.0 * so3.multiply(attitude[1:] - attitude[0],
-                                   so3.conjugate(attitude[0]))[:, None, :3] / step[:, None, None]
-        return [so3.rotate(so3.conjugate(one), space) if channel.is_attitude
-                else np.zeros((len(step), *one.shape))
-                for channel, one in zip(self.windows[k].channels, base)]
 
     def _rows(self, k: int, errors: list[Floats]) -> Floats:
         """

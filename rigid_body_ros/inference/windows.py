@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +91,6 @@ class Window:
     axial : array, shape (3, 3), kg m^2, optional
         Axial inertia of the named wheels, if the wheel speeds at the beginning of the window are
         known. The rotor momentum in `problem` is then relative to the rotating body.
-    is_in_body : bool
-        Whether all torques are in body axes. With such torques, rotating the initial attitude
-        rotates the whole motion.
 
     """
 
@@ -103,7 +101,6 @@ class Window:
     rows: list[slice]
     origin_ns: int
     axial: Floats | None = None
-    is_in_body: bool = field(init=False)
     #: A cache of the torques: the gain, delay and lag of the latest prediction as bytes, and the
     #: problem with the torques that result from them.
     _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
@@ -111,10 +108,6 @@ class Window:
     #: of each channel's times in the union of all times, and the union itself.
     _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
         init=False, default=None)
-
-    def __post_init__(self) -> None:
-        self.is_in_body = not (self.problem.fields or any(log.in_space.any()
-                                                          for log in self.problem.logs))
 
     @property
     def anchor_ns(self) -> int:
@@ -173,23 +166,21 @@ class Window:
         The first two items are the indices of these motions, and where the samples of each channel
         lie in them.
         """
-        groups: list[tuple[Motion, NDArray[np.int64], list[NDArray[np.intp]], list[int]]] = []
-        for i, one in enumerate(physics):
-            rows, times_ns = self._instants(one)
-            acting = self._acting(one, int(times_ns[-1]))
-            if groups and groups[-1][0] is acting and groups[-1][1] is times_ns:
-                groups[-1][3].append(i)
-            else:
-                groups.append((acting, times_ns, rows, [i]))
-        for acting, times_ns, rows, which in groups:
+        instants = [self._instants(one) for one in physics]
+        acting = [self._acting(one, int(times_ns[-1]))
+                  for one, (_, times_ns) in zip(physics, instants)]
+        for _, group in groupby(range(len(physics)), lambda i: (id(acting[i]),
+                                                                id(instants[i][1]))):
+            which = [*group]
             # Parameters of the sensors do not change the motion.
             keys = [(physics[i].of_motion(), *(each[i].tobytes() for each in states))
                     for i in which]
             own = dict(zip(keys, which))
-            found = self._moved(acting, [physics[i] for i in own.values()],
+            rows, times_ns = instants[which[0]]
+            found = self._moved(acting[which[0]], [physics[i] for i in own.values()],
                                 states.rows([*own.values()]), times_ns)
-            place = {key: k for k, key in enumerate(own)}
-            yield which, rows, found.rows([place[key] for key in keys])
+            places = dict(zip(own, range(len(own))))
+            yield which, rows, found.rows([places[key] for key in keys])
 
     def _moved(self, problem: Motion, physics: Sequence[Physics], states: Poses,
                times_ns: NDArray[np.int64]) -> Poses:
