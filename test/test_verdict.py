@@ -382,3 +382,15 @@ def test_a_suspect_that_the_user_rules_out_is_not_named_and_does_not_widen(name,
 def test_a_prior_of_no_suspect_or_size_is_an_error(prior, text):
     with pytest.raises(InputError, match=text):
         identify(RigidBody(np.eye(3)), on_the_ground(1.0), priors=prior)
+
+
+def test_a_model_of_a_body_at_rest_is_right_but_no_fit_of_it():
+    times = np.arange(1000) * 10_000_000
+    measured = [Measured('/mocap', times, np.tile([0.0, 0.0, 0.0, 1.0], (1000, 1)), None),
+                Measured('/imu', times, None, np.zeros((1000, 3)))]
+    body, experiment = RigidBody(np.eye(3)), Experiment(State(0), None, measured)
+    assert compare(body, State(0), measured=measured).verdict.reasons == []
+    for log in (None, TorqueLog([0], [[1e-3, 0.0, 0.0]])):
+        verdict = identify(body, replace(experiment, log=log)).verdict
+        assert verdict.level == 'rejected'
+        assert verdict.reasons[0].startswith('the body does not visibly move')

@@ -117,7 +117,8 @@ def at_rest(solution: Solution) -> str:
     setup = solution.problem.setup
     if not setup.is_computed:
         return ''
-    least = _LARGER if all(map(is_of_sensor, setup.parameters.groups)) else np.sqrt(_LEFT)
+    fits_motion = not all(map(is_of_sensor, setup.parameters.groups))
+    least = np.sqrt(_LEFT) if fits_motion else _LARGER
     for one in of_training(solution):
         values = one.measured[one.inliers]
         if not len(values):
@@ -130,7 +131,8 @@ def at_rest(solution: Solution) -> str:
             turned = np.cumsum(seconds[:, None] * apart, axis=0)
             if rms(values.mean(axis=0)[None]) > _BIAS:
                 return ''
-        if rms(turned) > _STILL or rms(one.kept) < least * rms(apart):
+        left = rms(one.kept)
+        if rms(turned) > _STILL or left < least * rms(apart) or not (left or fits_motion):
             return ''
     acts = any(log.torques.any() for problem in setup.problems for log in problem.logs)
     return 'the body does not visibly move: ' + (

@@ -157,11 +157,10 @@ def with_suspect(solution: Solution, name: str) -> Solution:
             [group for group in groups if group != 'torque_gain'], physics,
             setup.parameters.magnitudes, setup.parameters.priors))
     parameters = extended(setup, physics, [name])
-    own = [i for i, one in enumerate(parameters.names) if one not in setup.parameters.names]
-    values, sizes = parameters.values(parameters.guess), parameters.plausible
-    parameters = parameters.with_priors({**parameters.priors, **{
-        parameters.names[i]: Prior(float(values[i]), float(sizes[i])) for i in own}})
-    wider = replace(setup, parameters=parameters)
+    sizes = zip(parameters.names, parameters.values(parameters.guess), parameters.plausible)
+    own = {one: Prior(float(value), float(size)) for one, value, size in sizes
+           if one not in setup.parameters.names}
+    wider = replace(setup, parameters=parameters.with_priors({**parameters.priors, **own}))
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
     start = replace(solution, problem=problem, physics=wider.parameters.guess)
