@@ -45,33 +45,8 @@ from rigid_body_ros.kernels.messages import Contents, RawMessages
 from rigid_body_ros.kernels.state_layout import MOST_WHEELS
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
-__all__ = [
-    'CLASSICAL',
-    'EXPIRY',
-    'FASTEST',
-    'FIELDS',
-    'MOST_FIELDS',
-    'MOST_LAGS',
-    'MOST_WHEELS',
-    'CommandChanges',
-    'Contents',
-    'FieldTerms',
-    'Friction',
-    'FrictionTerms',
-    'LagTerms',
-    'Lags',
-    'RawMessages',
-    'Rows',
-    'Samples',
-    'Sums',
-    'Terms',
-    'body_layout',
-    'interpolation',
-    'kernels',
-    'layout',
-    'many_loop',
-    'motion_layout',
-    'state_layout',
-    'tensor',
-    'tensors',
-]
+__all__ = ['CLASSICAL', 'EXPIRY', 'FASTEST', 'FIELDS', 'MOST_FIELDS', 'MOST_LAGS', 'MOST_WHEELS',
+           'CommandChanges', 'Contents', 'FieldTerms', 'Friction', 'FrictionTerms', 'LagTerms',
+           'Lags', 'RawMessages', 'Rows', 'Samples', 'Sums', 'Terms', 'body_layout',
+           'interpolation', 'kernels', 'layout', 'many_loop', 'motion_layout', 'state_layout',
+           'tensor', 'tensors']
