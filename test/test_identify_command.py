@@ -204,14 +204,20 @@ def test_a_late_clock_and_a_turned_sensor(tumble):
     np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=1e-4)
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_two_recordings(tumble):
     truth = measurements.truth(seed=2)
     record(tumble / 'other.mcap', truth, truth.measured(2e-3, 5e-3, seed=1))
-    status = identify(tumble, '--json', tumble / 'out.json', recordings=('in.mcap', 'other.mcap'))
+    status = identify(tumble, '--json', tumble / 'out.json', '--report', tumble / 'out.html',
+                      recordings=('in.mcap', 'other.mcap'))
     assert status == 0
     estimates = json.loads((tumble / 'out.json').read_text())['estimates']
     assert {'initial_attitude.x', 'initial_attitude.x[2]'} <= estimates.keys()
+    # The page shows the errors of both.
+    errors = {panel['label']: panel for panel in data_of((tumble / 'out.html').read_text(
+        'utf-8'))['panels']}
+    label = '/imu: rate error, computed minus measured, axes of the sensor'
+    assert errors[label]['curves'] != errors[f'recording 2, {label}']['curves']
 
 
 @pytest.mark.slow

@@ -52,6 +52,10 @@ def test_white_noise_exceeds_its_limit_at_one_frequency_in_a_hundred(seconds):
     assert np.median(found.amplitudes / found.limits) > 0.3
 
 
+def test_a_recording_too_short_for_a_cycle_has_no_spectrum():
+    assert spectrum(residual(seconds=0.5)) is None
+
+
 def test_a_torque_that_is_constant_in_space_axes_is_so_there():
     stamps_ns = np.arange(2000) * (SECOND // 100)
     force, start = np.array([2e-4, -1e-4, 3e-4]), State(angular_velocity=(0.5, 1.0, 0.2))

@@ -87,7 +87,7 @@ def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:
 
 
 def _panels(fit: Identification, first: Problem) -> Iterator[Panel]:
-    quantities = fit.first_errors()
+    quantities = fit.errors_of(0)
     if not quantities:
         return
     start_ns = int(_stamps_ns(fit)[0])
@@ -101,12 +101,15 @@ def _panels(fit: Identification, first: Problem) -> Iterator[Panel]:
             one for one in fit.aligned if one.is_attitude and len(one) > 1], start_ns)
     for parts in quantities:
         yield from _correlations(parts[0])
+    for number in range(1, len(fit.starts)):
+        for parts in fit.errors_of(number):
+            yield from _of_channel(parts, int(_stamps_ns(fit, number)[0]))
 
 
-def _stamps_ns(fit: Identification) -> NDArray[np.int64]:
-    """Return the stamps of all samples of the first recording."""
+def _stamps_ns(fit: Identification, recording: int = 0) -> NDArray[np.int64]:
+    """Return the stamps of all samples of a recording."""
     return np.unique(np.concatenate([
-        part.stamps_ns for part in fit.residuals if not part.recording]))
+        part.stamps_ns for part in fit.residuals if part.recording == recording]))
 
 
 def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
@@ -117,10 +120,11 @@ def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
     samples, first = Drawn(stamps_ns, inliers), parts[0]
     name, unit, error, error_unit = ('attitude quaternion', '', 'attitude error', 'rad') \
         if first.is_attitude else ('angular velocity', 'rad/s', 'rate error', 'rad/s')
-    yield overlay_panel(f'{first.topic}: {name}, axes of the sensor', unit, samples, measured,
-                        computed, start_ns)
-    yield error_panel(f'{first.topic}: {error}, computed minus measured, axes of the sensor',
-                      error_unit, samples, errors,
+    where = f'recording {first.recording + 1}, {first.topic}' if first.recording else first.topic
+    yield overlay_panel(f'{where}: {name}, axes of the sensor', unit, samples, measured, computed,
+                        start_ns)
+    yield error_panel(f'{where}: {error}, computed minus measured, axes of the sensor', error_unit,
+                      samples, errors,
                       ('±2 sigma assumed by the fit', 2.0 * first.noise), start_ns)
 
 

@@ -242,11 +242,11 @@ class Identification:
         square = np.mean(np.sum(found.torques ** 2, axis=1)) - np.sum(found.noise ** 2)
         return float(np.sqrt(max(square, 0.0)))
 
-    def first_errors(self) -> list[list[Residuals]]:
-        """Return the errors of each quantity in the first recording, validation samples last."""
+    def errors_of(self, recording: int) -> list[list[Residuals]]:
+        """Return the errors of each quantity in a recording, validation samples last."""
         quantities: dict[str, list[Residuals]] = {}
         for errors in self.residuals:
-            if errors.recording == 0 and errors.inliers.any():
+            if errors.recording == recording and errors.inliers.any():
                 quantities.setdefault(errors.name, []).append(errors)
         return [*quantities.values()]
 

@@ -116,6 +116,8 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     power = np.abs(np.fft.rfft((segments - means) * window[:, None], _FINER * size, axis=1)) ** 2
     hertz = np.fft.rfftfreq(_FINER * size, spacing)
     kept = (np.pi * hertz * torque.window_s <= _FLATTENED) & (hertz > 1.5 / (size * spacing))
+    if not kept.any():
+        return None
     shown = np.asarray(hertz[kept], np.float64)
     half = round(0.5 * torque.window_s / spacing)
     times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
