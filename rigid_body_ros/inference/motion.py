@@ -120,7 +120,7 @@ class Recorded:
         return known if self.spacing_ns else np.ones(len(times_ns), bool)
 
     #: A recorded motion has no torques. A window asks for them, and for the two methods below.
-    fields = logs = ()
+    fields = logs = actuators = ()
 
     def between(self, *_: object) -> Recorded:
         """Return the same motion."""

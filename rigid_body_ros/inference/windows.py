@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,14 +153,14 @@ class Window:
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
         """Propagate a state from the beginning of the window to a given time."""
-        found = self._moved(self._acting(physics, time_ns), [physics], Poses(
+        found = self._moved([self._acting(physics, time_ns)], [physics], Poses(
             attitude[None], velocity[None]), np.array([time_ns]))
         return found.attitude[0, 0], found.angular_velocity[0, 0]
 
     def _motions(self, physics: Sequence[Physics], states: Poses
                  ) -> Iterator[tuple[list[int], list[NDArray[np.intp]], Poses]]:
         """
-        Generate the motions that have the same times and torques, and can be computed together.
+        Generate the motions that have the same times, and can be computed together.
 
         The first two items are the indices of these motions, and where the samples of each channel
         lie in them.
@@ -169,27 +168,29 @@ class Window:
         instants = [self._instants(one) for one in physics]
         acting = [self._acting(one, int(times_ns[-1]))
                   for one, (_, times_ns) in zip(physics, instants)]
-        for _, group in groupby(range(len(physics)), lambda i: (id(acting[i]),
-                                                                id(instants[i][1]))):
-            which = [*group]
+        groups: dict[tuple[int, bool], list[int]] = {}
+        for i, (_, times_ns) in enumerate(instants):
+            groups.setdefault((id(times_ns), bool(acting[i].actuators)), []).append(i)
+        for which in groups.values():
             # Parameters of the sensors do not change the motion.
             keys = [(physics[i].of_motion(), *(each[i].tobytes() for each in states))
                     for i in which]
             own = dict(zip(keys, which))
             rows, times_ns = instants[which[0]]
-            found = self._moved(acting[which[0]], [physics[i] for i in own.values()],
+            found = self._moved([acting[i] for i in own.values()],
+                                [physics[i] for i in own.values()],
                                 states.rows([*own.values()]), times_ns)
             places = dict(zip(own, range(len(own))))
             yield which, rows, found.rows([places[key] for key in keys])
 
-    def _moved(self, problem: Motion, physics: Sequence[Physics], states: Poses,
+    def _moved(self, problems: Sequence[Motion], physics: Sequence[Physics], states: Poses,
                times_ns: NDArray[np.int64]) -> Poses:
         """
-        Return the motions at the given times, each array of shape (c, n, 3 or 4).
+        Return the motions of c problems at n times, each array of shape (c, n, 3 or 4).
 
         At times before the beginning of the window, a motion is at its initial state.
         """
-        times_ns = np.clip(times_ns, *span_of(self.problem))
+        times_ns, problem = np.clip(times_ns, *span_of(self.problem)), problems[0]
         if isinstance(problem, Recorded):
             poses = problem.propagate(at=times_ns)
             return Poses(poses.attitude[None], poses.angular_velocity[None])
@@ -198,16 +199,17 @@ class Window:
         if self.axial is not None:
             momenta += states.angular_velocity @ self.axial
         fields = [one.acting(self.problem.fields) for one in physics]
-        if problem.actuators or len({*map(len, fields)}) > 1:
-            motions = [problem.replaced(body=one.body, start=State(self.anchor_ns, *own),
-                                        fields=field or None).propagate(at=times_ns)
-                       for one, field, *own in zip(physics, fields, *states, momenta)]
+        if len(problems) == 1 or problem.actuators or len({*map(len, fields)}) > 1:
+            motions = [each.replaced(body=one.body, start=State(self.anchor_ns, *own),
+                                     fields=field or None).propagate(at=times_ns)
+                       for each, one, field, *own in zip(problems, physics, fields, *states,
+                                                         momenta)]
             return Poses(*(np.array([getattr(one, name) for one in motions])
                            for name in Poses._fields))
         bodies = RigidBodies([one.inertia for one in physics], np.array(
             [one.damping for one in physics]))
         found = propagate_many(
-            bodies, States(self.anchor_ns, *states, momenta), [problem.logs] * len(physics),
+            bodies, States(self.anchor_ns, *states, momenta), [each.logs for each in problems],
             at=times_ns, wheels=problem.wheels, fields=fields if fields[0] else (),
             **asdict(problem.options))
         if any(found.messages):
