@@ -19,33 +19,28 @@ from __future__ import annotations
 from contextlib import suppress
 import hashlib
 from importlib import util
-from importlib.metadata import version
 import os
 from pathlib import Path
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
 
-from levels import MACHINES
+from levels import MACHINES, wanted
 from setuptools import Extension
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
-#: The generated code that a source archive carries.
-CARRIED = HERE / 'generated'
 #: A product and a sum of the boundary's own would be rounded once.
 FLAGS = ['-std=c11', '-ffp-contract=off', '-fvisibility=hidden']
-#: What the generated code depends on, besides the kernels.
-_GENERATOR = ('four', 'generate', 'jit', 'lanes', 'levels', 'machine_code', 'modules',
-              'signatures')
-#: The versions of numba whose internals the build step knows, and what needs them unless the code
-#: is there.
-_TESTED = (0, 61), (0, 69)
-NUMBA = 'numba>={}.{},<{}.{}'.format(*_TESTED[0], *_TESTED[1])
+#: Keep the sources in C++, to read them.
+_KEEP = 'RIGID_BODY_ROS_KEEP'
+#: What compiling takes on Debian and Ubuntu.
+_TAKES = 'takes GCC 11 or Clang 17 and the headers of Python (apt install g++ python3-dev)'
 
 
 def kernels() -> Extension:
@@ -61,44 +56,45 @@ def macros() -> list[tuple[str, str]]:
             ('SOURCES', f'"{_sources().sources_hash()}"')]
 
 
-def generated(machine: str) -> Path:
-    """Return the folder of the code that is generated for a kind of machine; it may not exist."""
-    carried = CARRIED / _key() / machine
-    return carried if carried.is_dir() else ROOT / 'build' / 'kernels' / _key() / machine
+def compiler(machine: str) -> list[str]:
+    """Return the command of the C++ compiler for a kind of machine, and options of the user."""
+    command = os.environ.get('CXX', 'g++') if machine == platform.machine() else \
+        f'{machine}-linux-gnu-g++'
+    return shlex.split(f"{command} {os.environ.get('CXXFLAGS', '')}")
 
 
-def generate(machine: str) -> Path:
-    """Return the folder with the code for a kind of machine; generate it if it does not exist."""
-    folder = generated(machine)
-    if folder.is_dir():
-        return folder
+def compiled(machine: str) -> Path:
+    """Return the folder with the objects of the kernels; compile them if it does not exist."""
     if machine not in MACHINES:
         raise CompileError(f"expected a processor of {', '.join(MACHINES)}, found {machine}")
-    found = version('numba') if util.find_spec('numba') else 'none'
-    if found == 'none' or not _TESTED[0] <= tuple(map(int, found.split('.')[:2])) < _TESTED[1]:
-        raise CompileError(f'generating the kernels takes numba, found {found}: '
-                           f"pip install '{NUMBA}'")
-    print('Generating the kernels: about a minute, once for each state of their sources',
-          flush=True)
+    command, levels = compiler(machine), wanted(machine)
+    folder = ROOT / 'build' / 'kernels' / _key(command, levels)
+    if folder.is_dir():
+        return folder
+    print(f"Compiling the kernels for {', '.join(levels)}: about a minute, once for each state of "
+          'their sources', flush=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=folder.parent) as partial:
         written = Path(partial, machine)
         written.mkdir()
-        if subprocess.run([sys.executable, HERE / 'generate.py', written,
-                           *MACHINES[machine]]).returncode:
-            raise CompileError('the kernels could not be generated; the error stands above')
+        if subprocess.run([sys.executable, HERE / 'generate.py', written, *levels, '--',
+                           *command]).returncode:
+            raise CompileError(f'compiling the kernels {_TAKES}; the error stands above')
+        if not os.environ.get(_KEEP):
+            for source in written.glob('*.[ch]pp'):
+                source.unlink()
         if not folder.is_dir():  # another build may have been faster
             shutil.move(written, folder)
     return folder
 
 
 class BuildKernels(build_ext):
-    """Build the extension module; first generate its machine code."""
+    """Build the extension module; first compile the kernels."""
 
     def build_extension(self, ext: Extension) -> None:
-        """Build the module against numpy, and link it with the generated code."""
+        """Build the module against numpy, and link it with the kernels."""
         import numpy
-        folder = generate(platform.machine())
+        folder = compiled(platform.machine())
         ext.include_dirs = [numpy.get_include(), str(folder)]
         ext.extra_objects = sorted(map(str, folder.glob('*.o')))
         ext.depends += ext.extra_objects
@@ -108,8 +104,7 @@ class BuildKernels(build_ext):
         try:
             super().build_extension(ext)
         except CompileError as error:
-            raise CompileError(f'linking the kernels takes a C compiler and the headers of '
-                               f'Python (apt install gcc python3-dev): {error}') from None
+            raise CompileError(f'linking the kernels {_TAKES}: {error}') from None
         # Tests run in the source folder, after `colcon build`, too.
         built, beside = Path(self.get_ext_fullpath(ext.name)), ROOT / 'rigid_body_ros' / 'engine'
         with suppress(OSError), TemporaryDirectory(dir=beside) as folder:
@@ -125,9 +120,11 @@ def _sources():
     return module
 
 
-def _key() -> str:
-    # Return a hash of all that the generated code depends on.
-    digest = hashlib.sha256(_sources().sources_hash().encode())
-    for name in _GENERATOR:
-        digest.update((HERE / f'{name}.py').read_bytes())
+def _key(command: list[str], levels: list[str]) -> str:
+    # Return a hash of all that the objects depend on.
+    version = subprocess.run([*command, '--version'], capture_output=True, text=True)
+    settings = [*command, *levels, version.stdout, os.environ.get(_KEEP, '')]
+    digest = hashlib.sha256('\n'.join([_sources().sources_hash(), *settings]).encode())
+    for path in sorted(HERE.glob('*.[hp]*')):
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

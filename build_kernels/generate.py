@@ -13,15 +13,17 @@
 # limitations under the License.
 
 """
-Generate the machine code of the kernels: `generate.py FOLDER LEVEL...`.
+Write the kernels in C++, and compile them: `generate.py FOLDER LEVEL... -- COMPILER...`.
 
-FOLDER gets an object file for each processor level, and table.h, which describes the kernels to
-the boundary. A level with a `rest` has only few signatures of its own, see `_holder`.
+FOLDER gets kernels.hpp, which `translate.py` writes, a file for each group of signatures, an
+object for each of those and each processor level, and table.h, which describes the kernels to the
+boundary.
 """
 
 from __future__ import annotations
 
-import gc
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 import os
 from pathlib import Path
 import subprocess
@@ -29,85 +31,106 @@ import sys
 from typing import Any
 
 from levels import Level, LEVELS
+from modules import load
+from signatures import Part, results, signatures, VARIABLES
+from translate import Rejected, short_name, translated
 
-#: For numba: no code for this machine's processor and its libraries, and the same names each time.
-ENVIRONMENT = {'NUMBA_CPU_NAME': 'generic', 'NUMBA_CPU_FEATURES': '',
-               'NUMBA_DISABLE_INTEL_SVML': '1', 'PYTHONHASHSEED': '0'}
-
-
-def main(folder: Path, names: list[str]) -> None:
-    """Generate the code for each number of lanes, then compile it for each level."""
-    lanes = sorted({LEVELS[name].lanes for name in names})
-    _run([({'LANES': str(count)}, ['--code', str(folder), *names]) for count in lanes])
-    _run([({}, ['--level', str(folder), name]) for name in names])
-    for count in lanes:
-        _code(folder, count).unlink()
-
-
-def write_code(folder: Path, names: list[str]) -> None:
-    """Write the code for the levels with the lanes of this process; if it is all, the table."""
-    from lanes import LANES
-    from machine_code import keep_raw, Module
-    from modules import exported
-    gc.disable()  # it would take a tenth of the time
-    keep_raw()
-    levels = [LEVELS[name] for name in names]
-    here = [level for level in levels if level.lanes == LANES]
-    module = Module()
-    rows = [_add(module, kernel, here) for kernel in exported()]
-    _code(folder, LANES).write_bytes(module.linked())
-    if any(not level.rest for level in here):
-        (folder / 'table.h').write_text(_table(rows, names), encoding='ascii')
+HERE = Path(__file__).resolve().parent
+#: Every operation is rounded for itself; what is rounded once is an explicit fma.
+OPTIONS = ['-std=c++20', '-ffp-contract=off', '-fno-math-errno', '-fno-trapping-math', '-fwrapv',
+           '-fvisibility=hidden', '-fPIC', '-fno-exceptions', '-fno-rtti', '-w',
+           '-Werror=return-type', '-Werror=float-conversion']
+#: The group of what is called seldom or takes little time.
+_OTHERS = 'others'
+_TERMS = ('', '.motors', '.space', '.fields', '.lags', '.friction')
 
 
-def write_object(folder: Path, name: str) -> None:
-    """Write the object file of a level."""
-    from machine_code import compiled
-    print(f'machine code for {name}', flush=True)
-    level = LEVELS[name]
-    (folder / f'{name}.o').write_bytes(compiled(_code(folder, level.lanes).read_bytes(), level))
+@dataclass(frozen=True)
+class Signature:
+    """A kernel that is compiled for some arguments."""
+
+    kernel: Any
+    symbol: str
+    arguments: tuple[Part, ...]
+
+    @property
+    def group(self) -> str:
+        """Return the name of the group that is compiled together."""
+        kinds = {part.label: part.kind for argument in self.arguments for part in argument.flat}
+        if 'rows.terms' not in kinds:
+            return _OTHERS
+        names = [name.strip('.') or 'terms' for name in _TERMS
+                 if kinds.get(f'rows.terms{name}', '-') != '-']
+        return '_'.join(['loop', *names])
+
+    def holder(self, level: Level) -> Level:
+        """
+        Return the level whose code a level takes.
+
+        The time to compile again is spent on most motions, which have no terms (only they have
+        lanes), and on those under torques of the motors.
+        """
+        own = self.group in ('loop', 'loop_terms_motors')
+        return level if own or not level.rest else LEVELS[level.rest]
+
+    def wrapper(self) -> str:
+        """Return the function that takes the arguments from the slots of boundary.c."""
+        slots = iter(range(1000))
+        call = (f'{short_name(self.kernel.__module__)}::{self.kernel.__name__}('
+                f"{', '.join(_value(part, slots) for part in self.arguments)})")
+        if results(self.kernel) != '-':
+            call = f'py::store(results, {call})'
+        return (f'extern "C" int32_t KERNEL({self.symbol})(int64_t *results, const Slot *slots) '
+                f'{{\n  {call};\n  return 0;\n}}\n')
 
 
-def _run(processes: list[tuple[dict[str, str], list[str]]]) -> None:
-    # Run this file several times at once, each with more variables and arguments.
-    found = [subprocess.Popen([sys.executable, __file__, *arguments],
-                              env={**os.environ, **ENVIRONMENT, **variables})
-             for variables, arguments in processes]
-    statuses = [process.wait() for process in found]
-    if any(statuses):
-        sys.exit('expected machine code of the kernels; the error stands above')
+def write(folder: Path, names: list[str]) -> None:
+    """Write the sources and the table of some levels."""
+    modules, kernels = load()
+    (folder / 'kernels.hpp').write_text(translated(modules), encoding='utf-8')
+    found = [Signature(kernel, f'kernel_{kernel.__name__}_{place}', arguments)
+             for kernel in kernels for place, arguments in enumerate(signatures(kernel))]
+    groups: dict[str, list[str]] = {}
+    for each in found:
+        groups.setdefault(each.group, ['#include "kernels.hpp"\n']).append(each.wrapper())
+    for name, texts in groups.items():
+        (folder / f'{name}.cpp').write_text('\n'.join(texts), encoding='utf-8')
+    (folder / 'table.h').write_text(_table(found, names), encoding='ascii')
 
 
-def _code(folder: Path, lanes: int) -> Path:
-    return folder / f'kernels_{lanes}.bc'
+def compile_all(folder: Path, names: list[str], compiler: list[str]) -> None:
+    """Compile the sources in a folder for some levels; `subprocess.CalledProcessError` if not."""
+    tasks = [(file, LEVELS[name]) for file in sorted(folder.glob('*.cpp'), reverse=True)
+             for name in names]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(lambda task: _compile(*task, compiler), tasks))
 
 
-def _holder(level: Level, kernel: str, arguments: tuple[Any, ...]) -> Level:
-    # Return the level whose code another takes for a signature. The time to generate code again is
-    # spent on the loops without terms, for most motions (only they have lanes), and on that of a
-    # motion under torques of the motors.
-    kinds = {part.label: part.kind for argument in arguments for part in argument.flat}
-    motors, space = kinds.get('rows.terms.motors', '-'), kinds.get('rows.terms.space', '-')
-    own = kinds.get('rows.terms') == '-' or (kernel == 'run' and motors != '-' and space == '-')
-    return level if own or not level.rest else LEVELS[level.rest]
+def _compile(source: Path, level: Level, compiler: list[str]) -> None:
+    optimization = '-O2' if source.stem == _OTHERS else '-O3'
+    if level.rest and source.stem not in ('loop', 'loop_terms_motors'):
+        return
+    subprocess.run([*compiler, optimization, *OPTIONS, *level.options, f'-DLANES={level.lanes}',
+                    f'-DSUFFIX={level.suffix}', f'-I{HERE}', '-c', source, '-o',
+                    source.with_name(f'{source.stem}{level.suffix}.o')], check=True)
 
 
-def _add(module: Any, kernel: Any, levels: list[Level]) -> dict[str, Any]:
-    # Compile what levels have of their own of a kernel, and return what the table says of it.
-    from signatures import signatures
-    name, results = kernel.__name__, ''
-    found = {f'kernel_{name}_{place}': arguments
-             for place, arguments in enumerate(signatures(kernel.py_func))}
-    for symbol, arguments in found.items():
-        if any(_holder(level, name, arguments) == level for level in levels):
-            print(f'{symbol}, {levels[0].lanes} lanes', flush=True)
-            results = module.add(symbol, kernel, arguments)
-    return {'name': name, 'results': results, 'signatures': found}
+def _value(part: Part, slots: Any) -> str:
+    # Return an argument in C++.
+    if part.kind == '-':
+        return 'py::None{}'
+    if part.kind == '(':
+        return f"{part.type}{{{', '.join(_value(each, slots) for each in part.parts)}}}"
+    slot = f'slots[{next(slots)}]'
+    if part.kind == 'F':
+        return f'py::number({slot})'
+    if part.kind in ('B', 'I'):
+        return f"{'bool' if part.kind == 'B' else 'int64_t'}({slot}.shape[0])"
+    return f'py::array<{part.type}, {len(part.dimensions)}>({slot})'
 
 
-def _row(part: Any) -> str:
+def _row(part: Part) -> str:
     # Return an element of the parts of a signature, in C.
-    from signatures import VARIABLES
     dimensions = ', '.join(
         f'{{{each.factor}, {VARIABLES.find(each.variable) if each.variable else -1}, '
         f'{each.offset}, {each.other}}}' for each in part.dimensions)
@@ -116,36 +139,42 @@ def _row(part: Any) -> str:
             f'{{{dimensions or "{0}"}}}, "{part.label}", "{part.text}"}}')
 
 
-def _table(rows: list[dict[str, Any]], names: list[str]) -> str:
+def _table(found: list[Signature], names: list[str]) -> str:
     lines = []
-    for row in rows:
-        calls = {symbol: [symbol + _holder(LEVELS[name], row['name'], arguments).suffix
-                          for name in names] for symbol, arguments in row['signatures'].items()}
-        for symbol, arguments in row['signatures'].items():
-            lines += [f'extern kernel {call};' for call in dict.fromkeys(calls[symbol])]
-            lines.append(f'static const part {symbol}_parts[] = {{')
-            lines += [f'  {_row(part)},' for each in arguments for part in each.flat] + ['};']
-        lines.append(f'static const signature {row["name"]}_signatures[] = {{')
-        lines += [f'  {{{symbol}_parts, {{{", ".join(each)}}}}},'
-                  for symbol, each in calls.items()] + ['};']
-    lines.append('static const entry entries[] = {')
-    for row in rows:
-        first, *_ = row['signatures'].values()
-        lines.append(f'  {{"{row["name"]}", "{row["results"]}", {len(first)}, '
-                     f'{len(row["signatures"])}, {row["name"]}_signatures}},')
-    leaves = max(sum(len(argument.flat) for argument in arguments)
-                 for row in rows for arguments in row['signatures'].values())
+    for each in found:
+        calls = [each.symbol + each.holder(LEVELS[name]).suffix for name in names]
+        lines += [f'extern kernel {call};' for call in dict.fromkeys(calls)]
+        lines.append(f'static const part {each.symbol}_parts[] = {{')
+        lines += [f'  {_row(part)},' for argument in each.arguments for part in argument.flat]
+        lines += ['};', f'#define {each.symbol} {{{each.symbol}_parts, {{{", ".join(calls)}}}}}']
+    entries = []
+    for kernel in dict.fromkeys(each.kernel for each in found):
+        own = [each for each in found if each.kernel is kernel]
+        name, symbols = kernel.__name__, ', '.join(each.symbol for each in own)
+        lines.append(f'static const signature {name}_signatures[] = {{{symbols}}};')
+        entries.append(f'  {{"{name}", "{results(kernel)}", {len(own[0].arguments)}, {len(own)}, '
+                       f'{name}_signatures}},')
+    leaves = max(sum(len(part.flat) for part in each.arguments) for each in found)
+    most = max(len(results(each.kernel)) for each in found)
     return '\n'.join([
-        *lines, '};', f'_Static_assert(LEAVES >= {leaves} && LEVELS >= {len(names)} && '
-        f'RESULTS >= {max(len(row["results"]) for row in rows)}, "too small");',
-        'static const struct { const char *name; int lanes; } levels[] = {',
+        *lines, 'static const entry entries[] = {', *entries, '};',
+        f'_Static_assert(LEAVES >= {leaves} && LEVELS >= {len(names)} && RESULTS >= {most}, '
+        '"too small");', 'static const struct { const char *name; int lanes; } levels[] = {',
         *(f'  {{"{name}", {LEVELS[name].lanes}}},' for name in names), '};', ''])
 
 
+def main() -> None:
+    """Write and compile; exit with a message if that fails."""
+    folder, *rest = sys.argv[1:]
+    names, command = rest[:rest.index('--')], rest[rest.index('--') + 1:]
+    try:
+        write(Path(folder), names)
+        compile_all(Path(folder), names, command)
+    except Rejected as error:
+        sys.exit(str(error))
+    except (OSError, subprocess.CalledProcessError):
+        sys.exit(f"expected kernels that {' '.join(command)} compiles; the error stands above")
+
+
 if __name__ == '__main__':
-    if sys.argv[1] == '--code':
-        write_code(Path(sys.argv[2]), sys.argv[3:])
-    elif sys.argv[1] == '--level':
-        write_object(Path(sys.argv[2]), sys.argv[3])
-    else:
-        main(Path(sys.argv[1]), sys.argv[2:])
+    main()

@@ -17,6 +17,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import os
+from pathlib import Path
+import platform
+
+#: Which levels are compiled: those of this processor, or 'all' for other machines, too.
+VARIABLE = 'RIGID_BODY_ROS_LEVELS'
 
 
 @dataclass(frozen=True)
@@ -25,25 +31,39 @@ class Level:
 
     #: As `platform.machine` names it.
     machine: str
-    #: Its name in LLVM, and the end of the names of its code.
-    processor: str
+    #: Options of the compiler.
+    options: tuple[str, ...]
+    #: The end of the names of its code.
     suffix: str
     #: Bodies in a step, see `rigid_body_ros.kernels.lanes`. No result depends on it.
     lanes: int
+    #: What the processor needs to have, as Linux names it.
+    features: frozenset[str] = frozenset()
     #: If it has code of its own only where that pays, see `generate.py`: the level of the rest.
     rest: str = ''
 
-    @property
-    def triple(self) -> str:
-        """Return its triple in LLVM."""
-        return f'{self.machine}-unknown-linux-gnu'
 
-
+_V3 = frozenset({'avx2', 'bmi1', 'bmi2', 'fma'})
+_V4 = _V3 | {'avx512f', 'avx512vl', 'avx512dq', 'avx512bw', 'avx512cd'}
 #: All levels by name; of those that a processor has, the first is the best.
-LEVELS = {'x86-64-v4': Level('x86_64', 'x86-64-v4', '_v4', 8, 'x86-64-v3'),
-          'x86-64-v3': Level('x86_64', 'x86-64-v3', '_v3', 4),
-          'x86-64-v2': Level('x86_64', 'x86-64-v2', '_v2', 4),
-          'aarch64': Level('aarch64', 'generic', '', 4)}
+LEVELS = {
+    # Without the options, GCC uses only half of the registers.
+    'x86-64-v4': Level('x86_64', ('-march=x86-64-v4', '-mtune=skylake-avx512',
+                                  '-mprefer-vector-width=512'), '_v4', 8, _V4, 'x86-64-v3'),
+    'x86-64-v3': Level('x86_64', ('-march=x86-64-v3',), '_v3', 4, _V3),
+    'x86-64-v2': Level('x86_64', ('-march=x86-64-v2',), '_v2', 4),
+    'aarch64': Level('aarch64', (), '_arm', 4)}
 #: Names of the levels of each kind of machine.
 MACHINES = {machine: [name for name, level in LEVELS.items() if level.machine == machine]
             for machine in ('x86_64', 'aarch64')}
+
+
+def wanted(machine: str) -> list[str]:
+    """Return the names of the levels to compile; a level needs the code of its `rest`."""
+    names = MACHINES[machine]
+    if machine != platform.machine() or os.environ.get(VARIABLE) == 'all':
+        return names
+    features = set(Path('/proc/cpuinfo').read_text(encoding='ascii').split())
+    usable = [name for name in names if LEVELS[name].features <= features]
+    best = LEVELS[usable[0]]
+    return [name for name in usable if name in (usable[0], best.rest)]

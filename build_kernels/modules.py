@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Import the kernels so that their marks compile: with the modules of this folder in place."""
+"""Import the kernels as the translator reads them."""
 
 from __future__ import annotations
 
@@ -23,16 +23,23 @@ import sys
 from types import ModuleType
 from typing import Any
 
+from translate import RUNTIME, Symbol
+
 PACKAGE = Path(__file__).resolve().parents[1] / 'rigid_body_ros'
 
 
-def exported() -> list[Any]:
-    """Return all kernels that Python calls, as numba's dispatchers."""
+def load() -> tuple[list[ModuleType], list[Any]]:
+    """Return the modules of the kernels, and all kernels that Python calls."""
     # The package itself would import what needs its compiled kernels.
     package = sys.modules['rigid_body_ros'] = ModuleType('rigid_body_ros')
     package.__path__ = [str(PACKAGE)]
-    for name in ('jit', 'lanes', 'four'):
-        sys.modules[f'rigid_body_ros.kernels.{name}'] = import_module(name)
-    for found in pkgutil.iter_modules([str(PACKAGE / 'kernels')], 'rigid_body_ros.kernels.'):
-        import_module(found.name)
-    return import_module('jit').EXPORTED
+    jit, lanes = (import_module(f'rigid_body_ros.kernels.{name}') for name in ('jit', 'lanes'))
+    exported = []
+
+    def njit(kernel: Any) -> Any:
+        exported.append(kernel)
+        return kernel
+    jit.njit, jit.optional, lanes.LANES = njit, jit.inlined, Symbol('int64_t(LANES)')
+    return [import_module(f'rigid_body_ros.kernels.{found.name}')
+            for found in pkgutil.iter_modules([str(PACKAGE / 'kernels')])
+            if found.name not in RUNTIME], exported

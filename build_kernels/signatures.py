@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The types that a kernel takes, from its annotations.
+The types that a kernel takes and returns, from its annotations.
 
 An array is annotated with its shape, and with WRITTEN if the kernel writes to it; see
 `rigid_body_ros.kernels.jit.exported`. A named tuple stands for its fields, and `X | None` for two
@@ -29,15 +29,15 @@ from string import ascii_lowercase
 from types import UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, Union
 
-import numba
-from numba import types
 import numpy as np
+from translate import element_type, short_name
 
 #: Most dimensions of an array, as in boundary.c.
 DIMENSIONS = 4
 #: Of dimensions, in the order of boundary.c; L is the number of lanes of a level.
 VARIABLES = f'{ascii_lowercase}L'
-_NUMBERS = {int: (types.int64, 'i'), float: (types.float64, 'f'), bool: (types.boolean, 'b')}
+#: Kinds of numbers, in the arguments and in the results.
+_NUMBERS = {int: 'I', float: 'F', bool: 'B', type(None): '-'}
 _TERM = re.compile(r'(\d*)([a-zL]?)([+-]\d+)?')
 
 
@@ -70,9 +70,10 @@ class Part:
     #: Of the array: 'f', 'i', 'u', 'b' or 'V', as numpy's `dtype.kind`. 'I', 'F' and 'B' are a
     #: number, '-' is None, and '(' a tuple.
     kind: str
-    kernel_type: Any
     label: str
     text: str
+    #: In C++: the type of the elements of an array, or of a named tuple.
+    type: str = ''
     dimensions: tuple[Dimension, ...] = ()
     size: int = 0
     is_written: bool = False
@@ -91,14 +92,18 @@ def signatures(kernel: Any) -> list[tuple[Part, ...]]:
     return list(product(*(_alternatives(hint, name) for name, hint in hints.items())))
 
 
+def results(kernel: Any) -> str:
+    """Return the kinds of the results of a kernel."""
+    hint = get_type_hints(kernel)['return']
+    return ''.join(_NUMBERS[each] for each in get_args(hint) or [hint])
+
+
 def _alternatives(hint: Any, label: str) -> list[Part]:
     if get_origin(hint) in (Union, UnionType):
         return [part for each in get_args(hint) for part in _alternatives(each, label)]
-    if hint is type(None):
-        return [Part('-', types.none, label, 'None')]
     if hint in _NUMBERS:
-        kind, letter = _NUMBERS[hint]
-        return [Part(letter.upper(), kind, label, hint.__name__)]
+        name = 'None' if hint is type(None) else hint.__name__
+        return [Part(_NUMBERS[hint], label, name)]
     if get_origin(hint) is Annotated:
         return [_array(*get_args(hint), label=label)]
     if isinstance(hint, type) and hasattr(hint, '_fields'):
@@ -112,15 +117,14 @@ def _array(array: Any, shape: Any, *marks: Any, label: str) -> Part:
     element = get_args(array)[-1]  # a type or, before numpy 2.5, a dtype of it
     dtype = records[0] if records else np.dtype((get_args(element) or (element,))[0])
     dimensions = tuple(map(Dimension.read, shape.split()))
-    kind = types.Array(numba.from_dtype(dtype), len(dimensions), 'C')
     written = ', '.join(shape.split()) + (',' if len(dimensions) == 1 else '')
     name = 'record' if records else str(dtype)
-    return Part(dtype.kind, kind, label, f'{name} ({written})', dimensions, dtype.itemsize,
-                'written' in marks)
+    return Part(dtype.kind, label, f'{name} ({written})', element_type(dtype), dimensions,
+                dtype.itemsize, 'written' in marks)
 
 
 def _named_tuples(kind: Any, label: str) -> list[Part]:
     hints = get_type_hints(kind, include_extras=True)
     fields = [_alternatives(hint, f'{label}.{name}') for name, hint in hints.items()]
-    return [Part('(', types.BaseTuple.from_types([part.kernel_type for part in parts], kind),
-                 label, kind.__name__, parts=parts) for parts in product(*fields)]
+    name = f'{short_name(kind.__module__)}::{kind.__name__}'
+    return [Part('(', label, kind.__name__, name, parts=parts) for parts in product(*fields)]
