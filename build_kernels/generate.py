@@ -110,8 +110,9 @@ def _compile(source: Path, level: Level, compiler: list[str]) -> None:
     optimization = '-O2' if source.stem == _OTHERS else '-O3'
     if level.rest and source.stem not in ('loop', 'loop_terms_motors'):
         return
-    subprocess.run([*compiler, optimization, *OPTIONS, *level.options, f'-DLANES={level.lanes}',
-                    f'-DSUFFIX={level.suffix}', f'-I{HERE}', '-c', source, '-o',
+    command, *own = compiler
+    subprocess.run([command, optimization, *OPTIONS, *level.options, f'-DLANES={level.lanes}',
+                    f'-DSUFFIX={level.suffix}', f'-I{HERE}', *own, '-c', source, '-o',
                     source.with_name(f'{source.stem}{level.suffix}.o')], check=True)
 
 

@@ -88,7 +88,14 @@ template <class T> struct Column {
 
 template <class T, int N> INLINED int64_t length(const Array<T, N> &a) { return a.shape[0]; }
 
+// Unlike in Python, an index is not negative; a debugging build checks it.
+INLINED void check(int64_t k, int64_t size) {
+#if defined(CHECK_INDICES)
+  if (k < 0 || k >= size) __builtin_trap();
+#endif
+}
 template <class T, int N> INLINED decltype(auto) at(const Array<T, N> &a, int64_t k) {
+  check(k, a.shape[0]);
   if constexpr (N > 1) {
     Array<T, N - 1> row{a.data, {}};
     int64_t size = Element<T>::size;
@@ -101,7 +108,10 @@ template <class T, int N> INLINED decltype(auto) at(const Array<T, N> &a, int64_
     return (a.data[k]);
   }
 }
-template <class T> INLINED T &at(const Column<T> &a, int64_t k) { return a.data[k * a.stride]; }
+template <class T> INLINED T &at(const Column<T> &a, int64_t k) {
+  check(k, a.shape[0]);
+  return a.data[k * a.stride];
+}
 template <class A> INLINED decltype(auto) at(const A &a, int64_t k, Number auto... rest) {
   return at(at(a, k), int64_t(rest)...);
 }
@@ -152,6 +162,16 @@ template <int64_t BEGIN, int64_t STOP, Parts T> INLINED auto slice(const T &part
   return [&]<int... K>(std::integer_sequence<int, K...>) FOLDED {
     return tuple(at<BEGIN + K>(parts)...);
   }(std::make_integer_sequence<int, end - BEGIN>());
+}
+// The same for an argument: copies of many lanes would not stay in registers.
+template <int64_t BEGIN, int64_t STOP, Parts T> INLINED auto lent(const T &parts) {
+  constexpr int64_t end = STOP < 0 ? STOP + T::count : STOP < T::count ? STOP : T::count;
+  return [&]<int... K>(std::integer_sequence<int, K...>) FOLDED {
+    return Tuple<decltype(at<BEGIN + K>(parts))...>{at<BEGIN + K>(parts)...};
+  }(std::make_integer_sequence<int, end - BEGIN>());
+}
+template <int64_t BEGIN, int64_t STOP, class T, int N> INLINED auto lent(const Array<T, N> &a) {
+  return slice(a, BEGIN, STOP);
 }
 // Call a function with the parts of a tuple.
 template <class F, Parts T> INLINED auto apply(F f, const T &parts) {
@@ -307,9 +327,11 @@ template <class A, class B, class C> INLINED Lanes fma(A a, B b, C c) {
   return {fma_registers(splat(a).v, splat(b).v, splat(c).v)};
 }
 INLINED Lanes load(const Array<double, 2> &values, int64_t row) {
+  check(row, values.shape[0]);
   return {load_register<LaneDoubles>(values.data + LANES * row)};
 }
 INLINED void store(const Array<double, 2> &values, int64_t row, Lanes numbers) {
+  check(row, values.shape[0]);
   store_register(values.data + LANES * row, numbers.v);
 }
 INLINED void align_stack() {}  // compilers of C++ do
@@ -431,6 +453,7 @@ INLINED auto times_i(const auto &q) { return flipped<0, 0, 1, 1>(permuted<3, 2, 
 INLINED auto times_j(const auto &q) { return flipped<1, 0, 0, 1>(permuted<2, 3, 0, 1>(q)); }
 INLINED auto times_k(const auto &q) { return flipped<0, 1, 0, 1>(permuted<1, 0, 3, 2>(q)); }
 INLINED Four load(const Array<double, 1> &values, int64_t start) {
+  check(start, values.shape[0] - 3);
   return {load_register<FourDoubles>(values.data + start)};
 }
 INLINED FourLanes load(const Array<double, 2> &values, int64_t row) {
@@ -438,6 +461,7 @@ INLINED FourLanes load(const Array<double, 2> &values, int64_t row) {
            lanes::load(values, row + 3)}};
 }
 INLINED void store(const Array<double, 1> &values, int64_t start, const Four &a) {
+  check(start, values.shape[0] - 3);
   store_register(values.data + start, a.v);
 }
 INLINED void store(const Array<double, 2> &values, int64_t row, const auto &a) {

@@ -562,7 +562,8 @@ class Function:
             return self._scratch(node)
         if getattr(found, '__name__', '') == 'has_lanes':
             return self._test(node)
-        arguments = [self._value(each) for each in node.args if not isinstance(each, ast.Starred)]
+        arguments = [self._argument(each) for each in node.args
+                     if not isinstance(each, ast.Starred)]
         if target:
             return f"{target}({', '.join(arguments)})"
         target = self._value(node.func)
@@ -577,6 +578,11 @@ class Function:
             return (f'py::apply([&](const auto &...rest) FOLDED {{ return '
                     f"{target}({', '.join(arguments)}); }}, {rest})")
         return f"{target}({', '.join(arguments)})"
+
+    def _argument(self, node: ast.expr) -> str:
+        text = self._value(node)
+        is_slice = isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice)
+        return text.replace('py::slice<', 'py::lent<', 1) if is_slice else text
 
     def _scratch(self, node: ast.Call) -> str:
         size = self._constant(node.args[0])

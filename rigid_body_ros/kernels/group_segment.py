@@ -146,7 +146,7 @@ def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool
     w = state_layout.load(group.progress[group.rows[0]].grid, 0)[0]
     seconds = taylor.step_seconds(
         vector.dot(w, w), math.sqrt(vector.dot(acceleration, acceleration)), method.angle)
-    rest_ns = min(segment.end_ns, _output_ns(-1, segment)) - place.grid_ns
+    rest_ns = min(segment.end_ns, _output_ns(len(segment.times_ns) - 1, segment)) - place.grid_ns
     return runs.FEWEST * stepping.full_step_ns(seconds, method) < rest_ns
 
 
