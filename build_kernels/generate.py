@@ -37,10 +37,13 @@ from translate import Rejected, short_name, translated
 
 HERE = Path(__file__).resolve().parent
 #: Every operation is rounded for itself; what is rounded once is an explicit fma.
-OPTIONS = ['-std=c++20', '-ffp-contract=off', '-fno-math-errno', '-fno-trapping-math', '-fwrapv',
-           '-fvisibility=hidden', '-fPIC', '-fno-exceptions', '-fno-rtti', '-w',
+OPTIONS = ['-std=c++20', '-O3', '-ffp-contract=off', '-fno-math-errno', '-fno-trapping-math',
+           '-fwrapv', '-fvisibility=hidden', '-fPIC', '-fno-exceptions', '-fno-rtti', '-w',
            '-Werror=return-type', '-Werror=float-conversion']
-#: The group of what is called seldom or takes little time.
+#: Of the loops, in which the kernels say which doubles share a register. Lanes fit into the
+#: registers only if instructions are scheduled first.
+LOOP_OPTIONS = ['-fno-tree-slp-vectorize', '-fschedule-insns', '-fsched-pressure']
+#: The group of all other kernels.
 _OTHERS = 'others'
 _TERMS = ('', '.motors', '.space', '.fields', '.lags', '.friction')
 
@@ -107,11 +110,11 @@ def compile_all(folder: Path, names: list[str], compiler: list[str]) -> None:
 
 
 def _compile(source: Path, level: Level, compiler: list[str]) -> None:
-    optimization = '-O2' if source.stem == _OTHERS else '-O3'
+    more = [] if source.stem == _OTHERS else LOOP_OPTIONS
     if level.rest and source.stem not in ('loop', 'loop_terms_motors'):
         return
     command, *own = compiler
-    subprocess.run([command, optimization, *OPTIONS, *level.options, f'-DLANES={level.lanes}',
+    subprocess.run([command, *OPTIONS, *more, *level.options, f'-DLANES={level.lanes}',
                     f'-DSUFFIX={level.suffix}', f'-I{HERE}', *own, '-c', source, '-o',
                     source.with_name(f'{source.stem}{level.suffix}.o')], check=True)
 

@@ -203,10 +203,15 @@ template <class A, class B> INLINED auto quotient(A a, B b) {
   if constexpr (Number<A> && Number<B>) return double(a) / double(b);
   else return a / b;
 }
+INLINED bool is_known_power_of_two(int64_t b) {
+  return __builtin_constant_p(b) && b > 0 && (b & (b - 1)) == 0;
+}
 INLINED int64_t floor_quotient(int64_t a, int64_t b) {
+  if (is_known_power_of_two(b)) return a >> __builtin_ctzll(b);
   return a / b - (a % b != 0 && (a < 0) != (b < 0));
 }
 INLINED int64_t modulo(int64_t a, int64_t b) {
+  if (is_known_power_of_two(b)) return a & (b - 1);
   int64_t rest = a % b;
   return rest != 0 && (rest < 0) != (b < 0) ? rest + b : rest;
 }
@@ -350,7 +355,7 @@ INLINED Lanes select(Mask condition, Lanes one, Lanes other) {
 #if IN_MASK_REGISTERS
   return {LaneDoubles(_mm512_mask_blend_pd(condition.v, __m512d(other.v), __m512d(one.v)))};
 #else
-  return {LaneDoubles((condition.v & LaneBits(one.v)) | (~condition.v & LaneBits(other.v)))};
+  return {condition.v ? one.v : other.v};
 #endif
 }
 template <class A, class B> INLINED Lanes where(Mask condition, A one, B other) {

@@ -30,7 +30,7 @@ import math
 from pathlib import Path
 import sys
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import numpy as np
 
@@ -229,6 +229,11 @@ class Function:
         self._lines: list[str] = []
         self._count = 0
         self._arguments = [each.arg for each in node.args.args]
+        #: Those that registers hold when a function is called.
+        self._small = {each.arg for each in node.args.args if _is_small(
+            eval(ast.unparse(each.annotation), vars(module.module)))}
+        #: Those that have to be copied, because they change.
+        self._changed = {*self._arguments} & {*_names(node, ast.Store)} - self._small
         #: Names that are declared, in this block and those around it.
         self._scopes = [set(self._arguments)]
         self._locals = {*self._arguments, *_names(node, ast.Store)}
@@ -237,17 +242,22 @@ class Function:
         """Return the declaration."""
         if self.node.args.defaults or self.node.args.kwonlyargs or self.node.args.vararg:
             raise self.module.rejected(self.node, 'expected arguments without defaults')
-        changed = set(_names(self.node, ast.Store))
-        arguments = ', '.join(f"{'auto ' if name in changed else 'const auto &'}{_safe(name)}"
-                              for name in self._arguments)
+        arguments = ', '.join(
+            f"{'auto ' if name in self._small else 'const auto &'}{self._given(name)}"
+            for name in self._arguments)
         word = 'INLINED' if self._marks & {'inlined', 'optional'} else 'inline'
         return f'{word} auto {_safe(self.node.name)}({arguments})'
+
+    def _given(self, name: str) -> str:
+        return f'given_{name}' if name in self._changed else _safe(name)
 
     def body(self) -> list[str]:
         """Return the statements."""
         if 'optional' in self._marks:
-            self._emit(f'if constexpr ({self._is_none(_safe(self._arguments[0]))}) return py::None{{}};'
+            self._emit(f'if constexpr ({self._is_none(self._given(self._arguments[0]))}) return py::None{{}};'
                        ' else {')
+        for name in sorted(self._changed):
+            self._emit(f'auto {_safe(name)} = {self._given(name)};')
         self._block(self.node.body, set())
         if 'optional' in self._marks:
             self._emit('}')
@@ -703,6 +713,12 @@ class Function:
             raise self._rejected(node, 'expected a comparison with None')
         sign = '!' if isinstance(node.ops[0], ast.IsNot) else ''
         return sign + self._is_none(self._value(node.left))
+
+
+def _is_small(hint: Any) -> bool:
+    # Return whether an annotation stands for a number or a pair of numbers.
+    numbers = get_args(hint) if get_origin(hint) is tuple else [hint]
+    return len(numbers) <= 2 and all(each in (bool, float, int) for each in numbers)
 
 
 def _may_change(target: ast.expr, value: ast.expr) -> bool:

@@ -20,6 +20,8 @@ If several bodies are stepped at once, the table has a lane for each of them; se
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import four
@@ -92,6 +94,18 @@ def load_term(table: Floats, row: int) -> Term:
     """Return the terms of one order, which begin at the index `row`; see `row_of`."""
     u, yzx, zxy = load_permuted(table, row + U)
     return u, yzx, zxy, four.load(table, row + rotation_of(table))
+
+
+@inlined
+def components(table: Floats, row: int, u: Vector) -> Any:
+    """
+    Return the components of u in the term that begins at the given row of the table.
+
+    A processor copies a number from memory into a whole register faster than from a register.
+    """
+    if four.has_lanes(table):
+        return u
+    return table[row + U], table[row + U + 1], table[row + U + 2]
 
 
 @inlined

@@ -97,7 +97,7 @@ class LocalLoads(NamedTuple):
     friction_work: Floats | None
 
 
-@internal
+@inlined
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
             method: Method, table: Floats, budget: int, loads: Loads | None) -> Reached:
     """

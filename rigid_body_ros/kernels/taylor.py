@@ -56,6 +56,7 @@ from rigid_body_ros.kernels.jit import inlined, njit, optional
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import add_product, Matrix, product
 from rigid_body_ros.kernels.series_table import (
+    components,
     load_term,
     MAX_ORDER,
     PERMUTED,
@@ -304,10 +305,10 @@ def _cauchy(table: Floats, k: int, first: Term, latest: Term, form: int,
     row = row_of(table, k)
     for j in range(row_of(table, 1), row, row_of(table, 1)):
         one = load_term(table, row - j)
-        sums = _add_term(sums, one, load_term(table, j), form)
+        sums = _add_term(sums, one, components(table, row - j, one[0]), load_term(table, j), form)
         turn = field_series.add_turn(turn, vectors, j // row_of(table, 1), one[1], one[2])
     if k > 0:
-        sums = _add_term(sums, first, latest, form)
+        sums = _add_term(sums, first, first[0], latest, form)
         turn = field_series.add_turn(turn, vectors, k, first[1], first[2])
     turn = field_series.add_turn(turn, vectors, 0, latest[1], latest[2])
     u = latest[0]
@@ -318,10 +319,10 @@ def _cauchy(table: Floats, k: int, first: Term, latest: Term, form: int,
 
 
 @inlined
-def _add_term(sums: _Sums, one: Term, other: Term, form: int) -> _Sums:
+def _add_term(sums: _Sums, one: Term, u: Vector, other: Term, form: int) -> _Sums:
     products, squares, x, y, z = sums
     products, squares = _add_products((products, squares), one, other, form)
-    u, rotation = one[0], other[3]
+    rotation = other[3]
     return (products, squares, add_scaled(x, u[0], rotation), add_scaled(y, u[1], rotation),
             add_scaled(z, u[2], rotation))
 
