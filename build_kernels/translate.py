@@ -82,19 +82,17 @@ class Symbol:
 
 
 def translated(modules: Iterable[ModuleType]) -> str:
-    """Return the C++ header of the kernels in modules, of which each imports only earlier ones."""
+    """Return the C++ header of the kernels in modules."""
     files = [Module(module) for module in modules]
-    effects = _with_effects(files)
-    for file in files:
-        file.translate(effects)
-    found = ['#pragma once', '#include "runtime.hpp"', 'namespace {', *_tuples(),
-             *_record_structures()]
-    for declarations in (True, False):
-        for file in files:
-            found += [f'namespace {file.name} {{',
-                      *(file.declarations() if declarations else file.definitions()),
-                      f'}}  // namespace {file.name}']
-    return '\n'.join([*found, '}  // namespace', ''])
+    functions = {getattr(file.module, node.name): Function(node, file)
+                 for file in files for node in file.nodes}
+    effects = _with_effects(functions)
+    bodies = [line for function in _callees_first(functions)
+              for line in function.definition(effects)]
+    return '\n'.join(['#pragma once', '#include "runtime.hpp"', 'namespace {', *_tuples(),
+                      *_record_structures(), *(line for file in files
+                                               for line in file.declarations()),
+                      *bodies, '}  // namespace', ''])
 
 
 def short_name(module: str) -> str:
@@ -183,38 +181,25 @@ class Module:
     def __init__(self, module: ModuleType) -> None:
         self.module, self.name = module, short_name(module.__name__)
         self.path = Path(module.__file__)
-        self.tree = ast.parse(self.path.read_bytes())
         #: Arrays that functions here read, by their names in C++.
         self.arrays: dict[str, Any] = {}
-        self.nodes = [node for node in self.tree.body
-                      if isinstance(node, ast.FunctionDef) and _marks(node) & MARKS]
-        self._functions: list[Function] = []
-        self._bodies: list[list[str]] = []
-
-    def translate(self, effects: set[Any]) -> None:
-        """Translate the functions; some functions of all modules have effects."""
-        self._functions = [Function(node, self, effects) for node in self.nodes]
-        self._bodies = [function.body() for function in self._functions]
+        self.nodes = [node for node in ast.parse(self.path.read_bytes()).body
+                      if isinstance(node, ast.FunctionDef) and MARKS & {
+                          ast.unparse(each) for each in node.decorator_list}]
 
     def declarations(self) -> Iterator[str]:
-        """Yield the structures of named tuples, arrays, and declarations of functions."""
-        for node in self.tree.body:
-            if isinstance(node, ast.ClassDef) and ast.unparse(node.bases) == 'NamedTuple':
-                yield _structure(node.name, [each.target.id for each in node.body
-                                             if isinstance(each, ast.AnnAssign)])
+        """Yield the structures of named tuples, and arrays."""
+        yield f'namespace {self.name} {{'
+        for name, value in vars(self.module).items():
+            if hasattr(value, '_fields') and value.__module__ == self.module.__name__:
+                yield _structure(name, value._fields)
         for name, array in self.arrays.items():
             values = ', '.join(map(_literal, array.ravel().tolist()))
             sizes = ', '.join(map(str, array.shape))
             yield f'constexpr double {name}_values[] = {{{values}}};'
             yield (f'constexpr py::Array<const double, {array.ndim}> {name}'
                    f'{{{name}_values, {{{sizes}}}}};')
-        for function in self._functions:
-            yield f'{function.head()};'
-
-    def definitions(self) -> Iterator[str]:
-        """Yield the definitions of functions."""
-        for function, body in zip(self._functions, self._bodies):
-            yield from [self.line(function.node), f'{function.head()} {{', *body, '}']
+        yield f'}}  // namespace {self.name}'
 
     def found(self, node: ast.expr) -> Any:
         """Return what a name, or an attribute of a module, stands for, or None."""
@@ -235,36 +220,44 @@ class Module:
         return Rejected(f'{self.path}:{node.lineno}: {text}')
 
 
-def _with_effects(files: list[Module]) -> set[Any]:
+def _with_effects(functions: dict[Any, Function]) -> set[Any]:
     # Return the functions that write to arrays, themselves or through others.
-    found: set[Any] = set()
-    calls = {}
-    for file in files:
-        for node in file.nodes:
-            function = getattr(file.module, node.name)
-            inner = [*ast.walk(node)]
-            calls[function] = {file.found(each.func) for each in inner
-                               if isinstance(each, ast.Call)}
-            stores = any(getattr(each, '__name__', '') == 'store' and short_name(
-                each.__module__) in RUNTIME for each in calls[function])
-            if stores or any(isinstance(each, (ast.Attribute, ast.Subscript)) and isinstance(
-                    each.ctx, ast.Store) for each in inner):
-                found.add(function)
-    while more := {each for each in calls if calls[each] & found} - found:
+    found = {key for key, function in functions.items() if function.stores}
+    while more := {key for key, function in functions.items()
+                   if found & {*function.calls}} - found:
         found |= more
     return found
 
 
-def _marks(node: ast.FunctionDef) -> set[str]:
-    return {ast.unparse(each) for each in node.decorator_list}
+def _callees_first(functions: dict[Any, Function]) -> list[Function]:
+    # C++ infers the type of a result only after the function is defined.
+    found: dict[Any, Function] = {}
+
+    def visit(key: Any) -> None:
+        if key in functions and key not in found:
+            for each in functions[key].calls:
+                visit(each)
+            found[key] = functions[key]
+    for key in functions:
+        visit(key)
+    return [*found.values()]
 
 
 class Function:
     """A function with its statements in C++."""
 
-    def __init__(self, node: ast.FunctionDef, module: Module, effects: set[Any]) -> None:
-        self.node, self.module, self._effects = node, module, effects
-        self._marks = _marks(node)
+    def __init__(self, node: ast.FunctionDef, module: Module) -> None:
+        self.node, self.module = node, module
+        self._marks = {ast.unparse(each) for each in node.decorator_list}
+        inner = [*ast.walk(node)]
+        #: What it calls, and whether it writes to an array.
+        self.calls = [module.found(each.func) for each in inner if isinstance(each, ast.Call)]
+        self.stores = any(
+            isinstance(each, (ast.Attribute, ast.Subscript)) and isinstance(each.ctx, ast.Store)
+            for each in inner) or any(
+            getattr(each, '__name__', '') == 'store' and short_name(each.__module__) in RUNTIME
+            for each in self.calls)
+        self._effects: set[Any] = set()
         self._lines: list[str] = []
         self._count = 0
         self._arguments = [each.arg for each in node.args.args]
@@ -277,8 +270,13 @@ class Function:
         self._scopes = [set(self._arguments)]
         self._locals = {*self._arguments, *_names(node, ast.Store)}
 
-    def head(self) -> str:
-        """Return the declaration."""
+    def definition(self, effects: set[Any]) -> list[str]:
+        """Return the definition; some functions have effects."""
+        self._effects = effects
+        return [f'namespace {self.module.name} {{', self.module.line(self.node),
+                f'{self._head()} {{', *self._body(), '}', '}']
+
+    def _head(self) -> str:
         if self.node.args.defaults or self.node.args.kwonlyargs or self.node.args.vararg:
             raise self.module.rejected(self.node, 'expected arguments without defaults')
         arguments = ', '.join(
@@ -290,8 +288,7 @@ class Function:
     def _given(self, name: str) -> str:
         return f'given_{name}' if name in self._changed else _safe(name)
 
-    def body(self) -> list[str]:
-        """Return the statements."""
+    def _body(self) -> list[str]:
         if 'optional' in self._marks:
             self._emit(f'if constexpr ({self._is_none(self._given(self._arguments[0]))}) return py::None{{}};'
                        ' else {')
