@@ -33,7 +33,7 @@ from typing import Any
 from levels import Level, LEVELS
 from modules import load
 from signatures import Part, results, signatures, VARIABLES
-from translate import Rejected, short_name, translated
+from translate import RejectedError, short_name, translated
 
 HERE = Path(__file__).resolve().parent
 #: Every operation is rounded for itself; what is rounded once is an explicit fma.
@@ -174,7 +174,7 @@ def main() -> None:
     try:
         write(Path(folder), names)
         compile_all(Path(folder), names, command)
-    except Rejected as error:
+    except RejectedError as error:
         sys.exit(str(error))
     except (OSError, subprocess.CalledProcessError):
         sys.exit(f"expected kernels that {' '.join(command)} compiles; the error stands above")

@@ -18,7 +18,7 @@ Translate kernels from Python to C++20.
 A function becomes a template whose arguments are `auto`, so the C++ compiler works out all types.
 What depends on None or on lanes becomes `if constexpr`. Arithmetic on constants is done here, by
 Python. The code builds on runtime.hpp, and #line directives point to the Python source. The
-subset of Python is described in docs/design.md; anything else raises `Rejected`.
+subset of Python is described in docs/design.md; anything else raises `RejectedError`.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 import math
 from pathlib import Path
+import re
 import sys
 from types import ModuleType
 from typing import Any, get_args, get_origin
@@ -61,16 +62,17 @@ _FUNCTIONS = {float: 'double', int: 'int64_t', np.int64: 'int64_t', abs: 'py::ab
 #: Keyword arguments that are understood, as text.
 _KEYWORDS = {np.searchsorted: ["side='right'"]}
 _TYPES = {'f8': 'double', 'i8': 'int64_t', 'b1': 'bool', 'u1': 'uint8_t'}
-_RESERVED = frozenset("""
-    KERNEL LANES SUFFIX
+#: Words of C++, and macros and the namespace of runtime.hpp.
+_RESERVED = """
     alignas alignof and asm auto bool case catch char class compl concept const constexpr default
-    delete do double enum explicit export extern float friend goto inline int long mutable
+    delete do double enum explicit export extern float friend goto inline int int64_t long mutable
     namespace new not operator or private protected public register requires short signed sizeof
-    static struct switch template this throw try typedef typename union unsigned using virtual
-    void volatile xor py END INLINED FOLDED""".split())
+    static struct switch template this throw try typedef typename union unsigned using virtual void
+    volatile xor END FOLDED INLINED KERNEL LANES SUFFIX py
+"""
 
 
-class Rejected(Exception):
+class RejectedError(Exception):
     """What is outside the subset of Python, with its file and line."""
 
 
@@ -157,7 +159,7 @@ def _record_structures() -> Iterator[str]:
 
 
 def _safe(name: str) -> str:
-    return f'{name}_' if name in _RESERVED else name
+    return f'{name}_' if re.search(rf'\b{name}\b', _RESERVED) else name
 
 
 def _literal(value: Any) -> str:
@@ -215,9 +217,9 @@ class Module:
         """Return the directive that names the line of a statement."""
         return f'#line {node.lineno} "{self.path}"'
 
-    def rejected(self, node: Any, text: str) -> Rejected:
+    def rejected(self, node: Any, text: str) -> RejectedError:
         """Return an error at a line."""
-        return Rejected(f'{self.path}:{node.lineno}: {text}')
+        return RejectedError(f'{self.path}:{node.lineno}: {text}')
 
 
 def _with_effects(functions: dict[Any, Function]) -> set[Any]:
@@ -290,8 +292,8 @@ class Function:
 
     def _body(self) -> list[str]:
         if 'optional' in self._marks:
-            self._emit(f'if constexpr ({self._is_none(self._given(self._arguments[0]))}) return py::None{{}};'
-                       ' else {')
+            test = self._is_none(self._given(self._arguments[0]))
+            self._emit(f'if constexpr ({test}) return py::None{{}}; else {{')
         for name in sorted(self._changed):
             self._emit(f'auto {_safe(name)} = {self._given(name)};')
         self._block(self.node.body, set())
@@ -322,40 +324,40 @@ class Function:
         self._scopes.pop()
 
     def _statement(self, node: ast.stmt, live: set[str]) -> None:
-        translate = getattr(self, f'_{type(node).__name__}', None)
-        if not translate or not isinstance(node, ast.stmt):
+        translate = getattr(self, f'_do_{type(node).__name__.lower()}', None)
+        if not translate:
             raise self._rejected(node)
         translate(node, live)
 
-    def _rejected(self, node: Any, expected: str = '') -> Rejected:
+    def _rejected(self, node: Any, expected: str = '') -> RejectedError:
         text = ast.unparse(node).splitlines()[0]
         expected = expected or f'{type(node).__name__} is not in the subset of Python for kernels'
         return self.module.rejected(node, f'{expected}: {text}')
 
-    def _Pass(self, node: ast.Pass, live: set[str]) -> None:
+    def _do_pass(self, node: ast.Pass, live: set[str]) -> None:
         pass
 
-    def _Expr(self, node: ast.Expr, live: set[str]) -> None:
+    def _do_expr(self, node: ast.Expr, live: set[str]) -> None:
         if isinstance(node.value, ast.Call):
             self._emit(f'{self._value(node.value)};')
         elif not isinstance(node.value, ast.Constant):
             raise self._rejected(node)
 
-    def _Return(self, node: ast.Return, live: set[str]) -> None:
+    def _do_return(self, node: ast.Return, live: set[str]) -> None:
         self._emit(f'return {self._value(node.value)};' if node.value else 'return;')
 
-    def _Break(self, node: ast.Break, live: set[str]) -> None:
+    def _do_break(self, node: ast.Break, live: set[str]) -> None:
         self._emit('break;')
 
-    def _Continue(self, node: ast.Continue, live: set[str]) -> None:
+    def _do_continue(self, node: ast.Continue, live: set[str]) -> None:
         self._emit('continue;')
 
-    def _AugAssign(self, node: ast.AugAssign, live: set[str]) -> None:
+    def _do_augassign(self, node: ast.AugAssign, live: set[str]) -> None:
         target = self._target(node.target)
         value = self._operation(node, target, self._value(node.value))
         self._emit(f'{target} = {value};')
 
-    def _Assign(self, node: ast.Assign, live: set[str]) -> None:
+    def _do_assign(self, node: ast.Assign, live: set[str]) -> None:
         first, *others = node.targets
         if not others:
             self._assign_value(first, node.value)
@@ -418,7 +420,7 @@ class Function:
     def _is_declared(self, name: str) -> bool:
         return any(name in scope for scope in self._scopes)
 
-    def _If(self, node: ast.If, live: set[str]) -> None:
+    def _do_if(self, node: ast.If, live: set[str]) -> None:
         self._if_else(node.test, node.body, node.orelse, live, live)
 
     def _if_else(self, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt],
@@ -441,14 +443,14 @@ class Function:
             self._block(orelse, live_after)
         self._emit('}')
 
-    def _While(self, node: ast.While, live: set[str]) -> None:
+    def _do_while(self, node: ast.While, live: set[str]) -> None:
         if node.orelse:
             raise self._rejected(node)
         self._emit(f'while ({self._test(node.test)}) {{')
         self._block(node.body, live | _live([node], live))
         self._emit('}')
 
-    def _For(self, node: ast.For, live: set[str]) -> None:
+    def _do_for(self, node: ast.For, live: set[str]) -> None:
         names = set(_names(node.target, ast.Store)) - {'_'}
         changed = {name for each in node.body for name in _names(each, ast.Store)}
         if node.orelse or names & (changed | live) or any(map(self._is_declared, names)):
@@ -528,8 +530,8 @@ class Function:
         constant = self._constant(node)
         if constant is not None:
             return _literal(constant)
-        translate = getattr(self, f'_{type(node).__name__}', None)
-        if not translate or not isinstance(node, ast.expr):
+        translate = getattr(self, f'_of_{type(node).__name__.lower()}', None)
+        if not translate:
             raise self._rejected(node)
         return translate(node)
 
@@ -555,19 +557,19 @@ class Function:
         # Return what a name of the module stands for, or None.
         return None if set(_names(node, ast.Load)) & self._locals else self.module.found(node)
 
-    def _Constant(self, node: ast.Constant) -> str:
+    def _of_constant(self, node: ast.Constant) -> str:
         if node.value is None:
             return 'py::None{}'
         raise self._rejected(node)
 
-    def _Name(self, node: ast.Name) -> str:
+    def _of_name(self, node: ast.Name) -> str:
         if node.id in self._locals:
             if not self._is_declared(node.id):
                 raise self._rejected(node, 'expected a value on every path')
             return _safe(node.id)
         return self._reference(node, node.id)
 
-    def _Attribute(self, node: ast.Attribute) -> str:
+    def _of_attribute(self, node: ast.Attribute) -> str:
         owner = self._global(node.value)
         if isinstance(owner, ModuleType):
             if owner.__name__.removeprefix(_PACKAGE) in RUNTIME:
@@ -590,7 +592,7 @@ class Function:
             raise self._rejected(node, 'expected a kernel, a number, numbers or an array')
         return f'{short_name(home)}::{_safe(found.__name__)}'
 
-    def _Call(self, node: ast.Call) -> str:
+    def _of_call(self, node: ast.Call) -> str:
         found = self._global(node.func)
         if found is None:
             raise self._rejected(node)
@@ -644,7 +646,7 @@ class Function:
         self._emit(f'alignas(64) double scratch_{self._count}[{size}];')
         return f'py::Array<double, 1>{{scratch_{self._count}, {{{size}}}}}'
 
-    def _BinOp(self, node: ast.BinOp) -> str:
+    def _of_binop(self, node: ast.BinOp) -> str:
         self._check_order([node.left, node.right])
         return self._operation(node, self._value(node.left), self._value(node.right))
 
@@ -656,20 +658,20 @@ class Function:
             raise self._rejected(node)
         return f'py::{_NAMED_OPERATORS[kind]}({left}, {right})'
 
-    def _UnaryOp(self, node: ast.UnaryOp) -> str:
+    def _of_unaryop(self, node: ast.UnaryOp) -> str:
         if isinstance(node.op, ast.Not):
             return self._test(node)
         if not isinstance(node.op, ast.USub):
             raise self._rejected(node)
         return f'(-{self._value(node.operand)})'
 
-    def _BoolOp(self, node: ast.BoolOp) -> str:
+    def _of_boolop(self, node: ast.BoolOp) -> str:
         return self._joined(node, [f'py::truth({self._value(each)})' for each in node.values])
 
     def _joined(self, node: ast.BoolOp, values: list[str]) -> str:
         return f"({(' && ' if isinstance(node.op, ast.And) else ' || ').join(values)})"
 
-    def _Compare(self, node: ast.Compare) -> str:
+    def _of_compare(self, node: ast.Compare) -> str:
         if isinstance(node.ops[0], (ast.Is, ast.IsNot)):
             return self._test(node)
         middle = node.comparators[:-1]
@@ -683,20 +685,20 @@ class Function:
                  for k, each in enumerate(node.ops)]
         return pairs[0] if len(pairs) == 1 else f"({' && '.join(pairs)})"
 
-    def _IfExp(self, node: ast.IfExp) -> str:
+    def _of_ifexp(self, node: ast.IfExp) -> str:
         test, one, other = self._test(node.test), self._value(node.body), self._value(node.orelse)
         if self._is_static(node.test):
             return (f'[&]() FOLDED {{ if constexpr ({test}) return {one}; '
                     f'else return {other}; }}()')
         return f'({test} ? {one} : {other})'
 
-    def _Tuple(self, node: ast.Tuple) -> str:
+    def _of_tuple(self, node: ast.Tuple) -> str:
         if not any(isinstance(each, ast.Starred) for each in node.elts):
             return f"py::Tuple{{{', '.join(map(self._value, node.elts))}}}"
         return ' + '.join(self._value(each.value) if isinstance(each, ast.Starred)
                           else f'py::tuple({self._value(each)})' for each in node.elts)
 
-    def _Subscript(self, node: ast.Subscript) -> str:
+    def _of_subscript(self, node: ast.Subscript) -> str:
         whole, index = self._value(node.value), node.slice
         if isinstance(index, ast.Slice):
             return self._slice(whole, index)
@@ -805,8 +807,7 @@ def _live(body: list[ast.stmt], after: set[str]) -> set[str]:
         elif isinstance(node, ast.Return):
             live = set(_names(node, ast.Load))
         else:
-            plain = [target for target in getattr(node, 'targets', ())]
-            for target in plain:
+            for target in getattr(node, 'targets', ()):
                 live -= set(_names(target, ast.Store))
             live |= set(_names(node, ast.Load))
             if isinstance(node, ast.AugAssign):

@@ -16,8 +16,8 @@
 Load the compiled kernels, or the Python sources from which they were compiled.
 
 You can set the environment variable ``RIGID_BODY_ROS_KERNELS`` to a compiled processor level that
-your processor supports. If you set the variable to ``python``, the Python sources run in place of the
-compiled kernels. The Python sources compute exactly the same bits, but run hundreds of times
+your processor supports. If you set the variable to ``python``, the Python sources run in place of
+the compiled kernels. The Python sources compute exactly the same bits, but run hundreds of times
 slower.
 """
 

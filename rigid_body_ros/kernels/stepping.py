@@ -55,7 +55,7 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.field_series import WORKSPACE
 from rigid_body_ros.kernels.friction import WORKSPACE as FRICTION_WORKSPACE
 from rigid_body_ros.kernels.intervals import Drive, Loads
-from rigid_body_ros.kernels.jit import inlined, internal, optional, scratch
+from rigid_body_ros.kernels.jit import inlined, optional, scratch
 from rigid_body_ros.kernels.lag_series import WORKSPACE as LAG_WORKSPACE
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 
