@@ -126,5 +126,13 @@ def _array(array: Any, shape: Any, *marks: Any, label: str) -> Part:
 def _named_tuples(kind: Any, label: str) -> list[Part]:
     hints = get_type_hints(kind, include_extras=True)
     fields = [_alternatives(hint, f'{label}.{name}') for name, hint in hints.items()]
+    known = getattr(kind, 'combinations', None)
     name = f'{short_name(kind.__module__)}::{kind.__name__}'
-    return [Part('(', label, kind.__name__, name, parts=parts) for parts in product(*fields)]
+    return [Part('(', label, kind.__name__, name, parts=parts) for parts in product(*fields)
+            if known is None or _given(parts, fields) in known]
+
+
+def _given(parts: tuple[Part, ...], fields: list[list[Part]]) -> tuple[str, ...]:
+    """Return the names of the optional fields that are not None."""
+    return tuple(part.label.rpartition('.')[2] for part, alternatives in zip(parts, fields)
+                 if len(alternatives) > 1 and part.kind != '-')

@@ -29,24 +29,12 @@ from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.fields import MOST as MOST_FIELDS
 from rigid_body_ros.kernels.lags import CommandChanges, EXPIRY
 from rigid_body_ros.kernels.lags import MOST as MOST_LAGS
-from rigid_body_ros.kernels.layout import (
-    FASTEST,
-    FieldTerms,
-    Friction,
-    FrictionTerms,
-    Lags,
-    LagTerms,
-    Rows,
-    Samples,
-    Sums,
-    Terms,
-)
+from rigid_body_ros.kernels.layout import FASTEST, Friction, Lags, Rows, Samples, Sums, Terms
 from rigid_body_ros.kernels.messages import Contents, RawMessages
 from rigid_body_ros.kernels.state_layout import MOST_WHEELS
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
 __all__ = ['CLASSICAL', 'EXPIRY', 'FASTEST', 'FIELDS', 'MOST_FIELDS', 'MOST_LAGS', 'MOST_WHEELS',
-           'CommandChanges', 'Contents', 'FieldTerms', 'Friction', 'FrictionTerms', 'LagTerms',
-           'Lags', 'RawMessages', 'Rows', 'Samples', 'Sums', 'Terms', 'body_layout',
-           'interpolation', 'kernels', 'layout', 'many_loop', 'motion_layout', 'state_layout',
-           'tensor', 'tensors']
+           'CommandChanges', 'Contents', 'Friction', 'Lags', 'RawMessages', 'Rows', 'Samples',
+           'Sums', 'Terms', 'body_layout', 'interpolation', 'kernels', 'layout', 'many_loop',
+           'motion_layout', 'state_layout', 'tensor', 'tensors']

@@ -120,7 +120,7 @@ class Loads(NamedTuple):
 
 
 @optional
-def load_terms(terms: layout.AnyTerms, body_constants: Floats,
+def load_terms(terms: layout.Terms, body_constants: Floats,
                progress: NDArray[Any]) -> BodyTerms:
     """Combine the terms of the rows with the constants of a body and the states of its motion."""
     return BodyTerms(terms.momentum, terms.motors, terms.space, terms.fields, terms.lags,

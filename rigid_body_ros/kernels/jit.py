@@ -48,6 +48,18 @@ def njit(kernel: Kernel) -> Kernel:
     return kernel
 
 
+def combined(*names: tuple[str, ...]) -> Callable[[Any], Any]:
+    """
+    Mark a named tuple whose optional fields are given together, or None, only as named.
+
+    The build step compiles kernels for these combinations.
+    """
+    def marked(kind: Any) -> Any:
+        kind.combinations = names
+        return kind
+    return marked
+
+
 def internal(kernel: Kernel) -> Kernel:
     """Mark a function that other kernels call."""
     return kernel

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import body_layout, euler_equations, four, state_layout, vector
 from rigid_body_ros.kernels.fields import FIELDS
-from rigid_body_ros.kernels.jit import inlined, internal, record, WRITTEN
+from rigid_body_ros.kernels.jit import combined, inlined, internal, record, WRITTEN
 
 #: Cost of a full step, or of a state computed in closed form, in units of work. Everything else,
 #: such as a short step, costs 1.
@@ -89,42 +89,6 @@ class Method(NamedTuple):
     max_step_ns: int
 
 
-class Terms(NamedTuple):
-    """What acts on a body besides the torques of the rows."""
-
-    #: The rotor momentum and its low-order part, N m s. The array has a single row if the momentum
-    #: is constant.
-    momentum: Annotated[Floats, 'n|1 2 3']
-    #: The torque on the rotors, N m, as the coefficients of a polynomial of degree d. None if no
-    #: torque acts on the rotors.
-    motors: Annotated[Floats, 'n d+1 3'] | None
-    #: The torque in space axes, N m, as the coefficients of a polynomial of degree d. None unless
-    #: such a torque acts in addition to a torque in body axes.
-    space: Annotated[Floats, 'n d+1 3'] | None
-    #: The next three attributes are always None in this class; see `FieldTerms`, `LagTerms` and
-    #: `FrictionTerms`.
-    fields: None = None
-    lags: None = None
-    friction: None = None
-
-
-class FieldTerms(NamedTuple):
-    """
-    `Terms` with fields.
-
-    In this class, `motors` and `space` are never None. The kernels therefore have to be compiled
-    only once for scenes with fields.
-    """
-
-    momentum: Annotated[Floats, 'n|1 2 3']
-    motors: Annotated[Floats, 'n d+1 3']
-    space: Annotated[Floats, 'n d+1 3']
-    #: The fields, whose torques depend on the attitude.
-    fields: Annotated[NDArray[Any], '1', FIELDS]
-    lags: None = None
-    friction: None = None
-
-
 class Lags(NamedTuple):
     """Torques that follow their commands with a lag; see `lags`."""
 
@@ -134,17 +98,6 @@ class Lags(NamedTuple):
     excess: Annotated[Floats, 'n l 2 3']
     #: The time constants, s.
     time_constants: Annotated[Floats, 'l']
-
-
-class LagTerms(NamedTuple):
-    """`FieldTerms` with torques that lag their commands. The fields may be missing."""
-
-    momentum: Annotated[Floats, 'n|1 2 3']
-    motors: Annotated[Floats, 'n d+1 3']
-    space: Annotated[Floats, 'n d+1 3']
-    fields: Annotated[NDArray[Any], '1', FIELDS]
-    lags: Lags
-    friction: None = None
 
 
 class Friction(NamedTuple):
@@ -158,22 +111,29 @@ class Friction(NamedTuple):
     momenta: Annotated[Floats, 'm 4g', WRITTEN]
 
 
-class FrictionTerms(NamedTuple):
+@combined((), ('motors',), ('space',), ('motors', 'space'), ('motors', 'space', 'fields'),
+          ('motors', 'space', 'fields', 'lags'), ('motors', 'space', 'fields', 'lags', 'friction'))
+class Terms(NamedTuple):
     """
-    `LagTerms` with friction.
+    What acts on a body besides the torques of the rows.
 
-    The fields and the lags may be missing, and all `motors` are zero.
+    If there are fields, lags or friction, nothing before them is None, so that kernels are
+    compiled for few combinations; there may then be no fields and no time constants.
     """
 
+    #: The rotor momentum and its low-order part, N m s. The array has a single row if the momentum
+    #: is constant.
     momentum: Annotated[Floats, 'n|1 2 3']
-    motors: Annotated[Floats, 'n d+1 3']
-    space: Annotated[Floats, 'n d+1 3']
-    fields: Annotated[NDArray[Any], '1', FIELDS]
-    lags: Lags
-    friction: Friction
-
-
-AnyTerms = Terms | FieldTerms | LagTerms | FrictionTerms
+    #: The torque on the rotors, N m, as the coefficients of a polynomial of degree d. None if no
+    #: torque acts on the rotors; all zeros if there is friction.
+    motors: Annotated[Floats, 'n d+1 3'] | None = None
+    #: The torque in space axes, N m, as the coefficients of a polynomial of degree d. None unless
+    #: such a torque acts in addition to a torque in body axes.
+    space: Annotated[Floats, 'n d+1 3'] | None = None
+    #: The fields, whose torques depend on the attitude.
+    fields: Annotated[NDArray[Any], '1', FIELDS] | None = None
+    lags: Lags | None = None
+    friction: Friction | None = None
 
 
 class Rows(NamedTuple):
@@ -191,7 +151,7 @@ class Rows(NamedTuple):
     spans: Annotated[Floats, 'n|0']
     #: What acts besides the torques of the rows. None if the scene has no rotors, damping, fields
     #: or lags, and does not combine torques in body axes with torques in space axes.
-    terms: AnyTerms | None = None
+    terms: Terms | None = None
 
 
 class Sums(NamedTuple):

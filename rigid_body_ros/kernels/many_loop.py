@@ -26,7 +26,7 @@ from rigid_body_ros.kernels import group as group_of_runs
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.group import BUDGET, Group
 from rigid_body_ros.kernels.groups import Advanced
-from rigid_body_ros.kernels.jit import inlined, internal, njit, optional, WRITTEN
+from rigid_body_ros.kernels.jit import combined, inlined, internal, njit, optional, WRITTEN
 from rigid_body_ros.kernels.layout import METHOD, PROGRESS, Rows, Terms
 
 #: If several runs cannot step together, the loop advances the runs one by one by this many rows,
@@ -61,24 +61,16 @@ class RunsWorkspace(NamedTuple):
     torques: Annotated[Floats, 'n 2d+1 3', WRITTEN]
 
 
+@combined((), ('motors',), ('space',), ('motors', 'space'), ('motors', 'space', 'fields'))
 class ManyTerms(NamedTuple):
     """What acts on the bodies of all runs besides the torques of the rows; see `Terms`."""
 
     #: The rotor momentum; run i uses element i % j.
     momentum: Annotated[Floats, 'j n|1 2 3']
-    motors: Annotated[Floats, 'n d+1 3'] | None
-    space: Annotated[Floats, 'n d+1 3'] | None
-    fields: None = None
-
-
-class ManyFieldTerms(NamedTuple):
-    """`ManyTerms` with fields; see `FieldTerms`."""
-
-    momentum: Annotated[Floats, 'j n|1 2 3']
-    motors: Annotated[Floats, 'n d+1 3']
-    space: Annotated[Floats, 'n d+1 3']
+    motors: Annotated[Floats, 'n d+1 3'] | None = None
+    space: Annotated[Floats, 'n d+1 3'] | None = None
     #: The fields; run i uses element i % f.
-    fields: Annotated[NDArray[Any], 'f', FIELDS]
+    fields: Annotated[NDArray[Any], 'f', FIELDS] | None = None
 
 
 class ManyRows(NamedTuple):
@@ -89,7 +81,7 @@ class ManyRows(NamedTuple):
     torques: Annotated[Floats, 'k n 2d+1 3']
     in_space: Annotated[NDArray[np.bool_], 'n']
     spans: Annotated[Floats, 'n|0']
-    terms: ManyTerms | ManyFieldTerms | None = None
+    terms: ManyTerms | None = None
 
 
 def workspace(lanes: int, rows: ManyRows) -> RunsWorkspace:
@@ -213,7 +205,7 @@ def _is_left(progress: Any, outputs: int, stop: int) -> bool:
 
 
 @optional
-def _of_run(terms: ManyTerms | ManyFieldTerms, run: int) -> Terms:
+def _of_run(terms: ManyTerms, run: int) -> Terms:
     return Terms(terms.momentum[run % len(terms.momentum)], terms.motors, terms.space,
                  _fields_of_run(terms.fields, run), None, None)
 

@@ -22,16 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import (
-    CommandChanges,
-    FIELDS,
-    Friction,
-    FrictionTerms,
-    kernels,
-    Lags,
-    LagTerms,
-    Rows,
-)
+from rigid_body_ros.engine import CommandChanges, FIELDS, Friction, kernels, Lags, Rows, Terms
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, time_constants
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -207,10 +198,14 @@ class LaggingSources:
         return Lags(self.excess(times_ns), self._time_constants)
 
 
-def lag_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
-              lags: Lags) -> LagTerms:
-    """Return the terms for rows with lags, and with fields if there are any."""
-    return LagTerms(momentum, motors, space, _NO_FIELDS if fields is None else fields, lags)
+def terms_of(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
+             lags: Lags | None, friction: Friction | None) -> Terms:
+    """Return the terms for rows with fields, lags or friction; see `layout.Terms`."""
+    if friction is not None and lags is None:
+        lags = Lags(np.zeros((len(friction.efforts), 0, 2, 3)), np.empty(0))
+    if lags is not None and fields is None:
+        fields = _NO_FIELDS
+    return Terms(momentum, motors, space, fields, lags, friction)
 
 
 def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:
@@ -255,10 +250,3 @@ def with_momenta(rows: Rows, count: int) -> tuple[Rows, Floats]:
 def friction_key(friction: Friction, row: int = 0) -> Floats:
     """Return an array of all numbers that determine the friction in a row, for use as a key."""
     return np.concatenate([friction.efforts[row], friction.wheels])
-
-
-def friction_terms(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
-                   lags: Lags | None, friction: Friction) -> FrictionTerms:
-    """Return the terms for rows with friction, including fields and lags if there are any."""
-    lags = lags or Lags(np.zeros((len(friction.efforts), 0, 2, 3)), np.empty(0))
-    return FrictionTerms(*lag_terms(momentum, motors, space, fields, lags)[:5], friction)

@@ -25,7 +25,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import FieldTerms, kernels, layout, many_loop, motion_layout, Rows
+from rigid_body_ros.engine import kernels, layout, many_loop, motion_layout, Rows
 from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
@@ -309,9 +309,9 @@ class _Runs:
         """Run the loop over some runs, with linear terms only for rotors or damping."""
         rows, terms = rows._replace(torques=rows.torques[None], terms=None), rows.terms
         if self._fields is not None:
-            terms = cast(FieldTerms, terms)
+            assert terms
             momentum = terms.momentum[None] if len(terms.momentum) > 1 else self._momentum[:, None]
-            own_fields: Any = many_loop.ManyFieldTerms(
+            own_fields: Any = many_loop.ManyTerms(
                 momentum, terms.motors, terms.space, self._fields)
             self._run_alike(which, rows._replace(terms=own_fields), gains)
             return

@@ -25,20 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import (
-    FieldTerms,
-    Friction,
-    FrictionTerms,
-    kernels,
-    Lags,
-    LagTerms,
-    layout,
-    motion_layout,
-    Terms,
-)
+from rigid_body_ros.engine import Friction, kernels, Lags, layout, motion_layout, Terms
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation.lags import friction_key, friction_terms, lag_terms, Lagging
+from rigid_body_ros.propagation.lags import friction_key, Lagging, terms_of
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of
 from rigid_body_ros.propagation.summation import added
@@ -159,15 +149,10 @@ class Segment:
         #: Four values: the time and the state that were computed last, then the time and the state
         #: of the last grid point before that time.
         self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
-        terms: Terms | FieldTerms | LagTerms | FrictionTerms | None = None
-        if friction is not None:
-            terms = friction_terms(origin.rotors[None], total.motors[None], total.space[None],
-                                   fields, lags, friction)
-        elif lags is not None:
-            terms = lag_terms(origin.rotors[None], total.motors[None], total.space[None], fields,
-                              lags)
-        elif fields is not None:
-            terms = FieldTerms(origin.rotors[None], total.motors[None], total.space[None], fields)
+        terms = None
+        if friction is not None or lags is not None or fields is not None:
+            terms = terms_of(origin.rotors[None], total.motors[None], total.space[None], fields,
+                             lags, friction)
         elif body.is_damped or start._has_rotors or others:
             terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
         self._rows = held_row(origin.begin_ns, total.torque, total.in_space, terms)

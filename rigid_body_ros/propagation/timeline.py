@@ -23,17 +23,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import FieldTerms, kernels, layout, Rows, Terms
+from rigid_body_ros.engine import kernels, Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation import summation
-from rigid_body_ros.propagation.lags import (
-    friction_key,
-    friction_of,
-    friction_terms,
-    lag_terms,
-    LaggingSources,
-)
+from rigid_body_ros.propagation.lags import friction_key, friction_of, LaggingSources, terms_of
 
 #: Number of samples whose polynomials are computed at once.
 _CHUNK = 65536
@@ -172,17 +166,13 @@ class Timeline:
         if sums.torques.shape[1] > 1:
             spans = np.append(np.diff(times_ns) / 1e9, 1.0)
         has_motors = self._has_motors
-        terms: layout.AnyTerms | None = None
         momentum = sums.momentum if has_motors else momentum[None]
-        if self._named is not None:
-            lags = self._lagging.lags(times_ns) if self._lagging else None
-            terms = friction_terms(momentum, sums.motors, sums.space, self._fields, lags,
-                                   friction_of(self._named.wheels, self._named.efforts(times_ns)))
-        elif self._lagging is not None:
-            terms = lag_terms(momentum, sums.motors, sums.space, self._fields,
-                              self._lagging.lags(times_ns))
-        elif self._fields is not None:
-            terms = FieldTerms(momentum, sums.motors, sums.space, self._fields)
+        lags = self._lagging.lags(times_ns) if self._lagging else None
+        friction = friction_of(self._named.wheels, self._named.efforts(times_ns)) \
+            if self._named is not None else None
+        terms: Terms | None = None
+        if self._fields is not None or lags is not None or friction is not None:
+            terms = terms_of(momentum, sums.motors, sums.space, self._fields, lags, friction)
         elif self.has_terms or in_two:
             terms = Terms(momentum, sums.motors if has_motors else None,
                           sums.space if in_two else None)
@@ -336,7 +326,7 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
 
 
 def held_row(time_ns: int, torque: Floats, in_space: bool,
-             terms: layout.AnyTerms | None = None) -> Rows:
+             terms: Terms | None = None) -> Rows:
     """Return a row with a torque, N m, shape (1, 3), that is held from a given time onward."""
     return Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms)
 
