@@ -41,11 +41,12 @@ OPTIONS = ['-std=c++20', '-O3', '-ffp-contract=off', '-fno-math-errno', '-fno-tr
            '-fwrapv', '-fvisibility=hidden', '-fPIC', '-fno-exceptions', '-fno-rtti', '-w',
            '-Werror=return-type', '-Werror=float-conversion']
 #: Of the loops, in which the kernels say which doubles share a register. With GCC, lanes fit into
-#: the registers only if instructions are scheduled first.
-LOOP_OPTIONS, GCC_OPTIONS = ['-fno-tree-slp-vectorize'], ['-fschedule-insns', '-fsched-pressure']
+#: the registers only if instructions are scheduled first, which makes other loops slower.
+LOOP_OPTIONS, LANES_OPTIONS = ['-fno-tree-slp-vectorize'], ['-fschedule-insns', '-fsched-pressure']
 #: The groups that a level with a `rest` has code of its own for: most motions, which have no terms
 #: (only they have lanes), and those under torques of the motors.
-_OWN = ('loop', 'loop_terms_motors')
+_LANES = 'lanes'
+_OWN = (_LANES, 'loop', 'loop_terms_motors')
 #: The group of all other kernels.
 _OTHERS = 'others'
 _TERMS = ('', '.motors', '.space', '.fields', '.lags', '.friction')
@@ -65,6 +66,8 @@ class Signature:
         kinds = {part.label: part.kind for argument in self.arguments for part in argument.flat}
         if 'rows.terms' not in kinds:
             return _OTHERS
+        if self.kernel.__name__ == 'run_each' and kinds['rows.terms'] == '-':
+            return _LANES
         names = [name.strip('.') or 'terms' for name in _TERMS
                  if kinds.get(f'rows.terms{name}', '-') != '-']
         return '_'.join(['loop', *names])
@@ -105,10 +108,10 @@ def compile_all(folder: Path, names: list[str], compiler: list[str]) -> None:
     `compiler` is a command and options, which come last. Raises `subprocess.CalledProcessError`.
     """
     version = subprocess.run([compiler[0], '--version'], capture_output=True, check=True).stdout
-    loop_options = LOOP_OPTIONS + ([] if b'clang' in version else GCC_OPTIONS)
+    lanes_options = LOOP_OPTIONS + ([] if b'clang' in version else LANES_OPTIONS)
     commands = []
     for source in sorted(folder.glob('*.cpp')):
-        more = [] if source.stem == _OTHERS else loop_options
+        more = {_OTHERS: [], _LANES: lanes_options}.get(source.stem, LOOP_OPTIONS)
         for level in map(LEVELS.get, names):
             if source.stem in _OWN or not level.rest:
                 commands.append([
