@@ -42,6 +42,8 @@ from rigid_body_ros.recording.measured import Measured
 #: What remains of a column after its projection onto other columns is subtracted counts as a
 #: rounding error if the norm of the remainder is at most this fraction of the column's norm.
 _ROUNDING = 1e-5
+#: A slope that is smaller than this fraction of the largest one is a rounding error.
+_NO_SLOPE = 1e-7
 #: If the largest of the noise spreads exceeds the smallest by more than this factor, the fit is
 #: repeated with weights that are computed from the spreads.
 _UNEQUAL = 1.05
@@ -309,7 +311,8 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     sigma = np.concatenate([np.tile(one.noise * one.is_attitude * size, len(one.errors))
                             for one, size in zip(residuals, sizes)])
     stamps_ns = np.concatenate([np.repeat(one.stamps_ns, 3) for one in residuals])
-    lost, vague = (stamps_ns[deviations * sigma > limit] for limit in (_LOST, _LINEAR))
+    lost, vague = (stamps_ns[(sigma > 0.0) & (deviations > limit / np.maximum(sigma, 1e-300))]
+                   for limit in (_LOST, _LINEAR))
     used = stamps_ns < vague.min() if vague.size else np.ones(stamps_ns.shape, bool)
     rows = np.concatenate([known, np.zeros((len(known), 1))], axis=1)
     rows = np.concatenate([rows, np.vstack([slopes, errors]).T[used]])
@@ -341,7 +344,9 @@ def _deviations(known: Floats, slopes: Floats) -> Floats:
     _, singular, right = np.linalg.svd(known)
     kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
     deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)
-    return np.where((np.abs(right[~kept] @ slopes) > 1e-6).any(axis=0), np.inf, deviations)
+    # Differences leave a part of 1e-9 or so of the largest slope in directions without an effect.
+    least = _NO_SLOPE * np.abs(slopes).max(initial=0.0)
+    return np.where((np.abs(right[~kept] @ slopes) > least).any(axis=0), np.inf, deviations)
 
 
 def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tuple[int, Floats]]:
