@@ -285,6 +285,7 @@ def of_pair(mocap, imu):
     return compare_motion(Recorded.of_attitudes(mocap), [imu]).verdict
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', [
     'gyro_bias', 'gyro_scale', 'degrees', 'frozen_attitude', 'flipped_attitude',
     'quaternion_order', 'inverse_quaternion', 'gyro_axes', 'rates_in_space', 'mount',

@@ -195,6 +195,7 @@ class RelativeDirectory(TemporaryDirectory):
         return os.path.relpath(super().__enter__())
 
 
+@pytest.mark.slow
 def test_recordings_need_a_shared_folder(inputs, scheduler, capsys, monkeypatch):
     monkeypatch.setattr(many, '_absolute', lambda task: task)
     monkeypatch.setattr(many, 'TemporaryDirectory', RelativeDirectory)

@@ -106,6 +106,7 @@ def measured(folder, kind, rows, stamps):
     return write(folder / 'it.mcap', torque=torque()), path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('clock', CLOCKS)
 @pytest.mark.parametrize('kind', ['Imu', 'PoseStamped', 'Odometry', 'csv', 'tum'])
 def test_stamps_that_cannot_be_right_are_a_warning_and_no_cause(run, tmp_path, kind, clock):
@@ -123,6 +124,7 @@ def test_stamps_that_cannot_be_right_are_a_warning_and_no_cause(run, tmp_path, k
     assert found['likely_causes'] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('harmless', HARMLESS)
 @pytest.mark.parametrize('kind', ['Imu', 'PoseStamped', 'Odometry', 'csv', 'tum'])
 def test_samples_that_arrive_late_are_sorted_without_a_warning(run, tmp_path, kind, harmless):
@@ -156,6 +158,7 @@ def test_stamps_of_torques_are_accounted_for(run, tmp_path, kind, clock):
         assert (f'{steps} at which the clock goes back' in account[0]) == bool(steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('clock', CLOCKS)
 def test_stamps_of_several_torques_are_accounted_for_by_topic(run, tmp_path, clock):
     rows, stamps, replaced, steps, expected = CLOCKS[clock]
@@ -169,6 +172,7 @@ def test_stamps_of_several_torques_are_accounted_for_by_topic(run, tmp_path, clo
     assert f'{path}: torques: {fault}' in error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('clock', ['every third', 'tenths', '1 s', '25 ms', 'beyond the start'])
 def test_times_of_the_recording_cure_the_stamps(run, tmp_path, clock):
     _, stamps, *_ = CLOCKS[clock]
@@ -255,6 +259,7 @@ def test_a_body_at_rest_is_measured(run, tmp_path):
     assert [found[name]['max'] for name in BOTH] == [0.0, 0.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('parts', 'names'), [
     ([''], BOTH), ([':rates'], (GYRO,)), ([':attitude'], (ATTITUDES,)),
     ([':rates', ':attitude'], BOTH)])
@@ -278,6 +283,7 @@ TURNED = {'attitude': (Rotation.from_quat(ATTITUDE) * SENSOR).as_quat(),
           'rates': SENSOR.inv().apply(RATES)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('kind', 'frame', 'child', 'note'), [
     *(('Imu', name, None, SPACE.format(name)) for name in ('world', '/world')),
     *(('Odometry', parent, child, SPACE.format(child)) for parent, child in (
@@ -344,6 +350,7 @@ def test_quaternions_without_norm_1_are_a_warning_unless_few(run, tmp_path, norm
     is_noise(found, ATTITUDES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('fault', [{'sec': -2 ** 31}, {'nanosec': 2 * SECOND}])
 @pytest.mark.parametrize('kind', ['Imu', 'Odometry', 'Vector3Stamped'])
 def test_stamps_that_are_not_times_are_no_obstacle_to_other_times(run, tmp_path, kind, fault):
@@ -361,6 +368,7 @@ def test_stamps_that_are_not_times_are_no_obstacle_to_other_times(run, tmp_path,
     assert 'warning' not in run('replay', path, '--time-source', 'log').shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('rows', 'warning'), [
     ([7], ''), ([300], ''), (ROWS[7::20], '15 of 301 samples are rejected: expected finite')])
 def test_torques_that_are_not_finite_are_skipped_and_counted(run, tmp_path, rows, warning):
@@ -409,6 +417,7 @@ CHAINS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('has_frames', [False, True])
 @pytest.mark.parametrize('chain', CHAINS)
 def test_transforms_are_composed_along_a_chain(run, tmp_path, chain, has_frames):

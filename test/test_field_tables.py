@@ -102,6 +102,7 @@ JOINED = ('__time,/torque/wrench/torque/x,/torque/wrench/torque/y,/torque/wrench
           '/att/quaternion/x,/att/quaternion/y,/att/quaternion/z,/att/quaternion/w')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('is_apart', [False, True])
 @pytest.mark.parametrize('blank', ['', 'nan', 'NaN', ' '])
 def test_a_joined_table_has_empty_cells_and_several_rates(run, tmp_path, blank, is_apart):

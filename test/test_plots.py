@@ -48,6 +48,7 @@ def curves(values, names=style.SIGNED, **options):
     return Curves(np.arange(len(values), dtype=float), values, values, names, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('start_ns', [EPOCH_NS, *at_night(0)])
 @pytest.mark.parametrize('count', [11, 30_000])
 def test_times_are_drawn_to_the_nanosecond_at_any_epoch(drawn, start_ns, count):
@@ -95,6 +96,7 @@ def test_small_numbers_have_a_unit_with_a_prefix(drawn, scale):
                                atol=1e-9 * factor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('count', [1, 4, 7])
 def test_titles_of_any_length_stay_inside_the_picture(drawn, count):
     panel = Panel(90 * 'e', 'rad', [curves(np.eye(3), names=['W' * 20] * 3)])

@@ -384,6 +384,7 @@ def test_a_prior_of_no_suspect_or_size_is_an_error(prior, text):
         identify(RigidBody(np.eye(3)), on_the_ground(1.0), priors=prior)
 
 
+@pytest.mark.slow
 def test_a_model_of_a_body_at_rest_is_right_but_no_fit_of_it():
     times = np.arange(1000) * 10_000_000
     measured = [Measured('/mocap', times, np.tile([0.0, 0.0, 0.0, 1.0], (1000, 1)), None),
