@@ -40,7 +40,7 @@ FLAGS = ['-std=c11', '-ffp-contract=off', '-fvisibility=hidden']
 #: Keep the sources in C++, to read them.
 _KEEP = 'RIGID_BODY_ROS_KEEP'
 #: What compiling takes on Debian and Ubuntu.
-_TAKES = 'takes GCC 11 or Clang 17 and the headers of Python (apt install g++ python3-dev)'
+_TAKES = 'takes GCC 11 or Clang 19 and the headers of Python (apt install g++ python3-dev)'
 
 
 def kernels() -> Extension:
@@ -60,6 +60,8 @@ def compiler(machine: str) -> list[str]:
     """Return the command of the C++ compiler for a kind of machine, and options of the user."""
     command = os.environ.get('CXX', 'g++') if machine == platform.machine() else \
         f'{machine}-linux-gnu-g++'
+    if not shutil.which(shlex.split(command)[0]):
+        raise CompileError(f'compiling the kernels {_TAKES}, found no {command}')
     return shlex.split(f"{command} {os.environ.get('CXXFLAGS', '')}")
 
 

@@ -127,13 +127,13 @@ def _value(part: Part, slots: Any) -> str:
     if part.kind == '-':
         return 'py::None{}'
     if part.kind == '(':
-        return f"{part.type}{{{', '.join(_value(each, slots) for each in part.parts)}}}"
+        return f"{part.cpp_type}{{{', '.join(_value(each, slots) for each in part.parts)}}}"
     slot = f'slots[{next(slots)}]'
     if part.kind == 'F':
         return f'py::number({slot})'
     if part.kind in ('B', 'I'):
         return f"{'bool' if part.kind == 'B' else 'int64_t'}({slot}.shape[0])"
-    return f'py::array<{part.type}, {len(part.dimensions)}>({slot})'
+    return f'py::array<{part.cpp_type}, {len(part.dimensions)}>({slot})'
 
 
 def _row(part: Part) -> str:

@@ -21,6 +21,8 @@ import os
 from pathlib import Path
 import platform
 
+from setuptools.errors import CompileError
+
 #: Which levels are compiled: those of this processor, or 'all' for other machines, too.
 VARIABLE = 'RIGID_BODY_ROS_LEVELS'
 
@@ -60,8 +62,10 @@ MACHINES = {machine: [name for name, level in LEVELS.items() if level.machine ==
 
 def wanted(machine: str) -> list[str]:
     """Return the names of the levels to compile; a level needs the code of its `rest`."""
-    names = MACHINES[machine]
-    if machine != platform.machine() or os.environ.get(VARIABLE) == 'all':
+    names, chosen = MACHINES[machine], os.environ.get(VARIABLE, '')
+    if chosen not in ('', 'all'):
+        raise CompileError(f'{VARIABLE}: expected all, found {chosen!r}')
+    if chosen or machine != platform.machine():
         return names
     features = set(Path('/proc/cpuinfo').read_text(encoding='ascii').split())
     usable = [name for name in names if LEVELS[name].features <= features]

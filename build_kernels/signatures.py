@@ -73,7 +73,7 @@ class Part:
     label: str
     text: str
     #: In C++: the type of the elements of an array, or of a named tuple.
-    type: str = ''
+    cpp_type: str = ''
     dimensions: tuple[Dimension, ...] = ()
     size: int = 0
     is_written: bool = False

@@ -27,6 +27,7 @@ import ast
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 import math
+import operator
 from pathlib import Path
 import re
 import sys
@@ -42,11 +43,10 @@ MARKS = {'inlined', 'internal', 'njit', 'optional'}
 #: The most parts of a tuple.
 MOST_PARTS = 16
 _PACKAGE = 'rigid_body_ros.kernels.'
-_FOLDED = {ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
-           ast.Div: lambda a, b: a / b, ast.FloorDiv: lambda a, b: a // b,
-           ast.Mod: lambda a, b: a % b, ast.Pow: lambda a, b: a ** b,
-           ast.BitAnd: lambda a, b: a & b, ast.BitOr: lambda a, b: a | b,
-           ast.LShift: lambda a, b: a << b, ast.RShift: lambda a, b: a >> b}
+_FOLDED = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
+           ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Mod: operator.mod,
+           ast.Pow: operator.pow, ast.BitAnd: operator.and_, ast.BitOr: operator.or_,
+           ast.LShift: operator.lshift, ast.RShift: operator.rshift}
 _OPERATORS = {ast.Add: '+', ast.Sub: '-', ast.Mult: '*', ast.BitAnd: '&', ast.BitOr: '|',
               ast.LShift: '<<', ast.RShift: '>>'}
 _NAMED_OPERATORS = {ast.Div: 'quotient', ast.FloorDiv: 'floor_quotient', ast.Mod: 'modulo'}

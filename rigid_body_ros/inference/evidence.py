@@ -311,8 +311,8 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     sigma = np.concatenate([np.tile(one.noise * one.is_attitude * size, len(one.errors))
                             for one, size in zip(residuals, sizes)])
     stamps_ns = np.concatenate([np.repeat(one.stamps_ns, 3) for one in residuals])
-    lost, vague = (stamps_ns[(sigma > 0.0) & (deviations > limit / np.maximum(sigma, 1e-300))]
-                   for limit in (_LOST, _LINEAR))
+    angles = np.where(sigma > 0.0, deviations, 0.0) * sigma  # a rate may have no deviation
+    lost, vague = (stamps_ns[angles > limit] for limit in (_LOST, _LINEAR))
     used = stamps_ns < vague.min() if vague.size else np.ones(stamps_ns.shape, bool)
     rows = np.concatenate([known, np.zeros((len(known), 1))], axis=1)
     rows = np.concatenate([rows, np.vstack([slopes, errors]).T[used]])

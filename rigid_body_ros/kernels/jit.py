@@ -50,9 +50,10 @@ def njit(kernel: Kernel) -> Kernel:
 
 def combined(*names: tuple[str, ...]) -> Callable[[Any], Any]:
     """
-    Mark a named tuple whose optional fields are given together, or None, only as named.
+    Mark a named tuple of which only some combinations of optional fields occur.
 
-    The build step compiles kernels for these combinations.
+    Each argument lists the fields that are not None in a combination. The build step compiles
+    kernels for these combinations only.
     """
     def marked(kind: Any) -> Any:
         kind.combinations = names

@@ -117,8 +117,8 @@ class Terms(NamedTuple):
     """
     What acts on a body besides the torques of the rows.
 
-    If there are fields, lags or friction, nothing before them is None, so that kernels are
-    compiled for few combinations; there may then be no fields and no time constants.
+    Kernels are compiled for few combinations. If there are fields, lags or friction, all parts
+    before them are given, too: zero torques, no fields and no lags are then empty arrays or zeros.
     """
 
     #: The rotor momentum and its low-order part, N m s. The array has a single row if the momentum

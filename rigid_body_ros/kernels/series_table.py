@@ -101,7 +101,8 @@ def components(table: Floats, row: int, u: Vector) -> Any:
     """
     Return the components of u in the term that begins at the given row of the table.
 
-    A processor copies a number from memory into a whole register faster than from a register.
+    To fill a register with copies of a number, a processor takes less time if the number is in
+    memory than if it is in another register.
     """
     if four.has_lanes(table):
         return u

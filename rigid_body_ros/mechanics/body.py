@@ -409,10 +409,10 @@ def _checked_excess(moments: Floats) -> float:
     excess = largest / (smallest + middle) - 1.0 if smallest > 0.0 else math.inf
     if excess > TRIANGLE_EXCESS:
         found = f'principal moments {smallest:.17g}, {middle:.17g}, {largest:.17g} kg m^2'
-        raise ValueError(
-            f'inertia: not physical, {found}: the largest exceeds the sum of the other two by '
-            f'{100 * excess:.3g} % (limit {100 * TRIANGLE_EXCESS:g} %)' if smallest > 0.0 else
-            f'inertia: expected a positive definite tensor, found {found}')
+        if smallest <= 0.0:
+            raise ValueError(f'inertia: expected a positive definite tensor, found {found}')
+        raise ValueError(f'inertia: not physical, {found}: the largest exceeds the sum of the '
+                         f'other two by {100 * excess:.3g} % (limit {100 * TRIANGLE_EXCESS:g} %)')
     return excess if excess > ROUNDING else 0.0
 
 

@@ -160,7 +160,7 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     """
-    Return whether Euler angles are close to gimbal lock.
+    Return whether Euler angles are degenerate, which means close to gimbal lock.
 
     The attitude of degenerate angles determines only the sum or the difference of the first and
     third angles.

@@ -111,7 +111,7 @@ class State:
         if not any(q):
             raise ValueError('attitude quaternion (x, y, z, w): expected a non-zero quaternion, '
                              f'found {q}')
-        x, y, z, scalar = q
+        x, y, z, scalar = q  # as `is_normalized` does for many, without its arrays
         norm = math.sqrt(x * x + y * y + z * z + scalar * scalar)
         if abs(norm - 1.0) > _NORMALIZED:
             q = so3.normalize(q).tolist()
@@ -158,7 +158,7 @@ def _checked_rotors(momentum: ArrayLike) -> Floats:
 
 
 def _checked_vector(values: ArrayLike, size: int, what: str) -> list[float]:
-    # For a few numbers, a list takes a fifth of the time of an array.
+    # Three or four numbers are checked faster in a list than in an array.
     vector = np.asarray(values, float)
     numbers: list[float] = vector.tolist()
     if vector.shape != (size,) or not all(map(math.isfinite, numbers)):
