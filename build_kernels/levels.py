@@ -25,6 +25,8 @@ from setuptools.errors import CompileError
 
 #: Which levels are compiled: those of this processor, or 'all' for other machines, too.
 VARIABLE = 'RIGID_BODY_ROS_LEVELS'
+#: Builds of Debian and RPM packages set this variable. They must not depend on this processor.
+_REPRODUCIBLE = 'SOURCE_DATE_EPOCH'
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def wanted(machine: str) -> list[str]:
     names, chosen = MACHINES[machine], os.environ.get(VARIABLE, '')
     if chosen not in ('', 'all'):
         raise CompileError(f'{VARIABLE}: expected all, found {chosen!r}')
-    if chosen or machine != platform.machine():
+    if chosen or _REPRODUCIBLE in os.environ or machine != platform.machine():
         return names
     features = set(Path('/proc/cpuinfo').read_text(encoding='ascii').split())
     usable = [name for name in names if LEVELS[name].features <= features]

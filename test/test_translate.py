@@ -12,19 +12,27 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The translator of kernels: its arithmetic is that of Python, and it rejects all else."""
+"""
+The step that compiles the kernels.
+
+The arithmetic of the translator is that of Python, and it rejects all else.
+"""
 
 import ctypes
 import importlib.util
+import platform
 import shutil
 import subprocess
 import sys
 
 from conftest import ROOT
 import pytest
+from setuptools.errors import CompileError
 
 sys.path.insert(0, str(ROOT / 'build_kernels'))
+import extension  # noqa: E402, I100
 import generate  # noqa: E402, I100
+import levels  # noqa: E402, I100
 import translate  # noqa: E402, I100
 
 HEADER = """import math
@@ -194,3 +202,23 @@ def test_the_code_names_the_lines_of_its_source(tmp_path):
     text = translate.translated([module])
     number = (HEADER + FUNCTIONS).splitlines().index('    x, y = y, x') + 1
     assert f'#line {number} "{tmp_path / "sample.py"}"\n' in text
+
+
+def test_a_missing_compiler_is_named_with_how_to_get_one(monkeypatch):
+    monkeypatch.setenv('CXX', 'no-such-compiler')
+    with pytest.raises(CompileError, match=r'apt install g\+\+.*, found no no-such-compiler$'):
+        extension.compiler(platform.machine())
+
+
+@pytest.mark.parametrize(('variable', 'value'), [
+    ('RIGID_BODY_ROS_LEVELS', 'all'), ('SOURCE_DATE_EPOCH', '1')])
+def test_a_package_for_other_machines_has_all_levels(monkeypatch, variable, value):
+    monkeypatch.delenv('RIGID_BODY_ROS_LEVELS', raising=False)
+    monkeypatch.setenv(variable, value)
+    assert levels.wanted(platform.machine()) == levels.MACHINES[platform.machine()]
+
+
+def test_levels_that_do_not_exist_are_rejected(monkeypatch):
+    monkeypatch.setenv('RIGID_BODY_ROS_LEVELS', 'v3')
+    with pytest.raises(CompileError, match="^RIGID_BODY_ROS_LEVELS: expected all, found 'v3'$"):
+        levels.wanted(platform.machine())
