@@ -60,7 +60,7 @@ KERNELS := $(wildcard rigid_body_ros/kernels/*.py rigid_body_ros/common/*.py bui
 # Python compiles what the demo imports; pip would compile all modules of all packages.
 $(VENV)/demo: setup.py package.xml pyproject.toml $(KERNELS)
 	@echo "Installing into $(VENV), and compiling the kernels (about a minute, once)"
-	$(PYTHON) -m venv $(VENV)
+	[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python $(INSTALL) --no-compile --editable '.[ros]'
 	@touch $@
 
@@ -72,7 +72,7 @@ $(VENV)/done: $(VENV)/demo
 # It finds the compiled kernels of the other environment, which has the same Python.
 $(JAZZY)/done: $(VENV)/done
 	@echo "Installing into $(JAZZY)"
-	$(PYTHON) -m venv $(JAZZY)
+	[ -x $(JAZZY)/bin/python ] || $(PYTHON) -m venv $(JAZZY)
 	$(JAZZY)/bin/python $(INSTALL) --editable '.[jazzy,test]'
 	@touch $@
 
