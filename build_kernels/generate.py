@@ -45,8 +45,8 @@ OPTIONS = ['-std=c++20', '-O3', '-ffp-contract=off', '-fno-math-errno', '-fno-tr
 LOOP_OPTIONS, LANES_OPTIONS = ['-fno-tree-slp-vectorize'], ['-fschedule-insns', '-fsched-pressure']
 #: The groups that a level with a `rest` has code of its own for: most motions, which have no terms
 #: (only they have lanes), and those under torques of the motors.
-_LANES = 'lanes'
-_OWN = (_LANES, 'loop', 'loop_terms_motors')
+_LANES, _TANGENTS = 'lanes', 'tangents'
+_OWN = (_LANES, _TANGENTS, 'loop', 'loop_terms_motors')
 #: The group of all other kernels.
 _OTHERS = 'others'
 _TERMS = ('', '.motors', '.space', '.fields', '.lags', '.friction')
@@ -66,6 +66,8 @@ class Signature:
         kinds = {part.label: part.kind for argument in self.arguments for part in argument.flat}
         if 'rows.terms' not in kinds:
             return _OTHERS
+        if self.kernel.__name__ == 'run_tangents':
+            return _TANGENTS
         if self.kernel.__name__ == 'run_each' and kinds['rows.terms'] == '-':
             return _LANES
         names = [name.strip('.') or 'terms' for name in _TERMS

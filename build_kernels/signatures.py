@@ -17,7 +17,8 @@ The types that a kernel takes and returns, from its annotations.
 
 An array is annotated with its shape, and with WRITTEN if the kernel writes to it; see
 `rigid_body_ros.kernels.jit.exported`. A named tuple stands for its fields, and `X | None` for two
-signatures.
+signatures. With names in its annotation, a named tuple stands for the signatures in which just the
+fields with these names are None.
 """
 
 from __future__ import annotations
@@ -105,7 +106,11 @@ def _alternatives(hint: Any, label: str) -> list[Part]:
         name = 'None' if hint is type(None) else hint.__name__
         return [Part(_NUMBERS[hint], label, name)]
     if get_origin(hint) is Annotated:
-        return [_array(*get_args(hint), label=label)]
+        kind, *marks = get_args(hint)
+        if not hasattr(kind, '_fields'):
+            return [_array(kind, *marks, label=label)]
+        return [part for part in _named_tuples(kind, label) if {*marks} == {
+            each.label.rpartition('.')[2] for each in part.flat if each.kind == '-'}]
     if isinstance(hint, type) and hasattr(hint, '_fields'):
         return _named_tuples(hint, label)
     raise TypeError(f'{label}: expected the annotation of an array, a number, None or a named '

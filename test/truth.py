@@ -29,11 +29,12 @@ import numpy as np
 GUARD = 25
 #: Angle of a step of `series`, rad, that requires the least work for 50 digits.
 STEP_ANGLE = 0.4
+ZERO = np.zeros((3, 3))
 
 exact = np.vectorize(mp.mpf, otypes=[object])
 
 
-def series(tensor, attitude, rates, torques, digits=50):
+def series(tensor, attitude, rates, torques, digits=50, momentum=(0, 0, 0), damping=ZERO):
     """
     Return the motion under torques as [(attitude, rates)], one pair for the end of each torque.
 
@@ -52,10 +53,15 @@ def series(tensor, attitude, rates, torques, digits=50):
         shape (degree + 1, 3) is a polynomial in the fraction of the duration.
     digits : int
         Digits of the result; the computation uses `GUARD` more.
+    momentum : array, shape (3,), N m s, body axes
+        Constant momentum of rotors.
+    damping : array, shape (3, 3), N m s/rad
+        Damping tensor; the torque is `-damping @ rates`.
 
     """
     with mp.workdps(digits + GUARD):
         tensor, q, w = exact(tensor), _unit(exact(attitude)), exact(rates)
+        others = exact(momentum), exact(damping)
         inverse = _array(mp.inverse(mp.matrix(tensor.tolist())))
         size = mp.mnorm(mp.matrix(inverse.tolist()), 'f')
         states = []
@@ -66,10 +72,11 @@ def series(tensor, attitude, rates, torques, digits=50):
             fraction = mp.zero
             while fraction < 1:
                 # The inverse of this rate bounds the radius of convergence from below.
-                rate = _length(w) + mp.sqrt(push)
+                rate = _length(w) + mp.sqrt(push) + size * (
+                    _length(others[0]) + abs(others[1]).sum())
                 part = min(1 - fraction, STEP_ANGLE / rate / seconds) if rate else mp.one
                 q, w = _step(q, w, part * seconds, tensor, inverse,
-                             _shifted(torque, fraction, part), in_space)
+                             _shifted(torque, fraction, part), in_space, others)
                 fraction += part
             states.append((q, w))
         return states
@@ -149,7 +156,7 @@ def rotate(q, v):
     return times(times(q, _pure(v)), _conjugate(q))[:3]
 
 
-def _step(q, w, h, tensor, inverse, torque, in_space):
+def _step(q, w, h, tensor, inverse, torque, in_space, others):
     # With h as the unit of time and the size of the tensor as the unit of inertia, all numbers are
     # of order one. So fixed-point integers suffice, ten times as fast as mpmath's floats.
     size = abs(tensor).max()
@@ -158,12 +165,13 @@ def _step(q, w, h, tensor, inverse, torque, in_space):
     if in_space:
         torque = np.array([rotate(_conjugate(q), row) for row in torque])
     sums = _sums(fixed(q), fixed(w * h), fixed(tensor @ w * h / size),
-                 fixed(torque * h * h / size), in_space, fixed(inverse * size), bits)
+                 fixed(torque * h * h / size), in_space, fixed(inverse * size), bits,
+                 *(fixed(other * h / size) for other in others))
     q, w = (exact(s) * mp.ldexp(1, -bits) for s in sums)
     return _unit(q), w / h
 
 
-def _sums(q, w, m, torque, in_space, inverse, bits):
+def _sums(q, w, m, torque, in_space, inverse, bits, momentum, damping):
     # The sums of the series of q and w after one unit of time.
     orders, negligible = 4 * mp.dps, 1 << bits - mp.prec
     qs, ws, ms = (np.full((orders + 1, n), 0, dtype=object) for n in (4, 3, 3))
@@ -174,6 +182,7 @@ def _sums(q, w, m, torque, in_space, inverse, bits):
     for k in range(orders):
         past = ws[k::-1]
         push = sum(ts[i, k - i] for i in range(min(k + 1, len(ts))))
+        push = push + (_cross(momentum, ws[k]) - damping @ ws[k] >> bits)
         ms[k + 1] = ((_cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
         ws[k + 1] = inverse @ ms[k + 1] >> bits
         qs[k + 1] = (times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))

@@ -22,6 +22,7 @@ from rigid_body_ros.kernels import (
     many_loop,
     motion_layout,
     state_layout,
+    tangents,
     tensor,
     tensors,
 )
@@ -37,4 +38,4 @@ from rigid_body_ros.kernels.steppers import CLASSICAL
 __all__ = ['CLASSICAL', 'EXPIRY', 'FASTEST', 'FIELDS', 'MOST_FIELDS', 'MOST_LAGS', 'MOST_WHEELS',
            'CommandChanges', 'Contents', 'Friction', 'Lags', 'RawMessages', 'Rows', 'Samples',
            'Sums', 'Terms', 'body_layout', 'interpolation', 'kernels', 'layout', 'many_loop',
-           'motion_layout', 'state_layout', 'tensor', 'tensors']
+           'motion_layout', 'state_layout', 'tangents', 'tensor', 'tensors']

@@ -26,6 +26,7 @@ from rigid_body_ros.kernels import (
     principal_axes,
     rotors,
     summation,
+    tangent_loop,
     taylor,
     tensors,
     triangles,
@@ -50,6 +51,7 @@ make_rows_continuous = bind(euler_angles.make_rows_continuous)
 momentum_at = bind(rotors.momentum_at)
 run = bind(loop.run)
 run_each = bind(many_loop.run_each)
+run_tangents = bind(tangent_loop.run_tangents)
 scan = bind(messages.scan)
 step_angle = bind(taylor.step_angle)
 sum_logs = bind(summation.sum_logs)

@@ -142,7 +142,7 @@ def step(state: vector.KernelState, seconds: float, coefficients: vector.Coeffic
     none = four.zero(acceleration)
     bound = math.sqrt(vector.dot(acceleration, acceleration))
     drive = taylor.SeriesDrive((acceleration, none, none, none), 0, False, bound)
-    return taylor.step(state, seconds, coefficients, drive, tolerance, table, None)
+    return taylor.step(state, seconds, coefficients, drive, tolerance, table, None, None)[0]
 
 
 @inlined

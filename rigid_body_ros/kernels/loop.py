@@ -178,7 +178,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             drive = intervals.drive(now, intervals.low_order_parts(torques, row), degree, turning,
                                     body, loads)
             grid, grid_ns, latest, arrived, budget = stepping.advance(
-                grid, grid_ns, time_ns, drive, body, method, table, budget, loads)
+                grid, grid_ns, time_ns, drive, body, method, table, budget, loads, None)
             if not arrived:
                 break
         if asked:

@@ -58,6 +58,7 @@ from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, optional, scratch
 from rigid_body_ros.kernels.lag_series import WORKSPACE as LAG_WORKSPACE
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
+from rigid_body_ros.kernels.tangents import follow, least_order, Span, Tangents
 
 _RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULER
 
@@ -99,7 +100,8 @@ class LocalLoads(NamedTuple):
 
 @inlined
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
-            method: Method, table: Floats, budget: int, loads: Loads | None) -> Reached:
+            method: Method, table: Floats, budget: int, loads: Loads | None,
+            tangents: Tangents | None) -> Reached:
     """
     Step along the grid to the last grid point before `time_ns`, and then to `time_ns` itself.
 
@@ -117,6 +119,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         Number of units of work after which to return. Each step costs `layout.STEP_COST`.
     loads : Loads or None
         What acts besides the drive.
+    tangents : Tangents or None
+        The tangents that every step advances, if any.
 
     Returns
     -------
@@ -137,7 +141,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         last = step_ns >= rest_ns
         if last:
             step_ns = rest_ns
-        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now)
+        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now,
+                       tangents)
         if last:
             break
         grid = latest
@@ -285,12 +290,12 @@ def _change(constants: linear_terms.Constants, seconds: float,
 
 @inlined
 def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
-          method: Method, table: Floats, loads: Loads | None,
-          now: LocalLoads | None) -> vector.KernelState:
+          method: Method, table: Floats, loads: Loads | None, now: LocalLoads | None,
+          tangents: Tangents | None) -> vector.KernelState:
     local = drive.polynomial
+    offset, ratio = (grid_ns - drive.origin_ns) / 1e9 / drive.span, seconds / drive.span
     if drive.degree != 0:
-        local = vector.shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
-                               seconds / drive.span)
+        local = vector.shifted(local, offset, ratio)
     stage = _stage_loads(loads, now, drive, grid_ns, seconds)
     if method.solver == _RK4:
         return steppers.rk4(state, seconds, body.coefficients, local, drive.in_space, stage)
@@ -301,5 +306,8 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
         return steppers.explicit_euler(state, seconds, body.coefficients, local, drive.in_space,
                                        stage)
     series = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
-    return taylor.step(state, seconds, body.coefficients, series, method.tolerance,
-                       table, _series(loads, now, stage, seconds))
+    acting = _series(loads, now, stage, seconds)
+    latest, order = taylor.step(state, seconds, body.coefficients, series, method.tolerance,
+                                table, acting, least_order(tangents, acting))
+    follow(tangents, table, order, Span(seconds, offset, ratio), body.coefficients, series, acting)
+    return latest

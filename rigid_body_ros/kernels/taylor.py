@@ -164,9 +164,9 @@ def turning_rate(square: float, acceleration: float, angle: float) -> float:
 @inlined
 def step(state: KernelState, seconds: float, coefficients: Coefficients,
          drive: SeriesDrive, tolerance: float, table: Floats,
-         loads: SeriesLoads | None) -> KernelState:
+         loads: SeriesLoads | None, least: int | None) -> tuple[KernelState, int]:
     """
-    Return the state after one step.
+    Return the state after one step, and the order up to which the table is filled.
 
     Parameters
     ----------
@@ -185,10 +185,12 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     loads : SeriesLoads or None
         What acts besides the drive. In most scenes this is None, and the compiler leaves out the
         code for loads.
+    least : int or None
+        The lowest order up to which to fill the table. None stands for 0.
 
     Returns
     -------
-    KernelState
+    KernelState, int
 
     """
     lag_series.begin(_lags_of(loads), state)
@@ -198,7 +200,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     friction.weigh(_friction_of(loads), angle, seconds)
     error_bound = tolerance * angle
-    order = _expand(state, seconds, coefficients, drive, error_bound, table, loads)
+    order = _expand(state, seconds, coefficients, drive, error_bound, table, loads, least)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, without_fourth(table, four.load(table, row_of(table, k) + U)))
@@ -207,7 +209,8 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
     norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series does not have unit norm
     rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))
-    return advance(state, scale(1.0 / seconds, delta_u), scale(1.0 / norm, add(delta_q, rest)))
+    return advance(state, scale(1.0 / seconds, delta_u),
+                   scale(1.0 / norm, add(delta_q, rest))), order
 
 
 @optional
@@ -228,7 +231,7 @@ def _friction_of(loads: SeriesLoads) -> friction.StepFriction | None:
 @inlined
 def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
             drive: SeriesDrive, error_bound: float, table: Floats,
-            loads: SeriesLoads | None) -> int:
+            loads: SeriesLoads | None, least: int | None) -> int:
     # Fill the table with the terms of u and of the rotation, up to the order that the error bound
     # requires, and return this order.
     polynomial, degree, in_space, _ = drive
@@ -259,7 +262,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
             u = euler_equations.gyroscopic_acceleration(coefficients, products)
         else:
             u = euler_equations.add_gyroscopic_acceleration(
-                _linear_term(k, latest, past, loads), coefficients, products)
+                linear_term(k, latest, past, loads), coefficients, products)
         if in_space:
             torque_acceleration = euler_equations.acceleration_from_torque(
                 coefficients, _torque_term(table, k, degree))
@@ -289,7 +292,10 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
             _friction_of(loads), k + 1)
         small = lanes.counted(size > error_bound, small)
         if lanes.every(small >= powers + 2):
-            return k + 1
+            if least is None:
+                return k + 1
+            if k + 1 >= least:
+                return k + 1
     return MAX_ORDER
 
 
@@ -347,9 +353,9 @@ def _add_start(table: Floats, total: Quaternion, factor: float) -> Quaternion:
 
 
 @inlined
-def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector],
+def linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector],
                  loads: SeriesLoads) -> Vector:
-    # Return the contribution of rotors and damping to the order-k term of the acceleration.
+    """Return the contribution of rotors and damping to the order-k term of the acceleration."""
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
     if (exist(loads.fields) or exist(loads.lags)) and loads.linear_degree < 0:  # most scenes

@@ -28,6 +28,7 @@ from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import Logs
+from rigid_body_ros.propagation.derivatives import Derivatives, derivatives
 from rigid_body_ros.propagation.inputs import MotionInputs, Rotors
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.options import Options
@@ -167,6 +168,37 @@ class Problem(MotionInputs):
 
         """
         return Integration(self).advance(at)
+
+    def derivatives(self, names: Sequence[str], *, at: ArrayLike) -> Derivatives:
+        """
+        Return how the motion changes with its start and with parameters.
+
+        The derivatives are those of the Taylor series of the motion, accurate to rounding errors,
+        which grow as the motion itself amplifies changes.
+
+        Parameters
+        ----------
+        names : sequence of str
+            'inertia' (six entries), 'start' (attitude as a rotation vector in body axes, and
+            angular velocity), 'torque_gain', 'torque_gains', 'torque_bias', 'damping' and
+            'rotor_momentum', as in `attitude_identify --estimate`. The torque in body axes is
+            multiplied by the gains, and the bias acts from the start.
+        at : array of int, shape (m,), ns
+            Times, in any order, none before the start.
+
+        Returns
+        -------
+        Derivatives
+
+        Raises
+        ------
+        ValueError
+            A name is unknown or given twice, no name is given, a time is before the start, or the
+            body turns too fast. Problems with fields, actuators, named wheels or changes of the
+            body, and gains of torques in space axes, are not supported yet.
+
+        """
+        return derivatives(self, names, at)
 
 
 def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
