@@ -115,28 +115,41 @@ def left_by(solution: Solution) -> Iterator[tuple[str, float]]:
 def at_rest(solution: Solution) -> str:
     """Return why a recorded body that does not move says nothing about a model; '' if it moves."""
     setup = solution.problem.setup
-    if not setup.is_computed:
-        return ''
     fits_motion = not all(map(is_of_sensor, setup.parameters.groups))
-    least = np.sqrt(_LEFT) if fits_motion else _LARGER
-    for one in of_training(solution):
-        values = one.measured[one.inliers]
-        if not len(values):
-            continue
-        if one.is_attitude:
-            apart = turned = so3.log(so3.multiply(so3.conjugate(davenport(values)), values))
-        else:
-            apart = values - values.mean(axis=0)
-            seconds = 1e-9 * np.diff(one.kept_ns, prepend=one.kept_ns[0])
-            turned = np.cumsum(seconds[:, None] * apart, axis=0)
-            if rms(values.mean(axis=0)[None]) > _BIAS:
-                return ''
-        left = rms(one.kept)
-        if rms(turned) > _STILL or left < least * rms(apart) or not (left or fits_motion):
-            return ''
+    # A quantity without samples shows nothing.
+    quantities = [one for one in of_training(solution) if one.inliers.any()]
+    if not setup.is_computed or any(_turns(one) or _is_told(one, fits_motion)
+                                    for one in quantities):
+        return ''
     acts = any(log.torques.any() for problem in setup.problems for log in problem.logs)
     return 'the body does not visibly move: ' + (
         'the logged torque has no visible effect' if acts else 'this says nothing about it')
+
+
+def _turns(one: Residuals) -> bool:
+    """Return whether a quantity shows that the body turns by more than noise and a gyro's bias."""
+    turned = _about_mean(one)
+    if not one.is_attitude:
+        seconds = 1e-9 * np.diff(one.kept_ns, prepend=one.kept_ns[0])
+        turned = np.cumsum(seconds[:, None] * turned, axis=0)
+        # The integral is about the mean: it hides a steady rotation, which no bias explains.
+        if rms(one.measured[one.inliers].mean(axis=0)[None]) > _BIAS:
+            return True
+    return rms(turned) > _STILL
+
+
+def _is_told(one: Residuals, fits_motion: bool) -> bool:
+    """Return whether the model tells more of a quantity than that it is constant."""
+    left, size = rms(one.kept), rms(_about_mean(one))
+    # If nothing is fitted to the motion, a model that is right leaves the noise about the mean.
+    return left < (np.sqrt(_LEFT) if fits_motion else _LARGER) * size or not (left or fits_motion)
+
+
+def _about_mean(one: Residuals) -> Floats:
+    """Return a measured quantity relative to its mean, as rotation vectors or rates."""
+    values = one.measured[one.inliers]
+    return so3.log(so3.multiply(so3.conjugate(davenport(values)), values)) if one.is_attitude \
+        else values - values.mean(axis=0)
 
 
 def scattered(solution: Solution) -> tuple[list[str], dict[str, float]]:
