@@ -54,7 +54,7 @@ from rigid_body_ros.inference.reasons import (
 )
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import candidates, extended, Suspect
+from rigid_body_ros.inference.suspects import candidates, chance_of, extended, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 
@@ -141,7 +141,6 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     examined any further. If `names_suspects` is false, because samples are lost, no fault and no
     parameter is suspected.
     """
-    from scipy.special import chdtrc
     few = rough(setup)
     is_wrong = not at_rest(few) and (
         lasts(few) or few.length_ns < setup.shortest_ns or not is_linear(few))
@@ -154,7 +153,7 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
         return found if names_suspects else replace(found, suspects=[])
     solution = polished(few, *COARSEST)
     return Findings(solution, solution, [Reason(fault.text, True)],
-                    [Suspect(fault.name, drop, float(chdtrc(1, drop)), text=fault.text)], {}, [])
+                    [Suspect(fault.name, drop, chance_of(drop, 1), text=fault.text)], {}, [])
 
 
 def examined(solution: Solution) -> Findings:
@@ -214,7 +213,6 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
 
 def start_suspect(solution: Solution) -> Suspect | None:
     """Return the start as a suspect, unless the fitted start is the given one within the noise."""
-    from scipy.special import chdtrc
     problem, setup = solution.problem, solution.problem.setup
     given, states, unknown = setup.start(0), problem.reference, problem.unknowns[0]
     turned = so3.log(so3.multiply(so3.conjugate(states.attitude[0]), given.attitude))
@@ -224,7 +222,7 @@ def start_suspect(solution: Solution) -> Suspect | None:
         return None
     slopes = problem.derivatives(0, solution.physics)[:len(unknown)]
     drop = float(np.sum((change @ slopes) ** 2))
-    p = float(chdtrc(len(unknown), drop))
+    p = chance_of(drop, len(unknown))
     attitude = f'{np.linalg.norm(turned):.2g} rad and ' if len(unknown) > 3 else ''
     text = 'the start of the scene is not that of the motion: it is off by ' \
            f'{attitude}{np.linalg.norm(faster):.2g} rad/s'
@@ -242,7 +240,6 @@ def _is_rounding(solution: Solution) -> bool:
 def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
                 names: Sequence[str], is_plausible: bool = False) -> Iterator[Suspect]:
     """Generate a suspect for each parameter that was not estimated."""
-    from scipy.special import chdtrc
     matrix, errors = given.stacked()
     if is_plausible:
         rows = np.diag(parameters.scales / parameters.plausible)[
@@ -260,7 +257,7 @@ def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
             value = (guesses[columns] + change * parameters.scales[columns]).tolist()
             # No actuator acts before its command.
             if name not in ('torque_delay', 'torque_lag') or value[0] >= 0.0:
-                yield Suspect(name, drop, float(chdtrc(rank, drop)), value)
+                yield Suspect(name, drop, chance_of(drop, rank), value)
 
 
 def _largest(suspects: Sequence[Suspect]) -> list[Suspect]:
@@ -270,7 +267,6 @@ def _largest(suspects: Sequence[Suspect]) -> list[Suspect]:
 
 def _changes(solution: Solution) -> Iterator[Suspect]:
     """Generate suspects for a change in the inertia at the start of each window but the first."""
-    from scipy.special import chdtrc
     setup = solution.problem.setup
     names = [name for name in setup.parameters.names if name.startswith('inertia')]
     if not names:
@@ -285,7 +281,7 @@ def _changes(solution: Solution) -> Iterator[Suspect]:
                  for i, other in enumerate(problem.windows)]
         drop, rank = explained(given.split(inertia, later), base, errors)
         # Only the best of many trial times is kept, so apply the Bonferroni correction.
-        p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
+        p = chance_of(drop, rank) * len(problem.windows)
         yield _change(drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
 
 
@@ -296,7 +292,6 @@ def _breaks(solution: Solution) -> Iterator[Suspect]:
     If the inertia changes a lot, the fit follows the motion either before or after the change, and
     all samples in the other part are outliers.
     """
-    from scipy.special import chdtrc
     for problem, channels, every, errors, sigma in zip(
             solution.problem.setup.problems, solution.problem.setup.channels, solution.inliers,
             solution.errors, solution.weights.sigma):
@@ -312,7 +307,7 @@ def _breaks(solution: Solution) -> Iterator[Suspect]:
             seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
             left = error[~inliers] / level
             drop = float(np.nansum(left ** 2))
-            yield _change(drop, float(chdtrc(left.size, drop)), seconds)
+            yield _change(drop, chance_of(drop, left.size), seconds)
 
 
 def _change(drop: float, p: float, seconds: float) -> Suspect:

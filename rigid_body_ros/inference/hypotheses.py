@@ -40,7 +40,7 @@ from rigid_body_ros.inference.noise import FEWEST, spread_of
 from rigid_body_ros.inference.residual_torque import interpolated, measured_rates, residual_torque
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import Suspect
+from rigid_body_ros.inference.suspects import chance_of, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.measured import Measured
@@ -283,13 +283,12 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[Hypothe
 
 def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:
     """Generate the faults of some samples that explain the outliers of a channel."""
-    from scipy.special import chdtrc
     for number, channels in enumerate(solution.problem.setup.channels):
         for row in range(len(channels)):
             for name, text, rows in _of_outliers(solution, number, row):
                 left = solution.errors[number][row][rows]
                 drop = float(np.sum((left / solution.weights.sigma[number][row]) ** 2))
-                yield Suspect(name, drop, float(chdtrc(left.size, drop)), text=text)
+                yield Suspect(name, drop, chance_of(drop, left.size), text=text)
 
 
 def _of_outliers(solution: Solution, number: int, row: int

@@ -24,7 +24,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.evidence import explained, linear, solved, split_channels, widened
 from rigid_body_ros.inference.noise import ALARM, batches_of, chance, come_together, FEWEST, Noise
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import extended
+from rigid_body_ros.inference.suspects import chance_of, extended
 
 #: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0
@@ -55,7 +55,6 @@ def halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
 
     Return a list of reasons, which is empty if the estimates agree, and `Findings.drift`.
     """
-    from scipy.special import chdtrc
     setup = solution.problem.setup
     if not setup.parameters.size:
         return [], {}
@@ -66,7 +65,7 @@ def halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
         return [], {}
     second = given.split([*range(matrix.shape[1])], given.is_late)
     drop, rank = explained(second, matrix, errors)
-    p = float(chdtrc(rank, drop)) if rank else 1.0
+    p = chance_of(drop, rank)
     (early, early_sigma), (late, late_sigma) = (solved(half, errors)
                                                 for half in (matrix - second, second))
     apart, sigma = np.abs(early - late), np.hypot(early_sigma, late_sigma)

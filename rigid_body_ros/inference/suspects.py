@@ -94,6 +94,12 @@ class Suspect:
         return {**asdict(self), 'value': as_json(np.array(self.value))}
 
 
+def chance_of(drop: float, count: int) -> float:
+    """Return how probable such a drop in chi-square is if `count` parameters have no effect."""
+    from scipy.special import chdtrc  # slow to import
+    return float(chdtrc(count, drop)) if count else 1.0
+
+
 def candidates(setup: Setup) -> list[str]:
     """Return the names of the parameters that could be estimated but were not."""
     given = setup.parameters.groups
@@ -178,8 +184,7 @@ def sum_of_squares(solution: Solution, weights: Weights) -> float:
 def value_of(solution: Solution, name: str) -> list[float]:
     """Return the estimated values of the components of a suspect, in their units."""
     parameters = solution.problem.setup.parameters
-    values = parameters.values(solution.physics)
-    return [float(values[i]) for i in parameters.columns([name])]
+    return parameters.values(solution.physics)[parameters.columns([name])].tolist()
 
 
 def command_with(setup: Setup, name: str) -> str:

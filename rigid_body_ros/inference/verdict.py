@@ -33,6 +33,7 @@ from rigid_body_ros.inference.reasons import probability
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import (
     candidates,
+    chance_of,
     command_with,
     sum_of_squares,
     Suspect,
@@ -125,7 +126,6 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
         validation.
 
     """
-    from scipy.special import chdtrc
     solution, result = findings.solution, []
     setup = solution.problem.setup
     chances = {one.name: one.p for one in findings.suspects if not one.text}
@@ -144,7 +144,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
             continue
         drop = max(before - sum_of_squares(fit, solution.weights), 0.0)
         value = value_of(fit, name)
-        p = float(chdtrc(len(value), drop))
+        p = chance_of(drop, len(value))
         # Check again: the score test is linear and may have predicted too much. A suspect that
         # makes the errors white is named, even if they last too long for a test without it.
         if p < ALARM or max(chain(*persistence(fit))) < _WHITE:
