@@ -66,9 +66,9 @@ def test_draws_have_the_means_deviations_and_correlations_of_the_fit(tmp_path):
 def test_the_systematic_part_of_an_interval_widens_the_distribution(tmp_path):
     path = written(tmp_path / 'fitted.json')
     data = json.loads(path.read_text())
-    data['estimates']['torque_gain']['systematic'] = 1.959963984540054 * SIGMA[2]
+    data['estimates']['torque_gain']['systematic'] = np.sqrt(3.0) * SIGMA[2]
     path.write_text(json.dumps(data))
-    wider = np.array([1.0, 1.0, 2.0, 1.0])
+    wider = np.array([1.0, 1.0, np.sqrt(2.0), 1.0])
     np.testing.assert_allclose(fitted.load(path).covariance,
                                COVARIANCE * np.outer(wider, wider), rtol=1e-14)
 

@@ -36,7 +36,7 @@ from rigid_body_ros import (
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Estimate, too_wide
 from rigid_body_ros.inference import misfit
-from rigid_body_ros.inference.noise import noise_of
+from rigid_body_ros.inference.noise import noise_of, NORMAL_95
 from rigid_body_ros.recording.observed import Measurements
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
@@ -277,6 +277,26 @@ def test_a_fit_that_is_not_as_certain_as_accepted_is_rejected():
     assert verdict.level == 'rejected'
     assert 'inertia.ixx: the interval is wider than the accepted 1e-06' in verdict.reasons
     assert fit(kind, recording, accept=0.05).verdict.level == 'explained'
+
+
+def test_a_systematic_error_counts_as_one_between_bounds():
+    one = Estimate('inertia.ixx', 'kg m^2', 1.0, 1.0, 0.03, True, 0.04 * np.sqrt(3.0))
+    assert one.uncertainty == pytest.approx(0.05, rel=1e-15)
+    np.testing.assert_allclose(one.interval_95, (1.0 - 0.05 * NORMAL_95, 1.0 + 0.05 * NORMAL_95),
+                               rtol=1e-15)
+    assert replace(one, systematic=0.0).uncertainty == one.sigma
+    assert replace(one, sigma=np.inf).uncertainty == np.inf
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'seed'), [
+    ('fuel burnt', 3), *at_night(('dipole in an unknown field', 1), ('gains of all axes', 1))])
+def test_an_estimate_is_as_uncertain_as_the_halves_of_the_recording_differ(name, seed):
+    # No suspect is the cause, or it cannot tell how large the cause is.
+    recording, = recordings(named(name), [seed], level=10.0)
+    result = fit(named(name), recording)
+    assert result.verdict.level == 'approximate'
+    assert covered(result) >= 5
 
 
 def test_an_interval_of_a_moment_may_not_contain_zero():

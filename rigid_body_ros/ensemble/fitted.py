@@ -30,7 +30,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.ensemble.applied import components
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, normals, units_with
-from rigid_body_ros.inference.noise import NORMAL_95
+from rigid_body_ros.inference.noise import with_bound
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime.limits import read_json
@@ -185,8 +185,8 @@ def _read(data: Mapping[str, Any], units: Mapping[str, str]) -> tuple[dict[str, 
     parts = [_typed(one.get('systematic', 0.0), float, f'estimates: {name}: systematic')
              for name, one in estimates.items()]
     with np.errstate(invalid='ignore', divide='ignore'):
-        wider = 1.0 + np.nan_to_num(np.array(parts) / (NORMAL_95 * np.sqrt(np.diag(matrix))),
-                                    posinf=0.0)
+        wider = with_bound(1.0, np.nan_to_num(np.array(parts) / np.sqrt(np.diag(matrix)),
+                                              posinf=0.0))
     return values, matrix * np.multiply.outer(wider, wider)
 
 

@@ -200,9 +200,9 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     known = certainty(solution.problem.information(physics) @ np.linalg.inv(numbers.turn),
                       numbers.names, numbers.values / numbers.scales)
     sigma = np.sqrt(np.diag(known.covariance)) * numbers.scales
-    # The scatter between recordings counts if it is larger.
+    # How far the recordings, or their halves, are apart counts if it is more than sigma explains.
     wider = np.maximum([findings.scatter.get(name, 0.0) for name in numbers.names]
-                       / np.where(sigma > 0.0, sigma, np.inf), 1.0)
+                       / np.where(sigma > 0.0, sigma, np.inf), findings.apart)
     sigma = np.where(known.identifiable, wider * sigma, np.inf)
     ahead = errors.of_validation(solution, every) if every else []
     fitted = errors.of_training(solution)

@@ -27,7 +27,7 @@ from rigid_body_ros.common.arrays import as_json, Floats, symmetric
 from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.coordinates import second_moments
 from rigid_body_ros.inference.errors import Misfit, Residuals, unexplained
-from rigid_body_ros.inference.noise import NORMAL_95
+from rigid_body_ros.inference.noise import NORMAL_95, with_bound
 from rigid_body_ros.inference.residual_torque import residual_torque, ResidualTorque, with_attitude
 from rigid_body_ros.inference.verdict import REJECTED, Verdict
 from rigid_body_ros.mechanics.body import RigidBody
@@ -76,7 +76,7 @@ class Estimate:
     @property
     def interval_95(self) -> tuple[float, float] | None:
         """Return the limits of the 95 % interval, or None if the number is not determined."""
-        half = NORMAL_95 * self.sigma + self.systematic
+        half = NORMAL_95 * self.uncertainty
         return (self.value - half, self.value + half) if self.identifiable else None
 
     @property
@@ -86,7 +86,7 @@ class Estimate:
 
         This is the standard deviation of a normal variable that has the same 95 % interval.
         """
-        return self.sigma + self.systematic / NORMAL_95
+        return float(with_bound(self.sigma, self.systematic))
 
 
 def without_effect(estimates: Iterable[Estimate]) -> list[str]:

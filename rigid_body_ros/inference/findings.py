@@ -102,6 +102,9 @@ class Findings:
     drift : dict of str to float
         For each component, the difference between the estimates from the first and second halves
         of the recordings, or 0 if it is smaller than its standard deviation.
+    apart : float
+        How many times more the estimates from the two halves differ, all components together, than
+        their standard deviations explain (Birge 1932). At least 1.
     noises : list of list of Noise
         The noise of each channel of each recording. Empty if all errors are rounding errors, or
         if a fault or a body at rest explains everything.
@@ -120,6 +123,7 @@ class Findings:
     suspects: list[Suspect]
     drift: dict[str, float]
     noises: list[list[Noise]]
+    apart: float = 1.0
     predictable_s: float | None = None
     scatter: Mapping[str, float] = field(default_factory=dict)
 
@@ -174,7 +178,7 @@ def examined(solution: Solution) -> Findings:
     # If nothing is fitted, what explains much of the other errors also explains the outliers.
     elif known or all(one.chi2_drop <= LARGE * solution.count for one in suspects):
         suspects += _largest([*_changes(solution), *_breaks(solution)])
-    reasons, drift = halves(solution)
+    reasons, drift, _ = halves(solution)
     reasons += [*of_noise(solution, found), *of_outliers(solution),
                 *of_correlation(solution, found)]
     result = Findings(solution, solution, reasons, _significant(suspects), drift, found)
@@ -200,12 +204,12 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
     found = {one.name for one in blunt}
     suspects = _significant([*faults_of_outliers(solution), *blunt, *_largest(
         [*_changes(solution), *_breaks(solution)])])
-    contradictions, drift = halves(solution)
+    contradictions, drift, apart = halves(solution)
     reasons = [*(Reason(text, part > _MISFIT) for text, part in left_by(solution)),
                *contradictions,
                *(one for one in findings.reasons if not one.is_contradiction)]
     texts, scatter = scattered(solution)
-    return replace(findings, solution=solution, drift=drift, scatter=scatter,
+    return replace(findings, solution=solution, drift=drift, apart=apart, scatter=scatter,
                    reasons=[*reasons, *map(Reason, texts)],
                    # A suspect may also be what makes the errors last.
                    suspects=[*suspects, *(one for one in sharp[:_SHARP] if one.name not in found)])

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
 
@@ -223,3 +223,13 @@ def spread_of(seconds: Floats, errors: Floats, is_attitude: bool = False) -> Flo
     sizes = NORMAL * np.median(np.abs(left) / np.sqrt(
         1.0 + share ** 2 + (1.0 - share) ** 2), axis=0)
     return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))
+
+
+def with_bound(sigma: ArrayLike, bound: ArrayLike) -> Floats:
+    """
+    Add to a standard deviation an error of which only the bound is known.
+
+    Any value up to the bound is equally likely, so the standard deviation of such an error is the
+    bound divided by sqrt(3) (JCGM 100:2008, 4.3.7).
+    """
+    return np.hypot(sigma, np.divide(bound, np.sqrt(3.0)))

@@ -49,33 +49,34 @@ class Reason(NamedTuple):
     is_contradiction: bool = False
 
 
-def halves(solution: Solution) -> tuple[list[Reason], dict[str, float]]:
+def halves(solution: Solution) -> tuple[list[Reason], dict[str, float], float]:
     """
     Compare the estimates from the first and the second halves of the recordings.
 
-    Return a list of reasons, which is empty if the estimates agree, and `Findings.drift`.
+    Return a list of reasons, which is empty if the estimates agree, `Findings.drift` and
+    `Findings.apart`.
     """
     setup = solution.problem.setup
     if not setup.parameters.size:
-        return [], {}
+        return [], {}, 1.0
     problem = widened(solution, extended(setup, solution.physics, []), 2)
     given, scales = linear(problem), problem.parameters.scales
     matrix, errors = given.stacked()
     if len({*given.is_late}) < 2:
-        return [], {}
+        return [], {}, 1.0
     second = given.split([*range(matrix.shape[1])], given.is_late)
     drop, rank = explained(second, matrix, errors)
     p = chance_of(drop, rank)
+    ratio = max(float(np.sqrt(drop / max(rank, 1))), 1.0)
     (early, early_sigma), (late, late_sigma) = (solved(half, errors)
                                                 for half in (matrix - second, second))
     apart, sigma = np.abs(early - late), np.hypot(early_sigma, late_sigma)
     # A difference that is visible, if not significant, tells how far the fit may be off.
     drift = dict(zip(given.names, np.where(apart > sigma, np.nan_to_num(apart) * scales,
                                            0.0).tolist()))
-    if p >= ALARM:
-        return [], drift
-    return [Reason('the two halves of the recording give different values '
-                   f'({probability(p)})', is_contradiction=True)], drift
+    reasons = [Reason(f'the two halves of the recording give different values ({probability(p)})',
+                      is_contradiction=True)] if p < ALARM else []
+    return reasons, drift, ratio
 
 
 def of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:

@@ -170,8 +170,6 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
 
     """
     suspects = _ranked(findings, attempts)[:_LISTED]
-    if not findings.reasons and not suspects:
-        return Verdict(EXPLAINED, [], []), {}
     best = max((one.chi2_drop for one in attempts), default=0.0)
     counted = [move for suspect, move in zip(attempts, moved)
                if suspect.chi2_drop >= _COUNTS * best]
@@ -179,7 +177,8 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
     systematic = {name: float(np.sqrt(np.nansum([one.get(name, 0.0) ** 2 for one in parts])))
                   for name in dict.fromkeys(name for one in parts for name in one)}
     is_rejected = not attempts and any(one.is_contradiction for one in findings.reasons)
-    return _judged(findings, suspects, is_rejected), systematic
+    verdict = _judged(findings, suspects, is_rejected)
+    return verdict, {} if verdict.is_consistent else systematic
 
 
 def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
