@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 from rigid_body_ros import Problem, RigidBody, State, TorqueLog
-from rigid_body_ros.common.arrays import ENTRIES
 
 SECOND = 10 ** 9
 FULL = np.array([[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]])

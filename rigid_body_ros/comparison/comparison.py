@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import partial
 import json
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.comparison.predictable import predictable_s
-from rigid_body_ros.comparison.result import compared, Comparison, Errors
+from rigid_body_ros.comparison.result import compared, Comparison
 from rigid_body_ros.inference.align import align as aligned_by
 from rigid_body_ros.inference.align import CLOCK, MOUNT
 from rigid_body_ros.inference.findings import Findings, judged, start_suspect
@@ -46,7 +47,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, Writer, writer_of
+from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, writer_of
 from rigid_body_ros.recording.measured import faults_of, Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
@@ -154,7 +155,7 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
     elif names_suspects and START not in align:
         findings = _with_start(findings)
     return replace(comparison, verdict=scored(
-        findings, _option if isinstance(problem, Problem) else _option_of_sensor))
+        findings, partial(_option, isinstance(problem, Problem))))
 
 
 def _with_faults(findings: Findings, motion: Recorded, aligned: Sequence[Measured]) -> Findings:
@@ -176,17 +177,12 @@ def _with_start(findings: Findings) -> Findings:
     return replace(findings, suspects=[suspect]) if suspect else findings
 
 
-def _option_of_sensor(name: str) -> str:
-    """Return the option that corrects the comparison of two sensors, or advice."""
-    kind = _ALIGNED.get(split_topic(name)[0])
-    return f'--align {kind} corrects that' if kind else 'calibrate the sensor'
-
-
-def _option(name: str) -> str:
-    """Return the option that corrects the comparison, or the command that fits a parameter."""
-    kind = _ALIGNED.get(split_topic(name)[0])
-    return f'--align {kind} corrects that' if kind else \
-        f'attitude_identify --estimate start,{name} fits it'
+def _option(is_computed: bool, name: str) -> str:
+    """Return the option that corrects the comparison, the command of a fit, or advice."""
+    if kind := _ALIGNED.get(split_topic(name)[0]):
+        return f'--align {kind} corrects that'
+    return f'attitude_identify --estimate start,{name} fits it' if is_computed else \
+        'calibrate the sensor'
 
 
 def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,
@@ -353,17 +349,13 @@ def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
                                    'alignments': json.dumps({
                                        sensor.topic: one.of_sensor() for one, sensor in zip(
                                            comparison.alignments, comparison.measured)})})
-        for errors in comparison.errors:
-            _write_errors(writer, errors, body_frame)
+        for one in comparison.errors:
+            writer.write_columns(one.times_ns, [
+                Column(topic, body_frame, values) for topic, values
+                in ((ATTITUDE_ERROR, one.rotation_vectors), (RATE_ERROR, one.rates))
+                if values is not None])
         if comparison.residual_torque:
             torques = comparison.residual_torque.torques
             values = np.hstack([np.zeros_like(torques), torques])
             writer.write_columns(comparison.residual_torque.times_ns,
                                  [Column(RESIDUAL_TORQUE, body_frame, values)])
-
-
-def _write_errors(writer: Writer, errors: Errors, body_frame: str) -> None:
-    columns = [Column(topic, body_frame, values) for topic, values in
-               ((ATTITUDE_ERROR, errors.rotation_vectors), (RATE_ERROR, errors.rates))
-               if values is not None]
-    writer.write_columns(errors.times_ns, columns)

@@ -19,20 +19,16 @@ from __future__ import annotations
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.result import Comparison
+from rigid_body_ros.inference.evidence import LOST
 from rigid_body_ros.inference.noise import FEWEST, spread_of
-from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.inference.window_error import linear_motion
 from rigid_body_ros.propagation import Problem
 
-#: A motion counts as unpredictable when the standard deviation of its attitude exceeds this limit,
-#: rad.
-_LOST = 0.1
 #: The start is assumed to be estimated from `_SPAN` seconds of the measurement, but from at least
 #: `_FEWEST` samples.
 _SPAN, _FEWEST = 1.0, 11
-#: `_STEP` is the finite-difference step for changes of the start, rad or rad/s. `_INSTANTS` is the
-#: number of times at which the uncertainty is computed.
-_STEP, _INSTANTS = 1e-7, 1000
+#: Number of times at which the uncertainty is computed.
+_INSTANTS = 1000
 
 
 def predictable_s(comparison: Comparison) -> float | None:
@@ -58,15 +54,9 @@ def predictable_s(comparison: Comparison) -> float | None:
         return None
     seconds = np.linspace(0.0, end, _INSTANTS + 1)[1:]
     times_ns = start.time_ns + np.round(1e9 * seconds).astype(np.int64)
-    attitude = problem.propagate(at=times_ns).attitude
-    variances = np.zeros(len(times_ns))
-    for row, sigma in enumerate(deviations):
-        change = _STEP * np.eye(6)[row]
-        moved = State(start.time_ns, so3.multiply(start.attitude, so3.exp(change[:3])),
-                      start.angular_velocity + change[3:], start.rotor_momentum)
-        other = problem.replaced(start=moved).propagate(at=times_ns).attitude
-        variances += (sigma / _STEP * so3.angle_between(attitude, other)) ** 2
-    lost = np.flatnonzero(variances > _LOST ** 2)
+    _, derivatives = linear_motion(problem, times_ns)
+    variances = np.sum((deviations * derivatives[:, :3]) ** 2, axis=(1, 2))
+    lost = np.flatnonzero(variances > LOST ** 2)
     return float(seconds[lost[0]]) if lost.size else None
 
 

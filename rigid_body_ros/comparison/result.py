@@ -266,13 +266,9 @@ class Comparison:
 
 
 def compared(motion: Motion, measured: Sequence[Measured],
-             align: Collection[str], most: int | None = None) -> Comparison:
-    """
-    Align measurements with a motion, and return a comparison with alignments and errors only.
-
-    The alignment is fitted to at most `most` samples of each sensor.
-    """
-    alignments = aligned_by(motion, measured, align, most)
+             align: Collection[str]) -> Comparison:
+    """Align measurements with a motion, and return a comparison with errors only."""
+    alignments = aligned_by(motion, measured, align)
     if START in align and isinstance(motion, Problem):
         motion = motion.replaced(start=alignments[0].start)
     sensors = [one.applied(sensor) for one, sensor in zip(alignments, measured)]

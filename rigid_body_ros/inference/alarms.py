@@ -35,12 +35,6 @@ _TOGETHER = 1, 4, 16, 64
 #: A test raises an alarm if the probability of its result is below a limit. The test warns if this
 #: probability is below `_WARNING` times the limit.
 _WARNING = 10.0
-#: In the noise estimate, the weight of a window falls to 1/e after `_MEMORY` more windows. Before
-#: the first window, the estimate starts with `_EARLIER` fictitious samples that have the AR(1)
-#: correlation `_CAUTION`. These samples make early alarms rarer.
-_MEMORY, _EARLIER, _CAUTION = 60.0, 1000.0, 0.5
-#: Largest correlation that is assumed between adjacent samples.
-_MOST = 0.95
 
 
 class Judgement(NamedTuple):
@@ -82,69 +76,6 @@ class Judgement(NamedTuple):
                 'attitude_error_rad': as_json(error.attitude),
                 'rate_error_rad_s': as_json(error.rate),
                 'residual_torque_N_m': as_json(error.torque), 'outliers': error.outliers}
-
-
-@dataclass
-class NoiseLevel:
-    """
-    The actual noise of one quantity of a sensor, including its correlation.
-
-    Both the size and the correlation of the noise are estimated from all windows so far.
-
-    Parameters
-    ----------
-    stated : float
-        Standard deviation of each component, as stated in the scene.
-
-    """
-
-    stated: float
-    #: Three statistics of the differences between adjacent samples: how many there are, the sum of
-    #: their squares, and the sum of the products of successive differences. Before the statistics
-    #: are computed, a line fitted to the differences is subtracted, because model errors are
-    #: smooth.
-    _sums: Floats = field(init=False)
-    #: Whether the sensor measures the quantity.
-    is_measured: bool = field(default=False, init=False)
-
-    def __post_init__(self) -> None:
-        change = 1.0 - _CAUTION
-        self._sums = _EARLIER * self.stated ** 2 * np.array([
-            1.0 / self.stated ** 2, 2.0 * change, -change ** 2])
-
-    def add(self, errors: Floats | None) -> None:
-        """
-        Update the estimate with the errors of a window, shape (n, 3).
-
-        Nothing happens if the errors are None or if there are fewer than four of them.
-        """
-        if errors is None or len(errors) < 4:
-            return
-        self.is_measured = True
-        steps = np.diff(errors, axis=0)
-        columns = np.stack([np.ones(len(steps)), np.arange(len(steps))], axis=1)
-        steps = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
-        # Clip the differences, because outliers and jumps are not noise.
-        limit = 6.0 * float(np.median(np.abs(steps))) / 0.6745
-        steps = np.clip(steps, -limit, limit)
-        self._sums *= np.exp(-1.0 / _MEMORY)
-        self._sums += steps.size, np.sum(steps ** 2), np.sum(steps[1:] * steps[:-1])
-
-    @property
-    def _correlation(self) -> float:
-        _, squares, products = self._sums
-        return float(np.clip(1.0 + 2.0 * products / squares, 0.0, _MOST)) if squares else 0.0
-
-    @property
-    def factor(self) -> float:
-        """Return the factor by which AR(1) correlation multiplies the variance of a mean."""
-        return (1.0 + self._correlation) / (1.0 - self._correlation)
-
-    @property
-    def found(self) -> float:
-        """Return the standard deviation of each component, estimated from the samples."""
-        count, squares, _ = self._sums
-        return float(np.sqrt(squares / count / 2.0 / (1.0 - self._correlation)))
 
 
 @dataclass

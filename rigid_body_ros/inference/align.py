@@ -35,7 +35,6 @@ from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.report.thinning import thinned
 
 CLOCK, MOUNT = 'clock', 'mount'
 #: The names of the alignments that can be fitted.
@@ -46,7 +45,7 @@ _MARGIN_NS = 10_000_000
 
 
 def align(motion: Motion, sensors: Sequence[Measured],
-          names: Collection[str], most: int | None = None) -> tuple[Alignment, ...]:
+          names: Collection[str]) -> tuple[Alignment, ...]:
     """
     Align measurements with a motion by a least-squares fit that ignores outliers.
 
@@ -61,9 +60,6 @@ def align(motion: Motion, sensors: Sequence[Measured],
     names : collection of str
         What to fit: names in `ALIGNMENTS`. Use 'clock@TOPIC' or 'mount@TOPIC' to fit the clock or
         the mounting of a single sensor.
-    most : int, optional
-        Use at most this many samples of each sensor, evenly spaced. All samples are used by
-        default.
 
     Returns
     -------
@@ -95,9 +91,8 @@ def align(motion: Motion, sensors: Sequence[Measured],
             values[f'mount@{k}'] = so3.log(mount)
         within = inside(motion, sensor.stamps_ns + round(1e9 * offset),
                         _MARGIN_NS if clocks[k] else 0)
-        used = sensor.rows(within)
-        used = used.rows(thinned(len(used), most)) if most else used
-        channels += [replace(one, topic=str(k)) for one in used.channels() if len(one) > 1]
+        channels += [replace(one, topic=str(k)) for one in sensor.rows(within).channels()
+                     if len(one) > 1]
     if not channels:
         raise apart(motion, sensors)
     # Rotating the space axes has the same effect as rotating the initial attitude, so only one of

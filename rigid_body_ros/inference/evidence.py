@@ -34,7 +34,7 @@ from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import ahead_of, Residuals
 from rigid_body_ros.inference.fit import LeastSquares, Weights
 from rigid_body_ros.inference.growth import polished, states_at
-from rigid_body_ros.inference.noise import Noise, noise_of
+from rigid_body_ros.inference.noise import Noise, noise_of, tail
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import extended
 from rigid_body_ros.recording.measured import Measured
@@ -52,9 +52,9 @@ _UNEQUAL = 1.05
 _LEAST = 1e-3
 #: Maximum number of samples per channel in a window. This limits the memory that is needed.
 _LONGEST = 12_000
-#: Limits for the standard deviation of a predicted attitude, rad. Above `_LOST`, the prediction is
+#: Limits for the standard deviation of a predicted attitude, rad. Above `LOST`, the prediction is
 #: useless. Above `_LINEAR`, the linearization is inaccurate.
-_LOST, _LINEAR = 0.1, 0.02
+LOST, _LINEAR = 0.1, 0.02
 #: Approximate number of samples used to estimate the noise of a channel.
 _ENOUGH = 20_000
 
@@ -96,11 +96,12 @@ class Linearized:
                                in zip(self.blocks, later)])
 
 
-def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]:
+def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int, float]:
     """
     Return how much additional parameters would lower the sum of the squared errors.
 
-    The second result is the number of additional parameters that are independent.
+    The other results are the number of independent parameters, and the probability of a drop at
+    least this large if they have no effect.
 
     Parameters
     ----------
@@ -115,9 +116,10 @@ def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]
     norms = np.linalg.norm(others, axis=0)
     kept = np.linalg.norm(left[:, :-1], axis=0) > _ROUNDING * np.maximum(norms, 1e-300)
     if not kept.any():
-        return 0.0, 0
+        return 0.0, 0, 1.0
     basis = _basis(left[:, :-1][:, kept])
-    return float(np.sum((basis.T @ left[:, -1]) ** 2)), basis.shape[1]
+    drop = float(np.sum((basis.T @ left[:, -1]) ** 2))
+    return drop, basis.shape[1], tail(drop, basis.shape[1])
 
 
 def solved(matrix: Floats, errors: Floats) -> tuple[Floats, Floats]:
@@ -214,8 +216,8 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
             left = left - one[:count].T @ np.linalg.lstsq(one[:count].T, left, rcond=None)[0]
         for channel, part in split_channels(problem, k, left):
             parts[problem.windows[k].experiment][channel].append(part)
-    return [[noise_of(each, share) if each else Noise(np.ones(3), np.empty(0), 1.0, 1.0)
-             for each in every] for every in parts]
+    return [[noise_of(each, share) if each else Noise(np.ones(3)) for each in every]
+            for every in parts]
 
 
 def own_noises(solution: Solution) -> list[list[Noise]]:
@@ -312,7 +314,7 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
                             for one, size in zip(residuals, sizes)])
     stamps_ns = np.concatenate([np.repeat(one.stamps_ns, 3) for one in residuals])
     angles = np.where(sigma > 0.0, deviations, 0.0) * sigma  # a rate may have no deviation
-    lost, vague = (stamps_ns[angles > limit] for limit in (_LOST, _LINEAR))
+    lost, vague = (stamps_ns[angles > limit] for limit in (LOST, _LINEAR))
     used = stamps_ns < vague.min() if vague.size else np.ones(stamps_ns.shape, bool)
     rows = np.concatenate([known, np.zeros((len(known), 1))], axis=1)
     rows = np.concatenate([rows, np.vstack([slopes, errors]).T[used]])

@@ -42,7 +42,7 @@ from rigid_body_ros.inference.fit import LeastSquares
 from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
 from rigid_body_ros.inference.misfit import at_rest, left_by, scattered, with_persistence
-from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise
+from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise, tail
 from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.reasons import (
     halves,
@@ -54,7 +54,7 @@ from rigid_body_ros.inference.reasons import (
 )
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import candidates, chance_of, extended, Suspect
+from rigid_body_ros.inference.suspects import candidates, extended, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 
@@ -157,7 +157,7 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
         return found if names_suspects else replace(found, suspects=[])
     solution = polished(few, *COARSEST)
     return Findings(solution, solution, [Reason(fault.text, True)],
-                    [Suspect(fault.name, drop, chance_of(drop, 1), text=fault.text)], {}, [])
+                    [Suspect(fault.name, drop, tail(drop, 1), text=fault.text)], {}, [])
 
 
 def examined(solution: Solution) -> Findings:
@@ -226,7 +226,7 @@ def start_suspect(solution: Solution) -> Suspect | None:
         return None
     slopes = problem.derivatives(0, solution.physics)[:len(unknown)]
     drop = float(np.sum((change @ slopes) ** 2))
-    p = chance_of(drop, len(unknown))
+    p = tail(drop, len(unknown))
     attitude = f'{np.linalg.norm(turned):.2g} rad and ' if len(unknown) > 3 else ''
     text = 'the start of the scene is not that of the motion: it is off by ' \
            f'{attitude}{np.linalg.norm(faster):.2g} rad/s'
@@ -255,13 +255,13 @@ def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
     for name in names:
         unknown = [component for component in components_of(name) if component not in known]
         columns = given.columns(unknown)
-        drop, rank = explained(matrix[:, columns], base, errors)
-        if rank:
+        drop, _, p = explained(matrix[:, columns], base, errors)
+        if drop:
             change = solved(np.column_stack([matrix[:, columns], base]), errors)[0][:len(columns)]
             value = (guesses[columns] + change * parameters.scales[columns]).tolist()
             # No actuator acts before its command.
             if name not in ('torque_delay', 'torque_lag') or value[0] >= 0.0:
-                yield Suspect(name, drop, chance_of(drop, rank), value)
+                yield Suspect(name, drop, p, value)
 
 
 def _largest(suspects: Sequence[Suspect]) -> list[Suspect]:
@@ -283,10 +283,10 @@ def _changes(solution: Solution) -> Iterator[Suspect]:
             continue
         later = [other.experiment == window.experiment and i >= k
                  for i, other in enumerate(problem.windows)]
-        drop, rank = explained(given.split(inertia, later), base, errors)
+        drop, _, p = explained(given.split(inertia, later), base, errors)
         # Only the best of many trial times is kept, so apply the Bonferroni correction.
-        p = chance_of(drop, rank) * len(problem.windows)
-        yield _change(drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
+        yield _change(drop, p * len(problem.windows),
+                      1e-9 * (window.anchor_ns - window.origin_ns))
 
 
 def _breaks(solution: Solution) -> Iterator[Suspect]:
@@ -311,7 +311,7 @@ def _breaks(solution: Solution) -> Iterator[Suspect]:
             seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
             left = error[~inliers] / level
             drop = float(np.nansum(left ** 2))
-            yield _change(drop, chance_of(drop, left.size), seconds)
+            yield _change(drop, tail(drop, left.size), seconds)
 
 
 def _change(drop: float, p: float, seconds: float) -> Suspect:

@@ -36,11 +36,11 @@ from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
 from rigid_body_ros.inference.guess import davenport, guess, kabsch
 from rigid_body_ros.inference.motion import Recorded
-from rigid_body_ros.inference.noise import FEWEST, spread_of
+from rigid_body_ros.inference.noise import FEWEST, spread_of, tail
 from rigid_body_ros.inference.residual_torque import interpolated, measured_rates, residual_torque
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import chance_of, Suspect
+from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.measured import Measured
@@ -288,7 +288,7 @@ def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:
             for name, text, rows in _of_outliers(solution, number, row):
                 left = solution.errors[number][row][rows]
                 drop = float(np.sum((left / solution.weights.sigma[number][row]) ** 2))
-                yield Suspect(name, drop, chance_of(drop, left.size), text=text)
+                yield Suspect(name, drop, tail(drop, left.size), text=text)
 
 
 def _of_outliers(solution: Solution, number: int, row: int

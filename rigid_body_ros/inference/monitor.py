@@ -26,12 +26,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
-from rigid_body_ros.inference.alarms import Alarms, Judgement, NoiseLevel
+from rigid_body_ros.inference.alarms import Alarms, Judgement
 from rigid_body_ros.inference.findings import judged
 from rigid_body_ros.inference.inputs import setup_of_model, WINDOWS
+from rigid_body_ros.inference.noise import NoiseLevel
 from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.inference.verdict import scored
-from rigid_body_ros.inference.window_error import SensorNoise, window_error
+from rigid_body_ros.inference.window_error import window_error
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -204,14 +205,12 @@ class Monitor:
             problem = self._between(self._begin_ns or begin_ns, end_ns, self._momentum)
             sensors = self._measured_between(begin_ns, end_ns)
             levels = [self._noise(sensor.topic) for sensor in sensors]
-            noises = [SensorNoise(turned.stated, rate.stated, turned.factor, rate.factor)
-                      for turned, rate in levels]
             self.notes = {sensor.topic: note for sensor in sensors for note
                           in sensor.account.notes}
             error = None
             if not (reason := self._unknown(begin_ns, end_ns)):
                 try:
-                    error = window_error(problem, sensors, noises, begin_ns, end_ns)
+                    error = window_error(problem, sensors, levels, begin_ns, end_ns)
                     reason = '' if error else FEW
                 except ValueError:
                     reason = NOT_COMPUTABLE

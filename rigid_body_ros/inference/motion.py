@@ -168,10 +168,13 @@ def _polynomials(sensor: Measured, half: int) -> tuple[Measured, float]:
     return motion, float(np.sqrt(left / usual))
 
 
-#: `Motion` is the type of a motion that measurements can be compared with. `States` is the type of
-#: the states of the motion.
+#: A motion that measurements can be compared with.
 Motion = Problem | Recorded
-States = Trajectory | Poses
+
+
+def poses_of(states: Trajectory | Poses) -> Poses:
+    """Return the attitudes and the angular velocities of a motion."""
+    return Poses(states.attitude, states.angular_velocity)
 
 
 def span_of(motion: Motion) -> tuple[int, int]:
@@ -191,7 +194,7 @@ def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> N
     return within & motion.is_known(times_ns) if isinstance(motion, Recorded) else within
 
 
-def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
+def divided(states: Trajectory | Poses, sensors: Sequence[Measured]) -> list[Poses]:
     """
     Divide states among sensors, and return one set of states for each sensor.
 
@@ -199,11 +202,10 @@ def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
     the other sensors.
     """
     ends = np.cumsum([0, *map(len, sensors)]).tolist()
-    every = Poses(states.attitude, states.angular_velocity)
-    return [every.rows(slice(*part)) for part in pairwise(ends)]
+    return [poses_of(states).rows(slice(*part)) for part in pairwise(ends)]
 
 
-def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
+def errors_of(sensor: Measured, states: Poses) -> tuple[Floats | None, Floats | None]:
     """
     Return how far the measurements of a sensor are from a motion at the same times.
 

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,12 @@ _ORDER = 3
 #: Largest `Noise.lasting` that a sensor may have. An autoregression with the single coefficient
 #: 0.92 has this value.
 LONGEST = 5.0
+#: In the noise estimate, the weight of a window falls to 1/e after `_MEMORY` more windows. Before
+#: the first window, the estimate starts with `_EARLIER` fictitious samples that have the AR(1)
+#: correlation `_CAUTION`. These samples make early alarms rarer.
+_MEMORY, _EARLIER, _CAUTION = 60.0, 1000.0, 0.5
+#: Largest correlation that is assumed between adjacent samples.
+_MOST = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +70,9 @@ class Noise:
     """
 
     sizes: Floats
-    coefficients: Floats
-    lasting: float
-    overlap: float
+    coefficients: Floats = field(default_factory=lambda: np.empty(0))
+    lasting: float = 1.0
+    overlap: float = 1.0
 
     def innovations(self, errors: Floats) -> Floats:
         """
@@ -82,6 +88,12 @@ class Noise:
         for k, coefficient in enumerate(self.coefficients, 1):
             result -= coefficient * errors[order - k:len(errors) - k]
         return result
+
+
+def tail(square: float, count: int) -> float:
+    """Return the probability that the sum of squares of `count` normal numbers is larger."""
+    from scipy.special import chdtrc  # slow to import
+    return float(chdtrc(count, square)) if count else 1.0
 
 
 def batches_of(left: Floats, size: int) -> Floats:
@@ -115,10 +127,9 @@ def chance(noise: Noise, batches: Floats) -> float:
         The smallest of the probabilities for the three axes.
 
     """
-    from scipy.special import chdtrc
     means, squares = batches
     scale = 1.0 if noise.lasting >= LONGEST else np.maximum(squares.mean(axis=0), 1e-300)
-    return float(chdtrc(len(means), means.sum(axis=0) / scale).min())
+    return tail(float(np.max(means.sum(axis=0) / scale)), len(means))
 
 
 def come_together(bad: NDArray[np.bool_]) -> bool:
@@ -157,7 +168,7 @@ def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     covariances = np.array([_lagged(scaled, lag) for lag in range(_ORDER + 1)])
     count = sum(int(np.isfinite(part).sum()) for part in scaled)
     if not covariances[0] > 0.0:
-        return Noise(sizes, np.empty(0), 1.0, 1.0)
+        return Noise(sizes)
     correlations = covariances / covariances[0]
     best, coefficients = 0.0, np.empty(0)
     for order in range(1, _ORDER + 1):
@@ -167,9 +178,7 @@ def noise_of(parts: Sequence[Floats], share: float) -> Noise:
         criterion = count * np.log(left) + order * np.log(max(count, 2))
         if criterion < best:
             best, coefficients = criterion, found
-    if not len(coefficients):
-        return Noise(sizes, coefficients, 1.0, 1.0)
-    return _with_memory(sizes, coefficients, correlations)
+    return _with_memory(sizes, coefficients, correlations) if len(coefficients) else Noise(sizes)
 
 
 def _with_memory(sizes: Floats, coefficients: Floats, correlations: Floats) -> Noise:
@@ -233,3 +242,66 @@ def with_bound(sigma: ArrayLike, bound: ArrayLike) -> Floats:
     bound divided by sqrt(3) (JCGM 100:2008, 4.3.7).
     """
     return np.hypot(sigma, np.divide(bound, np.sqrt(3.0)))
+
+
+@dataclass
+class NoiseLevel:
+    """
+    The actual noise of one quantity of a sensor, including its correlation.
+
+    Both the size and the correlation of the noise are estimated from all windows so far.
+
+    Parameters
+    ----------
+    stated : float
+        Standard deviation of each component, as stated in the scene.
+
+    """
+
+    stated: float
+    #: Three statistics of the differences between adjacent samples: how many there are, the sum of
+    #: their squares, and the sum of the products of successive differences. Before the statistics
+    #: are computed, a line fitted to the differences is subtracted, because model errors are
+    #: smooth.
+    _sums: Floats = field(init=False)
+    #: Whether the sensor measures the quantity.
+    is_measured: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        change = 1.0 - _CAUTION
+        self._sums = _EARLIER * self.stated ** 2 * np.array([
+            1.0 / self.stated ** 2, 2.0 * change, -change ** 2])
+
+    def add(self, errors: Floats | None) -> None:
+        """
+        Update the estimate with the errors of a window, shape (n, 3).
+
+        Nothing happens if the errors are None or if there are fewer than four of them.
+        """
+        if errors is None or len(errors) < 4:
+            return
+        self.is_measured = True
+        steps = np.diff(errors, axis=0)
+        columns = np.stack([np.ones(len(steps)), np.arange(len(steps))], axis=1)
+        steps = steps - columns @ np.linalg.lstsq(columns, steps, rcond=None)[0]
+        # Clip the differences, because outliers and jumps are not noise.
+        limit = 6.0 * float(np.median(np.abs(steps))) / 0.6745
+        steps = np.clip(steps, -limit, limit)
+        self._sums *= np.exp(-1.0 / _MEMORY)
+        self._sums += steps.size, np.sum(steps ** 2), np.sum(steps[1:] * steps[:-1])
+
+    @property
+    def _correlation(self) -> float:
+        _, squares, products = self._sums
+        return float(np.clip(1.0 + 2.0 * products / squares, 0.0, _MOST)) if squares else 0.0
+
+    @property
+    def factor(self) -> float:
+        """Return the factor by which AR(1) correlation multiplies the variance of a mean."""
+        return (1.0 + self._correlation) / (1.0 - self._correlation)
+
+    @property
+    def found(self) -> float:
+        """Return the standard deviation of each component, estimated from the samples."""
+        count, squares, _ = self._sums
+        return float(np.sqrt(squares / count / 2.0 / (1.0 - self._correlation)))

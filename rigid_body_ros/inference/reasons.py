@@ -24,7 +24,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.evidence import explained, linear, solved, split_channels, widened
 from rigid_body_ros.inference.noise import ALARM, batches_of, chance, come_together, FEWEST, Noise
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import chance_of, extended
+from rigid_body_ros.inference.suspects import extended
 
 #: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0
@@ -65,8 +65,7 @@ def halves(solution: Solution) -> tuple[list[Reason], dict[str, float], float]:
     if len({*given.is_late}) < 2:
         return [], {}, 1.0
     second = given.split([*range(matrix.shape[1])], given.is_late)
-    drop, rank = explained(second, matrix, errors)
-    p = chance_of(drop, rank)
+    drop, rank, p = explained(second, matrix, errors)
     ratio = max(float(np.sqrt(drop / max(rank, 1))), 1.0)
     (early, early_sigma), (late, late_sigma) = (solved(half, errors)
                                                 for half in (matrix - second, second))

@@ -94,12 +94,6 @@ class Suspect:
         return {**asdict(self), 'value': as_json(np.array(self.value))}
 
 
-def chance_of(drop: float, count: int) -> float:
-    """Return how probable such a drop in chi-square is if `count` parameters have no effect."""
-    from scipy.special import chdtrc  # slow to import
-    return float(chdtrc(count, drop)) if count else 1.0
-
-
 def candidates(setup: Setup) -> list[str]:
     """Return the names of the parameters that could be estimated but were not."""
     given = setup.parameters.groups

@@ -27,13 +27,12 @@ from rigid_body_ros.common.errors import listed
 from rigid_body_ros.inference.errors import Misfit, of_validation
 from rigid_body_ros.inference.findings import Findings, INERTIA_CHANGE, LARGE
 from rigid_body_ros.inference.misfit import persistence
-from rigid_body_ros.inference.noise import ALARM
+from rigid_body_ros.inference.noise import ALARM, tail
 from rigid_body_ros.inference.parameters import KINDS, split_topic, START
 from rigid_body_ros.inference.reasons import probability
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import (
     candidates,
-    chance_of,
     command_with,
     sum_of_squares,
     Suspect,
@@ -144,7 +143,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
             continue
         drop = max(before - sum_of_squares(fit, solution.weights), 0.0)
         value = value_of(fit, name)
-        p = chance_of(drop, len(value))
+        p = tail(drop, len(value))
         # Check again: the score test is linear and may have predicted too much. A suspect that
         # makes the errors white is named, even if they last too long for a test without it.
         if p < ALARM or max(chain(*persistence(fit))) < _WHITE:

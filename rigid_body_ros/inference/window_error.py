@@ -31,7 +31,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.inference.motion import errors_of, States
+from rigid_body_ros.inference.motion import errors_of, poses_of
+from rigid_body_ros.inference.noise import NoiseLevel
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
@@ -54,15 +55,8 @@ _GUESSED = 5
 _CHANGE = 1e-6
 
 
-class SensorNoise(NamedTuple):
-    """Noise of a sensor: standard deviations, and factors that describe the correlation."""
-
-    #: Standard deviations of the attitude as a rotation vector (rad) and of the rate (rad/s).
-    attitude: float
-    rate: float
-    #: Factors by which the correlation multiplies the variance of a mean.
-    attitude_factor: float = 1.0
-    rate_factor: float = 1.0
+#: The noise of the attitudes and of the angular velocities of a sensor.
+Levels = tuple[NoiseLevel, NoiseLevel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,19 +95,6 @@ class WindowError:
     residuals: tuple[tuple[Floats | None, Floats | None], ...]
 
 
-class _LinearMotion(NamedTuple):
-    """
-    A motion with its derivatives.
-
-    The derivatives are with respect to the initial attitude and initial rates, in body axes.
-    """
-
-    states: States
-    #: Shape (m, 6, p). At each of the m times, there is one row for each component of the rotation
-    #: vector and the rates, and one column for each of the p initial values.
-    derivatives: Floats
-
-
 class _Estimate(NamedTuple):
     """A correction of a start state, with its covariance and the number of outliers."""
 
@@ -130,7 +111,7 @@ class _Estimate(NamedTuple):
         return np.einsum('pmi,mik->pk', self.gain, errors)
 
 
-def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence[SensorNoise],
+def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence[Levels],
                  begin_ns: int, end_ns: int) -> WindowError | None:
     """
     Compute the error of the model's prediction over a window.
@@ -141,8 +122,8 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
         The model and the torques. Only the rotor momentum of the start state is used.
     sensors : sequence of Measured
         The measurements, already converted to the clock and the axes of the problem.
-    noises : sequence of SensorNoise
-        The noise of each sensor.
+    noises : sequence of (NoiseLevel, NoiseLevel)
+        The noise of the attitudes and of the angular velocities of each sensor.
     begin_ns, end_ns : int
         Start and end of the window.
 
@@ -161,22 +142,22 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     if not has_attitude and (not has_rates or _needs_attitude(problem)):
         return None
     guess = State(begin_ns, *_guess(first, begin_ns, has_attitude), _momentum(problem, begin_ns))
-    start, estimate, _ = _Samples(first, noises, has_attitude).estimated(problem, guess, begin_ns)
+    start, estimate, *_ = _estimated(problem, guess, begin_ns, first, noises, has_attitude)
     times_ns = np.unique(np.concatenate(
         [[turn_ns, end_ns], *(sensor.stamps_ns for sensor in inside)]))
     model = problem.between(start, end_ns)
-    motion = _motion(model, times_ns, has_attitude)
+    states, derivatives = linear_motion(model, times_ns, has_attitude)
     row = int(np.searchsorted(times_ns, turn_ns))
-    later = State(turn_ns, motion.states.attitude[row], motion.states.angular_velocity[row],
+    later = State(turn_ns, states.attitude[row], states.angular_velocity[row],
                   _momentum(problem, turn_ns))
-    _, found, ahead = _Samples(last, noises, has_attitude).estimated(problem, later, end_ns)
-    to_end, sent = ahead.derivatives[-1], motion.derivatives[-1]
-    change = _change(_at(motion.states, [-1]), _at(ahead.states, [-1]))[0] + to_end @ found.change
+    _, found, ahead, slopes = _estimated(problem, later, end_ns, last, noises, has_attitude)
+    to_end, sent = slopes[-1], derivatives[-1]
+    change = _change(states.rows([-1]), ahead.rows([-1]))[0] + to_end @ found.change
     covariance = to_end @ found.covariance @ to_end.T + sent @ estimate.covariance @ sent.T
-    by_torque = _by_torque(model, motion, times_ns, estimate, found)
+    by_torque = _by_torque(model, states, derivatives, times_ns, estimate, found)
     torque, torque_covariance = _explained(change, covariance, to_end @ by_torque, has_attitude)
-    residuals = tuple(errors_of(sensor, _at(motion.states, np.searchsorted(
-        times_ns, sensor.stamps_ns))) for sensor in inside)
+    residuals = tuple(errors_of(sensor, states.rows(np.searchsorted(times_ns, sensor.stamps_ns)))
+                      for sensor in inside)
     attitude = change[:3] if has_attitude else np.full(3, np.nan)
     return WindowError(begin_ns, end_ns, attitude, change[3:], covariance, torque,
                        torque_covariance, estimate.outliers + found.outliers, residuals)
@@ -220,75 +201,78 @@ def _corrected(start: State, change: Floats) -> State:
                  start.rotor_momentum)
 
 
-def _motion(problem: Problem, times_ns: NDArray[np.int64], has_attitude: bool) -> _LinearMotion:
-    """Compute a motion and its derivatives with respect to the estimated initial values."""
+def linear_motion(problem: Problem, times_ns: NDArray[np.int64],
+                  has_attitude: bool = True) -> tuple[Poses, Floats]:
+    """
+    Compute a motion and its derivatives with respect to the start.
+
+    Returns
+    -------
+    states : Poses
+        The motion at the m times.
+    derivatives : array, shape (m, 6, p)
+        At each time, there is one row for each component of the rotation vector and the rates, and
+        one column for each of the p initial values. These are the attitude, as a rotation vector
+        in body axes, unless `has_attitude` is false, and the rates.
+
+    """
     steps = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
     starts = [problem.start, *(_corrected(problem.start, step) for step in steps)]
-    states, *others = (problem.replaced(start=start).propagate(at=times_ns) for start in starts)
-    changes = np.stack([_change(states, other) for other in others], axis=-1)
-    return _LinearMotion(states, changes / _CHANGE)
+    states, *others = (poses_of(problem.replaced(start=start).propagate(at=times_ns))
+                       for start in starts)
+    return states, np.stack([_change(states, other) for other in others], axis=-1) / _CHANGE
 
 
-def _at(states: States, rows: Sequence[int] | NDArray[np.intp]) -> Poses:
-    return Poses(states.attitude[rows], states.angular_velocity[rows])
-
-
-def _change(states: States, others: States) -> Floats:
+def _change(states: Poses, others: Poses) -> Floats:
     """Return other states minus the given ones, shape (m, 6)."""
     turned = so3.log(so3.multiply(so3.conjugate(states.attitude), others.attitude))
     return np.concatenate([turned, others.angular_velocity - states.angular_velocity], axis=1)
 
 
-class _Samples(NamedTuple):
-    """Samples from which a state is estimated, with the noise of each sensor."""
+def _estimated(problem: Problem, start: State, until_ns: int, sensors: Sequence[Measured],
+               noises: Sequence[Levels], has_attitude: bool
+               ) -> tuple[State, _Estimate, Poses, Floats]:
+    """
+    Correct a start state until the motion fits the samples of some sensors.
 
-    sensors: Sequence[Measured]
-    noises: Sequence[SensorNoise]
-    #: Whether to estimate the attitude in addition to the angular velocity.
-    has_attitude: bool
+    Without `has_attitude`, only the angular velocity is corrected. Return the new start state, the
+    last correction, and the motion before that correction, with its derivatives.
+    """
+    times_ns = np.unique(np.concatenate([*(sensor.stamps_ns for sensor in sensors), [until_ns]]))
+    for _ in range(_CORRECTIONS):
+        model = problem.between(start, int(times_ns[-1]))
+        states, derivatives = linear_motion(model, times_ns, has_attitude)
+        estimate = _solved(times_ns, states, derivatives, sensors, noises)
+        start, change = _corrected(start, estimate.change), estimate.change
+        if change @ np.linalg.solve(estimate.covariance, change) < _NEGLIGIBLE:
+            break
+    return start, estimate, states, derivatives
 
-    def estimated(self, problem: Problem, start: State,
-                  until_ns: int) -> tuple[State, _Estimate, _LinearMotion]:
-        """
-        Correct the start state until the motion fits the samples.
 
-        Return the new start state, the last correction, and the motion before that correction.
-        """
-        times_ns = np.unique(np.concatenate(
-            [*(sensor.stamps_ns for sensor in self.sensors), [until_ns]]))
-        for _ in range(_CORRECTIONS):
-            model = problem.between(start, int(times_ns[-1]))
-            motion = _motion(model, times_ns, self.has_attitude)
-            estimate = self._solved(times_ns, motion)
-            start, change = _corrected(start, estimate.change), estimate.change
-            if change @ np.linalg.solve(estimate.covariance, change) < _NEGLIGIBLE:
-                break
-        return start, estimate, motion
-
-    def _solved(self, times_ns: NDArray[np.int64], motion: _LinearMotion) -> _Estimate:
-        count, outliers = motion.derivatives.shape[2], 0
-        gain = np.zeros((count, len(times_ns), 6))
-        normal, wide, right = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
-        for sensor, noise in zip(self.sensors, self.noises):
-            rows = np.searchsorted(times_ns, sensor.stamps_ns)
-            found = errors_of(sensor, _at(motion.states, rows))
-            if not self.has_attitude:
-                found = None, found[1]
-            for errors, part, sigma, factor in zip(
-                    found, (slice(0, 3), slice(3, 6)), noise[:2], noise[2:]):
-                if errors is None or not len(errors):
-                    continue
-                kept = _usual(errors, sigma)
-                outliers += int(np.sum(~kept))
-                columns = motion.derivatives[rows[kept], part].reshape(-1, count) / sigma
-                weight = columns.T @ columns
-                normal += weight
-                wide += factor * weight
-                right += columns.T @ (errors[kept].ravel() / sigma)
-                gain[:, rows[kept], part] += columns.T.reshape(count, -1, 3) / sigma
-        inverse = np.linalg.inv(normal)
-        return _Estimate(inverse @ right, inverse @ wide @ inverse, outliers, times_ns,
-                         np.tensordot(inverse, gain, 1))
+def _solved(times_ns: NDArray[np.int64], states: Poses, derivatives: Floats,
+            sensors: Sequence[Measured], noises: Sequence[Levels]) -> _Estimate:
+    """Return the correction of the start that fits the samples best."""
+    count, outliers = derivatives.shape[2], 0
+    gain = np.zeros((count, len(times_ns), 6))
+    normal, wide, right = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
+    for sensor, levels in zip(sensors, noises):
+        rows = np.searchsorted(times_ns, sensor.stamps_ns)
+        found = errors_of(sensor, states.rows(rows))
+        # Without corrections of the attitude, only the angular velocities are used.
+        for errors, part, level in [*zip(found, (slice(0, 3), slice(3, 6)), levels)][count < 6:]:
+            if errors is None or not len(errors):
+                continue
+            kept = _usual(errors, level.stated)
+            outliers += int(np.sum(~kept))
+            columns = derivatives[rows[kept], part].reshape(-1, count) / level.stated
+            weight = columns.T @ columns
+            normal += weight
+            wide += level.factor * weight
+            right += columns.T @ (errors[kept].ravel() / level.stated)
+            gain[:, rows[kept], part] += columns.T.reshape(count, -1, 3) / level.stated
+    inverse = np.linalg.inv(normal)
+    return _Estimate(inverse @ right, inverse @ wide @ inverse, outliers, times_ns,
+                     np.tensordot(inverse, gain, 1))
 
 
 def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
@@ -297,8 +281,8 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
     return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
 
 
-def _by_torque(problem: Problem, motion: _LinearMotion, times_ns: NDArray[np.int64],
-               first: _Estimate, last: _Estimate) -> Floats:
+def _by_torque(problem: Problem, states: Poses, derivatives: Floats,
+               times_ns: NDArray[np.int64], first: _Estimate, last: _Estimate) -> Floats:
     """
     Return how much a constant torque changes the last estimate, per N m, shape (p, 3).
 
@@ -308,10 +292,11 @@ def _by_torque(problem: Problem, motion: _LinearMotion, times_ns: NDArray[np.int
     end_ns = int(times_ns[-1])
     seconds = 1e-9 * (end_ns - problem.start.time_ns)
     size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds
-    others = [problem.biased(torque, end_ns).propagate(at=times_ns) for torque in size * np.eye(3)]
-    moved = np.stack([_change(motion.states, other) for other in others], axis=-1) / size
+    others = [poses_of(problem.biased(torque, end_ns).propagate(at=times_ns))
+              for torque in size * np.eye(3)]
+    moved = np.stack([_change(states, other) for other in others], axis=-1) / size
     # The torque also changes the first estimate, and thereby the prediction.
-    moved -= motion.derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
+    moved -= derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
     return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 
 
