@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +31,9 @@ from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.panels import (
     Drawn,
-    error_panel,
     field_panels,
     in_degrees,
-    overlay_panel,
+    quantity_panels,
     torque_panels,
 )
 from rigid_body_ros.report.report import Report
@@ -66,7 +64,10 @@ def report_of(comparison: Comparison, name: str, scene: Scene | None, command: s
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
     topics = ', '.join(errors.topic for errors in comparison.errors)
     motion, aligned = comparison.motion, comparison.aligned
-    body = _body(motion, aligned, stamps_ns) if isinstance(motion, Problem) else None
+    attitudes = next(((one.stamps_ns, one.attitude) for one in aligned
+                      if one.attitude is not None and len(one)), None)
+    body = moving_body.of_motion(motion, stamps_ns, attitudes) \
+        if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
     panels = [*_panels(comparison, aligned, stamps_ns), *_horizons(comparison, degrees)]
     verdict = [*comparison.verdict.rows()] if comparison.verdict else []
@@ -110,18 +111,14 @@ def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
     """Generate the panels of one sensor: measured and computed curves, and their differences."""
     samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
     states = motion.propagate(at=errors.times_ns)
-    for name, unit, measured, computed, (label, error_unit, attribute) in (
-            ('attitude quaternion', '', sensor.attitude, states.attitude, QUANTITIES[0]),
-            ('angular velocity', 'rad/s', sensor.angular_velocity, states.angular_velocity,
-             QUANTITIES[1])):
-        if measured is None:
-            continue
-        yield overlay_panel(f'{errors.topic}: {name}, body axes', unit, samples, measured,
-                            computed, start_ns)
-        values = getattr(errors, attribute)
-        noise = '±2 sigma of the noise of a sample', 2.0 * _noise(errors, values)
-        yield error_panel(f'{errors.topic}: {label}, measured minus computed, body axes',
-                          error_unit, samples, values, noise, start_ns)
+    for measured, computed, values in (
+            (sensor.attitude, states.attitude, errors.rotation_vectors),
+            (sensor.angular_velocity, states.angular_velocity, errors.rates)):
+        if measured is not None and values is not None:
+            yield from quantity_panels(
+                errors.topic, 'body axes', samples, measured, computed,
+                ('measured minus computed', values),
+                ('±2 sigma of the noise of a sample', 2.0 * _noise(errors, values)), start_ns)
 
 
 def _noise(errors: Errors, values: Floats) -> float:
@@ -148,18 +145,3 @@ def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
     yield Panel('attitude error after a restart', 'rad', [
         Curves(seconds, errors, errors, ('median', '95 %'))],
         'time since the restart from the measurement (s)', 'loglog', texts=texts)
-
-
-def _body(problem: Problem, aligned: Sequence[Measured],
-          stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """
-    Return an animation of the computed motion.
-
-    The animation also shows the measured attitude, if an attitude was measured.
-    """
-    body = moving_body.of_motion(problem, stamps_ns)
-    for sensor in aligned:
-        if sensor.attitude is not None and len(sensor):
-            return {**body, 'ghost': moving_body.ghost(int(stamps_ns[0]), sensor.stamps_ns,
-                                                       sensor.attitude)}
-    return body

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +29,7 @@ from rigid_body_ros.inference.torque_panels import residual_panels
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import matrix, moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.panels import (
-    Drawn,
-    error_panel,
-    in_degrees,
-    overlay_panel,
-    torque_panels,
-)
+from rigid_body_ros.report.panels import Drawn, in_degrees, quantity_panels, torque_panels
 from rigid_body_ros.report.report import Report, table
 from rigid_body_ros.scene import Scene
 
@@ -68,8 +61,10 @@ def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
     story = [('recording', name), *fit.verdict.rows(has_estimates=True), *fit.rows(degrees),
              ('moving body', 'the motion with all estimates'), *_restarts(fit)]
     panels, (header, *estimated) = [*_panels(fit, first)], fit.table(degrees)
+    attitudes = next(((one.stamps_ns, one.values) for one in fit.aligned if one.is_attitude), None)
+    body = moving_body.of_motion(fit.motion, _stamps_ns(fit), attitudes)
     return Report(f'{name}: estimated parameters', fit.headline, story,
-                  [*map(in_degrees, panels)] if degrees else panels, _body(fit), scene.warnings,
+                  [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
                   table=table(header, estimated),
                   matrix=matrix.picture('correlation of the estimates (orange: positive, blue: '
                                         'negative)', [*fit.estimates],
@@ -113,19 +108,15 @@ def _stamps_ns(fit: Identification, recording: int = 0) -> NDArray[np.int64]:
 
 
 def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
-    """Generate one panel with the measured and computed values, and one with the errors."""
+    """Return one panel with the measured and computed values, and one with the errors."""
     stamps_ns, inliers, measured, computed, errors = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))
-    samples, first = Drawn(stamps_ns, inliers), parts[0]
-    name, unit, error, error_unit = ('attitude quaternion', '', 'attitude error', 'rad') \
-        if first.is_attitude else ('angular velocity', 'rad/s', 'rate error', 'rad/s')
+    first = parts[0]
     where = f'recording {first.recording + 1}, {first.topic}' if first.recording else first.topic
-    yield overlay_panel(f'{where}: {name}, axes of the sensor', unit, samples, measured, computed,
-                        start_ns)
-    yield error_panel(f'{where}: {error}, computed minus measured, axes of the sensor', error_unit,
-                      samples, errors,
-                      ('±2 sigma assumed by the fit', 2.0 * first.noise), start_ns)
+    return quantity_panels(where, 'axes of the sensor', Drawn(stamps_ns, inliers), measured,
+                           computed, ('computed minus measured', errors),
+                           ('±2 sigma assumed by the fit', 2.0 * first.noise), start_ns)
 
 
 def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> dict[str, float]:
@@ -159,12 +150,3 @@ def _correlations(errors: Residuals) -> Iterator[Panel]:
         Curves(np.asarray(lags[[0, -1]], np.float64), -limit, limit,
                ['95 % limits of white noise'], style='limits')],
         'lag (s)')
-
-
-def _body(fit: Identification) -> dict[str, Any]:
-    """Return an animation of the estimated motion, with the measured attitudes if available."""
-    stamps_ns = _stamps_ns(fit)
-    body = moving_body.of_motion(fit.motion, stamps_ns)
-    ghosts = [one for one in fit.aligned if one.attitude is not None]
-    return body if not ghosts else {**body, 'ghost': moving_body.ghost(
-        int(stamps_ns[0]), ghosts[0].stamps_ns, ghosts[0].values)}

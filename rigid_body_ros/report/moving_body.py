@@ -68,16 +68,23 @@ def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[
             'poinsot': _is_nearly_free(body, rows)}
 
 
-def of_motion(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """Compute a motion at some of the ascending times `stamps_ns`; return the data for a page."""
+def of_motion(problem: Problem, stamps_ns: NDArray[np.int64],
+              measured: tuple[NDArray[np.int64], Floats] | None = None) -> dict[str, Any]:
+    """
+    Compute a motion at some of the ascending times `stamps_ns`; return the data for a page.
+
+    If `measured` is given, the page also shows the body with these attitudes, which come after
+    their stamps.
+    """
     times_ns = np.union1d(stamps_ns[thinned(len(stamps_ns), MOST)], stamps_ns[-1:])
     motion = problem.propagate(at=times_ns)
     torque = problem.torque(times_ns, motion.attitude)
-    return as_data(problem.body, times_ns, np.hstack([
+    body = as_data(problem.body, times_ns, np.hstack([
         motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))
+    return body | {'ghost': _ghost(int(stamps_ns[0]), *measured)} if measured else body
 
 
-def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[str, Any]:
+def _ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[str, Any]:
     """
     Return the data that a page needs to draw the outline of a second body.
 

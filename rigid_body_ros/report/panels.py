@@ -62,6 +62,31 @@ class Drawn(NamedTuple):
             yield Curves.thinned(self.times_ns[~kept], values[~kept], unnamed, start_ns, 'marks')
 
 
+def quantity_panels(where: str, axes: str, samples: Drawn, measured: Floats, computed: Floats,
+                    errors: tuple[str, Floats], band: tuple[str, float],
+                    start_ns: int) -> Iterator[Panel]:
+    """
+    Generate two panels: measured and computed values, and their errors.
+
+    Parameters
+    ----------
+    where, axes : str
+        The topic, and the name of the axes of the values and of the errors.
+    samples, measured, computed, start_ns
+        The samples, as for `overlay_panel`.
+    errors : tuple of str and array, shape (n, 3)
+        How the errors are computed, and the errors.
+    band : tuple of str and float
+        The name and the half width of the limits of the errors, as for `error_panel`.
+
+    """
+    name, unit, error, error_unit = ('attitude quaternion', '', 'attitude error', 'rad') \
+        if measured.shape[1] == 4 else ('angular velocity', 'rad/s', 'rate error', 'rad/s')
+    yield overlay_panel(f'{where}: {name}, {axes}', unit, samples, measured, computed, start_ns)
+    yield error_panel(f'{where}: {error}, {errors[0]}, {axes}', error_unit, samples, errors[1],
+                      band, start_ns)
+
+
 def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, computed: Floats,
                   start_ns: int) -> Panel:
     """
