@@ -29,7 +29,7 @@ from rigid_body_ros.inference.certainty import Certainty, certainty
 from rigid_body_ros.inference.coordinates import checked_priors, GRAVITY
 from rigid_body_ros.inference.findings import Findings, judged
 from rigid_body_ros.inference.inputs import channels_of, setup_of
-from rigid_body_ros.inference.parameters import checked_names, START, unit_of, WEIGHT
+from rigid_body_ros.inference.parameters import checked_names, kind_of, START, WEIGHT
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import candidates, extended
 from rigid_body_ros.inference.verdict import tried, with_intervals
@@ -212,7 +212,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
                  numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
              for _, fit in attempts]
     verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved)
-    estimates = {name: Estimate(name, unit_of(name.partition('[')[0]), float(numbers.values[i]),
+    estimates = {name: Estimate(name, kind_of(name).unit, float(numbers.values[i]),
                                 float(numbers.guesses[i]), float(sigma[i]),
                                 bool(known.identifiable[i]), systematic.get(name, 0.0))
                  for i, name in enumerate(numbers.names)}

@@ -22,7 +22,6 @@ rate is divided equally among the four tests.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,31 +77,6 @@ class Judgement(NamedTuple):
                 'residual_torque_N_m': as_json(error.torque), 'outliers': error.outliers}
 
 
-@dataclass
-class _Together:
-    """A sum of the residual torques of several windows, each weighted by its precision."""
-
-    windows: int
-    count: int = 0
-    weight: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    product: Floats = field(default_factory=lambda: np.zeros(3))
-
-    def add(self, torque: Floats, covariance: Floats) -> float | None:
-        """
-        Add a window to the group of windows that are tested together.
-
-        If the window completes the group, return the group's chi-square and start a new group.
-        """
-        weight = np.linalg.inv(covariance)
-        self.count += 1
-        self.weight, self.product = self.weight + weight, self.product + weight @ torque
-        if self.count < self.windows:
-            return None
-        found = float(self.product @ np.linalg.solve(self.weight, self.product))
-        self.count, self.weight, self.product = 0, np.zeros((3, 3)), np.zeros(3)
-        return found
-
-
 class Alarms:
     """
     Judge one window after another.
@@ -119,7 +93,10 @@ class Alarms:
     def __init__(self, window_s: float, hours: float) -> None:
         #: Probability below which the test of a single window raises an alarm.
         self._usual = window_s / (3600.0 * hours * len(_TOGETHER))
-        self._sums = [_Together(count) for count in _TOGETHER[1:]]
+        #: For each number of windows tested together, the weights and the weighted residual
+        #: torques of the windows of the group that is not complete yet.
+        self._groups: dict[int, list[tuple[Any, Any]]] = {
+            count: [] for count in _TOGETHER[1:]}
         #: For each number of windows tested together, the probability of the latest test result,
         #: divided by the probability below which the test raises an alarm.
         self._ratios = dict.fromkeys(_TOGETHER, np.inf)
@@ -135,10 +112,14 @@ class Alarms:
         covariance = error.covariance[first:, first:]
         square = change @ np.linalg.solve(covariance, change)
         self._ratios[1] = self._tail(len(change), square) / self._usual
-        for sums in self._sums:
-            found = sums.add(error.torque, error.torque_covariance)
-            if found is not None:
-                self._ratios[sums.windows] = self._tail(3, found) / (sums.windows * self._usual)
+        weight = np.linalg.inv(error.torque_covariance)
+        for count, group in self._groups.items():
+            group.append((weight, weight @ error.torque))
+            if len(group) == count:
+                total, product = (np.sum(each, axis=0) for each in zip(*group))
+                found = product @ np.linalg.solve(total, product)
+                self._ratios[count] = self._tail(3, found) / (count * self._usual)
+                group.clear()
         windows = min(self._ratios, key=self._ratios.__getitem__)
         ratio = self._ratios[windows]
         level = ERROR if ratio < 1.0 else WARN if ratio < _WARNING else OK

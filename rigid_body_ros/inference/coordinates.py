@@ -29,8 +29,8 @@ from rigid_body_ros.inference.parameters import (
     components_of,
     field_of,
     is_of_sensor,
+    kind_of,
     KINDS,
-    plausible,
     SHIFTS,
     split_topic,
     START,
@@ -257,8 +257,8 @@ class Parameters:
     @property
     def plausible(self) -> Floats:
         """Return how far each component is plausibly from its guess if it is a suspect."""
-        return np.array([self.priors[name].sigma if name in self.priors else scale * plausible(
-            name) for name, scale in zip(self.names, self.scales)])
+        return np.array([self.priors[name].sigma if name in self.priors else scale * kind_of(
+            name).plausible for name, scale in zip(self.names, self.scales)])
 
     def surprise(self, physics: Physics) -> Floats:
         """Return how far each value is from its prior, in standard deviations of the prior."""

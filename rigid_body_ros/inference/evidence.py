@@ -249,33 +249,9 @@ def weighted(solution: Solution, found: list[list[Noise]]) -> Solution:
     return replace(solution, weights=weights, problem=solution.problem.weighted(weights))
 
 
-@dataclass(frozen=True, eq=False)
-class Foresight:
-    """
-    How well a fit predicts the validation samples of a recording.
-
-    Attributes
-    ----------
-    statistic : float
-        Sum of the squared errors, minus the part that the uncertainty of the fit explains. If the
-        model is correct and the noise is white, the statistic has a chi-square distribution.
-    count : int
-        Number of errors in the sum, not counting outliers. The sum stops before the first sample
-        whose predicted attitude has an uncertainty above 0.02 rad, because the linearization fails
-        at larger uncertainties.
-    predictable_s : float
-        Time since the start, s, at which the standard deviation of the predicted attitude first
-        exceeds 0.1 rad. Infinite if this never happens.
-
-    """
-
-    statistic: float
-    count: int
-    predictable_s: float
-
-
 def foresight(solution: Solution, number: int, channels: Sequence[Measured],
-              residuals: Sequence[Residuals], noises: Sequence[Noise]) -> Foresight:
+              residuals: Sequence[Residuals], noises: Sequence[Noise]
+              ) -> tuple[float, int, float]:
     """
     Assess how well a fit predicts the validation samples of a recording.
 
@@ -292,6 +268,19 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     noises : sequence of Noise
         The noise of each channel.
 
+    Returns
+    -------
+    statistic : float
+        Sum of the squared errors, minus the part that the uncertainty of the fit explains. If the
+        model is correct and the noise is white, the statistic has a chi-square distribution.
+    count : int
+        Number of errors in the sum, not counting outliers. The sum stops before the first sample
+        whose predicted attitude has an uncertainty above 0.02 rad, because the linearization fails
+        at larger uncertainties.
+    predictable_s : float
+        Time since the start, s, at which the standard deviation of the predicted attitude first
+        exceeds 0.1 rad. Infinite if this never happens.
+
     """
     old = solution.problem
     k, ahead = ahead_of(solution, number, channels)
@@ -306,9 +295,10 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     problem = LeastSquares(old.setup, [ahead], old.reference.rows([k]),
                            Weights(solution.weights.sigma, roots, spreads))
     problem.steps = old.steps[0], old.steps[1][[k]]
-    slopes, errors = problem.derivatives(0, solution.physics), problem.scaled_errors(
-        0, solution.physics)
-    known = _known(solution, k)
+    # The parameters come before the state, as in the information matrix.
+    slopes = np.roll(problem.derivatives(0, solution.physics), -len(problem.unknowns[0]), axis=0)
+    errors, known = problem.scaled_errors(0, solution.physics), old.information(
+        solution.physics, [k])
     deviations = _deviations(known, slopes)
     sigma = np.concatenate([np.tile(one.noise * one.is_attitude * size, len(one.errors))
                             for one, size in zip(residuals, sizes)])
@@ -321,24 +311,7 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     statistic = float(triangle(rows.T.copy())[-1, -1] ** 2)
     count = int(np.sum(used & np.concatenate([np.repeat(one.inliers, 3) for one in residuals])))
     predictable_s = 1e-9 * float(lost.min() - ahead.origin_ns) if lost.size else np.inf
-    return Foresight(statistic, count, predictable_s)
-
-
-def _known(solution: Solution, last: int) -> Floats:
-    """
-    Return a triangular factor of the information matrix of one state and all parameters.
-
-    The state is the one at the beginning of window `last`. All other states are eliminated.
-    """
-    problem, blocks = solution.problem, []
-    own = len(problem.unknowns[last])
-    for k in range(len(problem.windows)):
-        factor = triangle(problem.derivatives(k, solution.physics))
-        if k != last:
-            rest = factor[len(problem.unknowns[k]):, len(problem.unknowns[k]):]
-            factor = np.concatenate([np.zeros((len(rest), own)), rest], axis=1)
-        blocks.append(factor)
-    return triangle(np.concatenate(blocks).T.copy())
+    return statistic, count, predictable_s
 
 
 def _deviations(known: Floats, slopes: Floats) -> Floats:

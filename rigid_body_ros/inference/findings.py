@@ -331,11 +331,11 @@ def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
     from scipy.special import ndtr
     for number, channels in enumerate(every):
         own = [one for one in ahead if one.recording == number]
-        found = foresight(findings.solution, number, channels, own, findings.noises[number])
+        statistic, count, predictable_s = foresight(findings.solution, number, channels, own,
+                                                    findings.noises[number])
         overlap = max((noise.overlap for noise in findings.noises[number]), default=1.0)
-        excess = (found.statistic - found.count) / np.sqrt(2.0 * max(found.count, 1) * overlap)
-        p = float(ndtr(-excess))
-        ratio = np.sqrt(found.statistic / max(found.count, 1))
+        p = float(ndtr((count - statistic) / np.sqrt(2.0 * max(count, 1) * overlap)))
+        ratio = np.sqrt(statistic / max(count, 1))
         reason = Reason(f'errors of the validation are {ratio:.2g} times what noise and '
                         f'uncertainty explain ({probability(p)})')
-        yield found.predictable_s, reason if p < ALARM else None
+        yield predictable_s, reason if p < ALARM else None

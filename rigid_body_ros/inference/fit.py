@@ -316,7 +316,7 @@ class LeastSquares:
                 one[rows] = error[0]
         return result
 
-    def information(self, physics: Physics) -> Floats:
+    def information(self, physics: Physics, kept: Sequence[int] | None = None) -> Floats:
         """
         Return F such that F^T F is the information matrix of the unknowns divided by their scales.
 
@@ -324,12 +324,13 @@ class LeastSquares:
         -------
         array, shape (m, n)
             The first columns correspond to the shared parameters. The others correspond to the
-            initial state of each recording whose start is fitted. The states of all other windows
-            are eliminated.
+            states of the windows `kept`, by default the initial state of each recording whose
+            start is fitted. The states of all other windows are eliminated.
 
         """
-        kept = [k for k, window in enumerate(self.windows)
-                if window.is_first and len(self.unknowns[k])]
+        if kept is None:
+            kept = [k for k, window in enumerate(self.windows)
+                    if window.is_first and len(self.unknowns[k])]
         shared = self.parameters.size
         width = shared + sum(len(self.unknowns[k]) for k in kept)
         priors = self.parameters.own_priors

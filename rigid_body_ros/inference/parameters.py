@@ -72,15 +72,12 @@ LONGEST_DELAY = 2.0
 START = 'start'
 #: Names of all parameters, in the order in which a fit lists them.
 NAMES = (*(name for name in KINDS if name != SPACE), START)
-#: Names of the parameters that cannot be stored in a scene.
-NOT_IN_SCENES = tuple(name for name in KINDS if name not in (
-    'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum', WEIGHT))
 #: Pairs of names that cannot be fitted together.
 _EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
-#: Units, keyed by the part of a component name before the dot.
-_UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in KINDS.values()},
-          'initial_attitude': 'rad', 'initial_angular_velocity': 'rad/s'}
-_PLAUSIBLE = {kind.components[0].split('.')[0]: kind.plausible for kind in KINDS.values()}
+#: The parameters and the two parts of the start, by the part of a component before the dot.
+_KINDS = {one.components[0].split('.')[0]: one for one in (
+    *KINDS.values(), Kind(_axes('initial_attitude'), 'rad'),
+    Kind(_axes('initial_angular_velocity'), 'rad/s'))}
 #: Parameters that shift the stamps of samples. The shifts are rounded to whole nanoseconds.
 SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
 _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
@@ -95,17 +92,11 @@ def components_of(name: str) -> tuple[str, ...]:
                  for component in KINDS[kind].components)
 
 
-def unit_of(component: str) -> str:
-    """Return the unit of a component."""
+def kind_of(component: str) -> Kind:
+    """Return the parameter of a component; the moment of a field is as plausible as a weight."""
     component = split_topic(component)[0]
-    return moment_unit() if field_of(component[:-2]) else _UNITS[component.split('.')[0]]
-
-
-def plausible(component: str) -> float:
-    """Return the plausible size of a component as a fraction of its scale."""
-    component = split_topic(component)[0]
-    return KINDS[WEIGHT].plausible if field_of(component[:-2]) else \
-        _PLAUSIBLE[component.split('.')[0]]
+    return KINDS[WEIGHT]._replace(unit=moment_unit()) if field_of(component[:-2]) else \
+        _KINDS[component.split('.')[0]]
 
 
 def split_topic(name: str) -> tuple[str, str]:
