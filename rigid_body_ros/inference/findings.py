@@ -26,7 +26,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from rigid_body_ros.inference.coordinates import Parameters
-from rigid_body_ros.inference.errors import Residuals
+from rigid_body_ros.inference.errors import of_training, Residuals
 from rigid_body_ros.inference.evidence import (
     explained,
     foresight,
@@ -235,10 +235,9 @@ def start_suspect(solution: Solution) -> Suspect | None:
 
 def _is_rounding(solution: Solution) -> bool:
     """Return whether all errors are too small to come from a sensor."""
-    return all(noise <= _TINY * (1.0 if channel.is_attitude else max(1.0, setup.rate))
-               for setup in [solution.problem.setup]
-               for channels, every in zip(setup.channels, solution.weights.sigma)
-               for channel, noise in zip(channels, every))
+    rate = max(1.0, solution.problem.setup.rate)
+    return all(one.noise <= _TINY * (1.0 if one.is_attitude else rate)
+               for one in of_training(solution))
 
 
 def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
@@ -296,22 +295,19 @@ def _breaks(solution: Solution) -> Iterator[Suspect]:
     If the inertia changes a lot, the fit follows the motion either before or after the change, and
     all samples in the other part are outliers.
     """
-    for problem, channels, every, errors, sigma in zip(
-            solution.problem.setup.problems, solution.problem.setup.channels, solution.inliers,
-            solution.errors, solution.weights.sigma):
-        for channel, inliers, error, level in zip(channels, every, errors, sigma):
-            bad = np.cumsum(~inliers)
-            count = np.arange(1, len(bad) + 1)
-            after = (bad[-1] - bad) / np.maximum(len(bad) - count, 1)
-            edge = max(FEWEST, round(_EDGE * len(bad)))
-            apart = np.abs(bad / count - after)[edge:-edge]
-            if not apart.size or apart.max() < _APART:
-                continue
-            row = edge + int(np.argmax(apart))
-            seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
-            left = error[~inliers] / level
-            drop = float(np.nansum(left ** 2))
-            yield _change(drop, tail(drop, left.size), seconds)
+    for one in of_training(solution):
+        bad = np.cumsum(~one.inliers)
+        count = np.arange(1, len(bad) + 1)
+        after = (bad[-1:] - bad) / np.maximum(len(bad) - count, 1)
+        edge = max(FEWEST, round(_EDGE * len(bad)))
+        apart = np.abs(bad / count - after)[edge:-edge]
+        if not apart.size or apart.max() < _APART:
+            continue
+        stamp_ns = one.stamps_ns[edge + int(np.argmax(apart))]
+        start_ns = solution.problem.setup.problems[one.recording].start.time_ns
+        left = one.errors[~one.inliers] / one.noise
+        drop = float(np.sum(left ** 2))
+        yield _change(drop, tail(drop, left.size), 1e-9 * float(stamp_ns - start_ns))
 
 
 def _change(drop: float, p: float, seconds: float) -> Suspect:

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.coordinates import Parameters
+from rigid_body_ros.inference.errors import of_training, Residuals
 from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
 from rigid_body_ros.inference.guess import davenport, guess, kabsch
 from rigid_body_ros.inference.motion import Recorded
@@ -283,53 +284,43 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[Hypothe
 
 def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:
     """Generate the faults of some samples that explain the outliers of a channel."""
-    for number, channels in enumerate(solution.problem.setup.channels):
-        for row in range(len(channels)):
-            for name, text, rows in _of_outliers(solution, number, row):
-                left = solution.errors[number][row][rows]
-                drop = float(np.sum((left / solution.weights.sigma[number][row]) ** 2))
-                yield Suspect(name, drop, tail(drop, left.size), text=text)
+    for one in of_training(solution):
+        start_ns = solution.problem.setup.problems[one.recording].start.time_ns
+        for name, text, rows in _of_outliers(one, start_ns):
+            left = one.errors[rows]
+            drop = float(np.sum((left / one.noise) ** 2))
+            yield Suspect(name, drop, tail(drop, left.size), text=text)
 
 
-def _of_outliers(solution: Solution, number: int, row: int
-                 ) -> Iterator[tuple[str, str, NDArray[np.intp]]]:
+def _of_outliers(one: Residuals, start_ns: int) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
     """Generate the name and the description of each fault, and the samples that it explains."""
-    setup = solution.problem.setup
-    channel, errors = setup.channels[number][row], solution.errors[number][row]
-    sigma = solution.weights.sigma[number][row]
-    bad = ~solution.inliers[number][row] & np.isfinite(errors[:, 0])
+    bad, sigma = ~one.inliers, one.noise
     if bad.sum() < FEWEST:
         return
-    seconds = 1e-9 * (channel.stamps_ns - setup.problems[number].start.time_ns)
-    finite = np.nan_to_num(errors)
-    expected = so3.multiply(channel.values, so3.exp(finite)) if channel.is_attitude \
-        else channel.values + finite
-    apart = so3.angle_between if channel.is_attitude else _distance
-    what = 'attitude' if channel.is_attitude else 'angular velocity'
-    far = np.abs(finite).max() > _MOVES * sigma
-    still = _still(channel.values, expected, sigma, apart)
+    seconds = 1e-9 * (one.stamps_ns - start_ns)
+    apart = so3.angle_between if one.is_attitude else _distance
+    still = _still(one.measured, one.computed, sigma, apart)
     if np.mean(still[bad]) > _MOST:
-        times = seconds[still]
-        yield f'frozen_{"attitude" if channel.is_attitude else "rates"}', \
-            f'{channel.topic}: the {what} is frozen in {still.sum()} samples from ' \
-            f'{times[0]:.4g} s to {times[-1]:.4g} s after the start', np.flatnonzero(still & bad)
-    elif not far:
+        times, (name, what) = seconds[still], ('attitude', 'attitude') if one.is_attitude \
+            else ('rates', 'angular velocity')
+        yield f'frozen_{name}', f'{one.topic}: the {what} is frozen in {still.sum()} samples ' \
+            f'from {times[0]:.4g} s to {times[-1]:.4g} s after the start', still & bad
+    elif np.abs(one.errors).max() <= _MOVES * sigma:
         return
-    elif channel.is_attitude:
-        turns = so3.exp(-errors[bad])
+    elif one.is_attitude:
+        turns = so3.exp(-one.errors[bad])
         turn = davenport(turns)
         if np.linalg.norm(so3.log(turn)) > _MOVES * sigma and np.mean(
                 so3.angle_between(turns, turn) < _SAME * sigma) > _MOST:
-            yield 'flipped_attitude', f'{channel.topic}: the attitude is flipped in ' \
+            yield 'flipped_attitude', f'{one.topic}: the attitude is flipped in ' \
                 f'{bad.sum()} of {len(bad)} samples, first {seconds[bad][0]:.4g} s after ' \
-                f'the start: {_turn_text(turn)} about the body', np.flatnonzero(bad)
+                f'the start: {_turn_text(turn)} about the body', bad
     else:
-        values = np.abs(channel.values[np.abs(finite) > _SAME * sigma])
+        values = np.abs(one.measured[np.abs(one.errors) > _SAME * sigma])
         limit, margin = float(np.median(values)), _SAME * sigma
         if np.mean(np.abs(values - limit) < margin) > _MOST and np.mean(
-                np.abs(channel.values) > limit + margin) < 1.0 - _MOST:
-            yield 'gyro_saturation', f'{channel.topic}: the gyro saturates at {limit:.4g} rad/s', \
-                np.flatnonzero(bad)
+                np.abs(one.measured) > limit + margin) < 1.0 - _MOST:
+            yield 'gyro_saturation', f'{one.topic}: the gyro saturates at {limit:.4g} rad/s', bad
 
 
 def faults_of_samples(motion: Recorded, channels: Sequence[Measured]

@@ -140,8 +140,6 @@ def come_together(bad: NDArray[np.bool_]) -> bool:
     """
     from scipy.special import ndtr
     count, share = int(bad.sum()), float(np.mean(bad))
-    if count < FEWEST:
-        return False
     # Use the runs test of Wald and Wolfowitz (1940).
     runs = int(bad[0]) + int(np.sum(bad[1:] & ~bad[:-1]))
     mean = count * (1.0 - share)

@@ -17,10 +17,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.errors import of_training, rms
 from rigid_body_ros.inference.evidence import explained, linear, solved, split_channels, widened
 from rigid_body_ros.inference.noise import ALARM, batches_of, chance, come_together, FEWEST, Noise
 from rigid_body_ros.inference.solution import Solution
@@ -31,9 +33,9 @@ _BATCH = 1.0
 #: A normal variable exceeds its mean by more than this many standard deviations with probability
 #: 1e-4.
 _FAR = 3.72
-#: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s and as a fraction
-#: of the measured rates.
-_NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
+#: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s or, if this is
+#: more, as a fraction of the measured rates.
+_NOISIEST_ATTITUDE, _NOISIEST_RATE = 0.1, 0.3
 #: The errors of a recording may be this many times as large as those of most others.
 _NOISIER = 4.0
 #: Largest plausible fraction of outliers among the samples of a sensor.
@@ -85,47 +87,39 @@ def of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     Noise is too large if no sensor is plausibly that noisy, or if it exceeds the noise that the
     user gave, or that of most other recordings.
     """
-    setup = solution.problem.setup
-    levels: dict[tuple[str, bool], list[float]] = {}
-    for channels, sigma in zip(setup.channels, solution.weights.sigma):
-        for channel, level in zip(channels, sigma):
-            levels.setdefault((channel.topic, channel.is_attitude), []).append(level)
-    for number, channels in enumerate(setup.channels):
-        for channel, errors, inliers, noise in zip(channels, solution.errors[number],
-                                                   solution.inliers[number], found[number]):
-            kept = errors[inliers & np.isfinite(errors[:, 0])]
-            size = float(np.sqrt(np.mean(kept ** 2))) if len(kept) else 0.0
-            if channel.is_attitude:
-                if size > _NOISIEST_ATTITUDE:
-                    yield Reason(f'{channel.topic}: attitude errors of {size:.2g} rad are not the '
-                                 'noise of a sensor', True)
-            elif size > _NOISIEST_RATE and size > _NOISIEST_PART * float(
-                    np.sqrt(np.mean(channel.values ** 2))):
-                yield Reason(f'{channel.topic}: errors of {size:.2g} rad/s are not the noise of a '
-                             'gyro', True)
-            others = float(np.median(levels[channel.topic, channel.is_attitude]))
-            if size > _NOISIER * others:
-                yield Reason(f'recording {number + 1} does not fit the others: the errors of '
-                             f'{channel.topic} are {size / others:.2g} times as large')
-            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            spread = np.sqrt(2.0 * noise.overlap / max(kept.size, 1))
-            if given and size ** 2 > (1.0 + _FAR * spread) * given ** 2:
-                yield Reason(f'{channel.topic}: errors of {size:.2g} exceed the given noise of '
-                             f'{given:.2g}')
+    setup, every = solution.problem.setup, of_training(solution)
+    for one, noise in zip(every, chain(*found)):
+        size = rms(one.kept) / np.sqrt(3.0)
+        if one.is_attitude and size > _NOISIEST_ATTITUDE:
+            yield Reason(f'{one.topic}: attitude errors of {size:.2g} rad are not the noise of a '
+                         'sensor', True)
+        elif not one.is_attitude and size > _NOISIEST_RATE * max(
+                1.0, rms(one.measured) / np.sqrt(3.0)):
+            yield Reason(f'{one.topic}: errors of {size:.2g} rad/s are not the noise of a gyro',
+                         True)
+        others = float(np.median([other.noise for other in every if (
+            other.topic, other.is_attitude) == (one.topic, one.is_attitude)]))
+        if size > _NOISIER * others:
+            yield Reason(f'recording {one.recording + 1} does not fit the others: the errors of '
+                         f'{one.topic} are {size / others:.2g} times as large')
+        given = setup.attitude_noise if one.is_attitude else setup.rate_noise
+        spread = np.sqrt(2.0 * noise.overlap / max(one.kept.size, 1))
+        if given and size ** 2 > (1.0 + _FAR * spread) * given ** 2:
+            yield Reason(f'{one.topic}: errors of {size:.2g} exceed the given noise of '
+                         f'{given:.2g}')
 
 
 def of_outliers(solution: Solution) -> Iterator[Reason]:
     """Generate a reason against the model for each channel with clustered or too many outliers."""
-    for number, channels in enumerate(solution.problem.setup.channels):
-        for channel, inliers in zip(channels, solution.inliers[number]):
-            share = float(np.mean(~inliers))
-            if np.sum(~inliers) < FEWEST:
-                continue
-            together = come_together(~inliers)
-            if together or share > _MOST_OUTLIERS:
-                how = 'in clusters' if together else 'more than a sensor has'
-                yield Reason(f'{channel.topic}: {100.0 * share:.2g} % of the samples are '
-                             f'outliers, {how}', share > _MOST_OUTLIERS)
+    for one in of_training(solution):
+        bad = ~one.inliers
+        if bad.sum() < FEWEST:
+            continue
+        together, share = come_together(bad), float(np.mean(bad))
+        if together or share > _MOST_OUTLIERS:
+            how = 'in clusters' if together else 'more than a sensor has'
+            yield Reason(f'{one.topic}: {100.0 * share:.2g} % of the samples are outliers, {how}',
+                         share > _MOST_OUTLIERS)
 
 
 def of_correlation(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
