@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.result import Comparison, Errors, QUANTITIES
+from rigid_body_ros.inference.errors import rms
 from rigid_body_ros.inference.motion import Motion
 from rigid_body_ros.inference.noise import spread_of
 from rigid_body_ros.inference.torque_panels import residual_panels
@@ -88,8 +89,7 @@ def _size(comparison: Comparison, degrees: bool) -> str:
     factor, unit = scaled(unit, degrees)
     errors = comparison.pooled(attribute)
     assert errors is not None
-    rms = factor * np.sqrt(np.mean(np.sum(errors ** 2, axis=1)))
-    return f'{label} {rms:.3g} {unit} (rms) over {comparison.span_s:.3g} s'
+    return f'{label} {factor * rms(errors):.3g} {unit} (rms) over {comparison.span_s:.3g} s'
 
 
 def _panels(comparison: Comparison, aligned: Sequence[Measured],

@@ -25,7 +25,7 @@ from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Estimate, Identification, too_wide, without_effect
 from rigid_body_ros.inference import errors
-from rigid_body_ros.inference.certainty import Certainty, certainty
+from rigid_body_ros.inference.certainty import certainty
 from rigid_body_ros.inference.coordinates import checked_priors, GRAVITY
 from rigid_body_ros.inference.findings import Findings, judged
 from rigid_body_ros.inference.inputs import channels_of, setup_of
@@ -197,13 +197,17 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     solution = findings.solution
     setup, physics = solution.problem.setup, solution.physics
     numbers = _numbers(solution)
-    known = certainty(solution.problem.information(physics) @ np.linalg.inv(numbers.turn),
-                      numbers.names, numbers.values / numbers.scales)
-    sigma = np.sqrt(np.diag(known.covariance)) * numbers.scales
+    covariance, is_known, directions = certainty(
+        solution.problem.information(physics) @ np.linalg.inv(numbers.turn),
+        numbers.names, numbers.values / numbers.scales)
+    sigma = np.sqrt(np.diag(covariance)) * numbers.scales
     # How far the recordings, or their halves, are apart counts if it is more than sigma explains.
     wider = np.maximum([findings.scatter.get(name, 0.0) for name in numbers.names]
                        / np.where(sigma > 0.0, sigma, np.inf), findings.apart)
-    sigma = np.where(known.identifiable, wider * sigma, np.inf)
+    sigma = np.where(is_known, wider * sigma, np.inf)
+    scale = wider * numbers.scales
+    covariance = 0.5 * (covariance + covariance.T) * np.outer(scale, scale)
+    covariance[~is_known] = covariance[:, ~is_known] = np.nan
     ahead = errors.of_validation(solution, every) if every else []
     fitted = errors.of_training(solution)
     findings = findings.with_validation(every, ahead)
@@ -214,15 +218,14 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved)
     estimates = {name: Estimate(name, kind_of(name).unit, float(numbers.values[i]),
                                 float(numbers.guesses[i]), float(sigma[i]),
-                                bool(known.identifiable[i]), systematic.get(name, 0.0))
+                                bool(is_known[i]), systematic.get(name, 0.0))
                  for i, name in enumerate(numbers.names)}
     aligned = errors.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
                                 physics, setup.problems[0].start.time_ns)
     return Identification(
         setup.body(physics), physics.acting(setup.problems[0].fields),
         [_start(solution, number)[0] for number in range(len(setup.problems))],
-        estimates, _covariance(known, wider * numbers.scales),
-        setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
+        estimates, covariance, setup.problems[0].start.attitude, directions, [*fitted, *ahead],
         errors.Misfit.of(fitted, solution.problem.size),
         errors.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged,
@@ -340,10 +343,3 @@ def _change_of_vector(vector: Floats) -> Floats:
         return np.eye(3) + 0.5 * cross + cross @ cross / 12.0
     factor = 1.0 / angle ** 2 - 0.5 / (angle * np.tan(0.5 * angle))
     return np.eye(3) + 0.5 * cross + factor * cross @ cross
-
-
-def _covariance(known: Certainty, scale: Floats) -> Floats:
-    """Return the exactly symmetric covariance matrix of the estimates, in their own units."""
-    result = 0.5 * (known.covariance + known.covariance.T) * np.outer(scale, scale)
-    result[~known.identifiable] = result[:, ~known.identifiable] = np.nan
-    return result

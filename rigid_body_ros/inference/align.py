@@ -128,10 +128,10 @@ def _alignments(solution: Solution, count: int, motion: Motion) -> tuple[Alignme
     unknown = problem.unknowns[0]
     names = [*parameters.names, *(f'start[{k}]' for k in unknown)]
     scales = np.append(parameters.scales, np.where(unknown < 3, 1.0, rate))
-    known = certainty(problem.information(physics), names,
-                      np.append(parameters.values(physics) / parameters.scales,
-                                np.zeros(len(unknown))))
-    deviations = np.where(known.identifiable, np.sqrt(np.diag(known.covariance)) * scales, np.inf)
+    covariance, identifiable, _ = certainty(
+        problem.information(physics), names, np.append(
+            parameters.values(physics) / parameters.scales, np.zeros(len(unknown))))
+    deviations = np.where(identifiable, np.sqrt(np.diag(covariance)) * scales, np.inf)
     by_group = {group: deviations[parameters.columns([group])] for group in parameters.groups}
     shared = {'space_rad': by_group[SPACE]} if SPACE in by_group else {}
     if len(unknown):

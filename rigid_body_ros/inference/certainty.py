@@ -61,28 +61,8 @@ class Direction:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class Certainty:
-    """
-    How well the data determines the parameters.
-
-    Attributes
-    ----------
-    covariance : array, shape (n, n)
-        Covariance of the parameters after each has been divided by its scale.
-    identifiable : array of bool, shape (n,)
-        Whether the data determines each parameter.
-    directions : list of Direction
-        The combinations of parameters that the data does not determine.
-
-    """
-
-    covariance: Floats
-    identifiable: NDArray[np.bool_]
-    directions: list[Direction]
-
-
-def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty:
+def certainty(factor: Floats, names: Sequence[str], values: Floats
+              ) -> tuple[Floats, NDArray[np.bool_], list[Direction]]:
     """
     Compute from the information matrix how well the data determines the parameters.
 
@@ -97,6 +77,15 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty
         The parameters, divided by their scales. The data does not determine a parameter that is at
         its bound, and the other parameters are judged as if it were known.
 
+    Returns
+    -------
+    covariance : array, shape (n, n)
+        Covariance of the parameters after each has been divided by its scale.
+    identifiable : array of bool, shape (n,)
+        Whether the data determines each parameter.
+    directions : list of Direction
+        The combinations of parameters that the data does not determine.
+
     """
     null, rest = _split(np.where(_at_bound(names, values), 0.0, factor))
     _, singular, rows = np.linalg.svd(factor @ rest, full_matrices=False)
@@ -110,7 +99,7 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty
     directions = [_direction(names, values, vector) for vector in (*null.T, *weak.T)]
     if any(direction.reason == _RATIOS for direction in directions):
         identifiable &= ~_chosen(names, 'inertia')
-    return Certainty(covariance, identifiable, directions)
+    return covariance, identifiable, directions
 
 
 def _at_bound(names: Sequence[str], values: Floats) -> NDArray[np.bool_]:

@@ -148,7 +148,7 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     few = rough(setup)
     is_wrong = not at_rest(few) and (
         lasts(few) or few.length_ns < setup.shortest_ns or not is_linear(few))
-    fault, drop = undone(few) if is_wrong and names_suspects else (None, 0.0)
+    fault = undone(few) if is_wrong and names_suspects else None
     if fault is None:
         solution = grown(setup, few)
         found = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
@@ -156,8 +156,7 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
             return replace(found, reasons=[Reason(still, True)], suspects=[], noises=[])
         return found if names_suspects else replace(found, suspects=[])
     solution = polished(few, *COARSEST)
-    return Findings(solution, solution, [Reason(fault.text, True)],
-                    [Suspect(fault.name, drop, tail(drop, 1), text=fault.text)], {}, [])
+    return Findings(solution, solution, [Reason(fault.text, True)], [fault], {}, [])
 
 
 def examined(solution: Solution) -> Findings:

@@ -26,13 +26,14 @@ give a good fit.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
+from rigid_body_ros.inference.errors import rms
 from rigid_body_ros.inference.fit import errors_of, LeastSquares, Weights
 from rigid_body_ros.inference.guess import local_state
 from rigid_body_ros.inference.parameters import LONGEST_DELAY
@@ -158,14 +159,9 @@ def misfit(solution: Solution) -> float:
 
 def _relative(solution: Solution) -> list[float]:
     """Return the error of each channel on its worst axis, relative to the values."""
-    return [max(map(median_size, error.T)) / _size(one.values)
+    return [max(map(median_size, error.T)) / max(rms(one.values), 1e-12)
             for every, channels in zip(solution.errors, solution.problem.setup.channels)
             for error, one in zip(every, channels)]
-
-
-def _size(values: Floats) -> float:
-    """Return the root-mean-square length of some vectors or quaternions."""
-    return max(float(np.sqrt(np.mean(np.sum(values ** 2, axis=1)))), 1e-12)
 
 
 def _longer(solution: Solution) -> Solution | None:
@@ -216,10 +212,11 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
         if window.is_first and not setup.fits_start:
             pairs.append((start.attitude, start.angular_velocity))
             continue
-        near = local_state(sensors[window.experiment], window.anchor_ns, setup.rate, start)
-        pairs.append(_better(window, physics, near, (start.attitude, start.angular_velocity))
-                     if window.is_first else near)
-    states = Poses(*(np.array(values) for values in zip(*pairs)))
+        both = (local_state(sensors[window.experiment], window.anchor_ns, setup.rate, start),
+                (start.attitude, start.angular_velocity))
+        best = np.argmin(_medians(window, physics, *both)) if window.is_first else 0
+        pairs.append(both[int(best)])
+    states = _joined(pairs)
     ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
                    [[np.ones(len(channel)) for channel in channels]
                     for channels in setup.channels],
@@ -227,16 +224,14 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
     return solution_of(LeastSquares(setup, windows, states, ones), physics, setup.shortest_ns, 0)
 
 
-def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
-            ) -> tuple[Floats, Floats]:
-    """Return whichever of the given states best predicts the measurements in a window."""
-    return states[int(np.argmin(_medians(window, physics, *states)))]
+def _joined(states: Iterable[tuple[Floats, Floats]]) -> Poses:
+    """Return pairs of an attitude and an angular velocity as arrays."""
+    return Poses(*(np.array(values) for values in zip(*states)))
 
 
 def _medians(window: Window, physics: Physics, *states: tuple[Floats, Floats]) -> Floats:
     """Return the sum of the median errors of all channels in a window, for each given state."""
-    predicted = window.predict([physics] * len(states),
-                               Poses(*(np.array(values) for values in zip(*states))))
+    predicted = window.predict([physics] * len(states), _joined(states))
     return np.sum([np.median(np.linalg.norm(one, axis=2), axis=1)
                    for one in errors_of(window.channels, predicted) if one.shape[1]], axis=0)
 
@@ -259,8 +254,7 @@ def _restarted(solution: Solution) -> Solution | None:
             states[k], is_better = near, True
     if not is_better:
         return None
-    problem = LeastSquares(old.setup, old.windows, Poses(*(
-        np.array(values) for values in zip(*states))), old.weights)
+    problem = LeastSquares(old.setup, old.windows, _joined(states), old.weights)
     return solution_of(problem, physics, solution.length_ns, solution.evaluations)
 
 
@@ -313,7 +307,7 @@ def states_at(solution: Solution, windows: Sequence[Window]) -> Poses:
                 bisect_left(begins, (window.experiment,)))
         pairs.append(old.windows[k].state_at(solution.physics, old.reference.attitude[k],
                                              old.reference.angular_velocity[k], window.anchor_ns))
-    return Poses(*(np.array(values) for values in zip(*pairs)))
+    return _joined(pairs)
 
 
 def _predicts(problem: LeastSquares, physics: Physics) -> bool:

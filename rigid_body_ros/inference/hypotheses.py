@@ -26,7 +26,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations, product
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,40 +70,36 @@ _SWAPS = [np.diag(signs) @ np.eye(3)[list(order)] for order in permutations(rang
           for signs in product((1.0, -1.0), repeat=3)]
 
 
-class Hypothesis(NamedTuple):
-    """A fault, and the inputs of a fit in which the fault is undone."""
-
-    name: str
-    text: str
-    setup: Setup
+#: The name and the description of a fault, and the inputs of a fit in which the fault is undone.
+_Hypothesis = tuple[str, str, Setup]
 
 
-def undone(few: Solution) -> tuple[Hypothesis | None, float]:
+def undone(few: Solution) -> Suspect | None:
     """
     Return the fault that explains why even short windows do not fit, or None.
 
-    The second result is twice the logarithm of the likelihood ratio. The argument is the result of
-    `rough`.
+    Its drop in chi-square is twice the logarithm of the likelihood ratio. The argument is the
+    result of `rough`.
     """
     setup = few.problem.setup
     before, tried = misfit(screened(setup)), []
     for one in _faults(setup):
         try:
-            after = screened(one.setup)
+            after = screened(one[2])
         except (InputError, ValueError):  # nothing is left to fit, or the motion is too fast
             continue
-        if _is_large(one.name, after) and before - misfit(after) > math.log(
+        if _is_large(one[0], after) and before - misfit(after) > math.log(
                 _MUCH if lasts(after) else _SMALLER):
             tried.append((misfit(after), one))
     if not tried:
-        return None, 0.0
+        return None
     least = min(size for size, _ in tried)
-    best = next(one for size, one in tried if size <= least + math.log(_ABOUT))
+    name, text, best = next(one for size, one in tried if size <= least + math.log(_ABOUT))
     # A fit of few evaluations may have stopped too early, so fit the best fault as well as `few`.
-    if setup.parameters.size and misfit(few) - misfit(rough(best.setup)) < math.log(_SMALLER):
-        return None, 0.0
-    count = min(len(one) for one in setup.channels[0])
-    return best, 6.0 * count * (before - least)
+    if setup.parameters.size and misfit(few) - misfit(rough(best)) < math.log(_SMALLER):
+        return None
+    drop = 6.0 * min(len(one) for one in setup.channels[0]) * (before - least)
+    return Suspect(name, drop, tail(drop, 1), text=text)
 
 
 def _is_large(name: str, solution: Solution) -> bool:
@@ -114,20 +109,20 @@ def _is_large(name: str, solution: Solution) -> bool:
     return value is None or float(np.linalg.norm(value)) >= 0.5 * guessed
 
 
-def _faults(setup: Setup) -> Iterator[Hypothesis]:
+def _faults(setup: Setup) -> Iterator[_Hypothesis]:
     """Generate the faults of all samples, beginning with the simplest."""
     topics = dict.fromkeys((one.topic, one.is_attitude) for one in setup.channels[0])
     for topic, is_attitude in topics:
         changes = _of_attitude() if is_attitude else _of_rates(setup, topic)
         for name, text, change in changes:
-            yield Hypothesis(name, f'{topic}: {text}', _changed(setup, topic, is_attitude, change))
+            yield name, f'{topic}: {text}', _changed(setup, topic, is_attitude, change)
     motion = setup.problems[0]
     if not isinstance(motion, Recorded):
         yield from _of_torques(setup)
     elif motion.source:
         for name, text, change in _of_attitude():
-            yield Hypothesis(name, f'{motion.source.topic}: {text}', replace(setup, problems=[
-                Recorded.of_attitudes(change(motion.source, ()))]))
+            yield name, f'{motion.source.topic}: {text}', replace(setup, problems=[
+                Recorded.of_attitudes(change(motion.source, ()))])
     yield from _of_clock_and_mount(setup, [*dict.fromkeys(topic for topic, _ in topics)])
 
 
@@ -236,15 +231,15 @@ def _best_swap(vectors: Floats, targets: Floats, known: Floats | None = None) ->
     return _SWAPS[best] if sizes[best] * _ABOUT < sizes[0] else None
 
 
-def _of_torques(setup: Setup) -> Iterator[Hypothesis]:
+def _of_torques(setup: Setup) -> Iterator[_Hypothesis]:
     logs = [log for problem in setup.problems for log in problem.logs if log.torques.any()]
     if not logs:
         return
     name, text = ('torque_in_body', 'the torque is in body axes, not in space axes') \
         if logs[0].in_space.all() else \
         ('torque_in_space', 'the torque is in space axes, not in body axes')
-    yield Hypothesis(name, text, _with_logs(setup, lambda log: TorqueLog(
-        log.times_ns, log.torques, ~log.in_space, log.interpolation)))
+    yield name, text, _with_logs(setup, lambda log: TorqueLog(
+        log.times_ns, log.torques, ~log.in_space, log.interpolation))
     sensor = max(setup.channels[0], key=lambda one: (not one.is_attitude, len(one)))
     residual = residual_torque(setup.problems[0], sensor)
     if residual is None or not residual.logged.any():
@@ -252,9 +247,8 @@ def _of_torques(setup: Setup) -> Iterator[Hypothesis]:
     known = residual.of_inertia if 'inertia' in setup.parameters.groups else None
     turn = _best_swap(residual.logged, residual.logged + residual.torques, known)
     if turn is not None:
-        yield Hypothesis('torque_axes', 'the torque has swapped or reversed axes: '
-                         f'{_axes_text(turn)}', _with_logs(
-                             setup, lambda log: log.with_torques(log.torques @ turn.T)))
+        yield 'torque_axes', f'the torque has swapped or reversed axes: {_axes_text(turn)}', \
+            _with_logs(setup, lambda log: log.with_torques(log.torques @ turn.T))
 
 
 def _with_logs(setup: Setup, change: Callable[[TorqueLog], TorqueLog]) -> Setup:
@@ -262,7 +256,7 @@ def _with_logs(setup: Setup, change: Callable[[TorqueLog], TorqueLog]) -> Setup:
                                     for problem in setup.problems])
 
 
-def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[Hypothesis]:
+def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[_Hypothesis]:
     """Generate clock offsets and mountings that are too large for a linear test."""
     parameters = setup.parameters
     for topic in topics:
@@ -279,7 +273,7 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[Hypothe
             wider = Parameters([*parameters.groups, full], replace(
                 parameters.guess, values={**parameters.guess.values, full: value}),
                 parameters.magnitudes, parameters.priors)
-            yield Hypothesis(full, f'{topic}: {text}', replace(setup, parameters=wider))
+            yield full, f'{topic}: {text}', replace(setup, parameters=wider)
 
 
 def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:

@@ -32,6 +32,7 @@ from rigid_body_ros.inference.coordinates import (
     Physics,
     SHORT_LAG,
 )
+from rigid_body_ros.inference.errors import rms
 from rigid_body_ros.inference.guess import likely_offset, local_state
 from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
@@ -147,8 +148,7 @@ def setup_of(problems: Sequence[Problem], channels: list[list[Measured]], names:
         raise InputError('estimate: torque_lag: expected torques that are held between samples, '
                          f'found interpolation {kinds.pop()!r}')
     rate = max(typical_rate(one) for one in channels)
-    torques = [np.sqrt(np.mean(np.sum(log.torques ** 2, axis=1)))
-               for problem in problems for log in problem.logs]
+    torques = [rms(log.torques) for problem in problems for log in problem.logs]
     span_ns = max(float(one.stamps_ns[-1] - one.stamps_ns[0])
                   for every in channels for one in every)
     body, fields = problems[0].body, problems[0].fields
@@ -164,7 +164,7 @@ def setup_of(problems: Sequence[Problem], channels: list[list[Measured]], names:
                     gravity)
     strengths = {f'{one.name}.{MOMENT}': float(np.linalg.norm(one.field)) for one in fields
                  if isinstance(one, UniformField) and one.name and np.any(one.field)}
-    magnitudes = Magnitudes(rate, float(max(torques, default=0.0)), max(span_ns * 1e-9, 1e-9),
+    magnitudes = Magnitudes(rate, max(torques, default=0.0), max(span_ns * 1e-9, 1e-9),
                             strengths)
     parameters = Parameters(names, guess, magnitudes)
     return Setup(problems, channels, parameters, rate, START in names, attitude_noise, rate_noise,

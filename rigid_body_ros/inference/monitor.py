@@ -41,18 +41,12 @@ from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured, not_measured
 
-#: Reasons why a window is not judged.
-FEW, NOT_COMPUTABLE = 'too few measurements', 'motion not computable'
-BEGINS, SILENT = 'torque not known yet', 'no torque for longer than stale_after'
-#: Numbers of columns in a torque row and in a measurement row. A torque row contains the torque,
-#: and whether the torque is in space axes. A measurement row contains the attitude and the angular
-#: velocity.
-_TORQUE, _MEASUREMENT = 4, 7
+#: Why a window is not judged, although its motion is known.
+FEW = 'too few measurements'
 #: The windows of the last 120 s are remembered, to find out what is wrong.
 _REMEMBERED = 120.0
-#: Length of the pieces in which a recording is processed, and the earliest time that fits into
-#: int64, both in ns.
-_PIECE_NS, _EARLIEST_NS = 60 * 10 ** 9, -2 ** 63
+#: Length of the pieces in which a recording is processed, ns.
+_PIECE_NS = 60 * 10 ** 9
 
 
 class Settings(NamedTuple):
@@ -137,8 +131,9 @@ class Monitor:
         #: delay plus lag of any actuator.
         self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
         count = int(np.clip(_REMEMBERED / settings.window, 1, WINDOWS))
-        self._torques = defaultdict[int, _Rows](lambda: _Rows(_TORQUE, count))
-        self._sensors = defaultdict[str, _Rows](lambda: _Rows(_MEASUREMENT, count))
+        #: Each row holds a torque and whether it is in space axes, or an attitude and a rate.
+        self._torques = defaultdict[int, _Rows](lambda: _Rows(4, count))
+        self._sensors = defaultdict[str, _Rows](lambda: _Rows(7, count))
         self.noises: dict[str, tuple[NoiseLevel, NoiseLevel]] = {}
         self._alarms = Alarms(settings.window, settings.false_alarms)
         #: Beginning of the next window, ns, and the rotor momentum at this time.
@@ -160,8 +155,7 @@ class Monitor:
         Return a mask of the torques that were accepted, shape (n,). A torque is accepted if its
         window has not been judged yet.
         """
-        values = np.empty((len(torques), _TORQUE))
-        values[:, :3], values[:, 3] = torques, in_space
+        values = np.column_stack([torques, np.broadcast_to(in_space, len(torques))])
         return self._put(self._torques[source], np.asarray(times_ns), values)
 
     def measure(self, topic: str, times_ns: ArrayLike, attitude: Floats,
@@ -213,7 +207,7 @@ class Monitor:
                     error = window_error(problem, sensors, levels, begin_ns, end_ns)
                     reason = '' if error else FEW
                 except ValueError:
-                    reason = NOT_COMPUTABLE
+                    reason = 'motion not computable'
             if reason and reason != FEW:
                 self._latest.clear()
             else:
@@ -251,9 +245,9 @@ class Monitor:
         for source, rows in self._torques.items():
             times_ns, held_ns = self._held(rows, begin_ns, end_ns)
             if times_ns[0] > begin_ns if len(times_ns) else source in self.awaited:
-                return BEGINS
+                return 'torque not known yet'
             if np.any(held_ns > self._stale_ns):
-                return SILENT
+                return 'no torque for longer than stale_after'
         return ''
 
     def _held(self, rows: _Rows, begin_ns: int, end_ns: int
@@ -341,7 +335,7 @@ def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
         The settings of the check, such as the window length and the noise.
 
     """
-    monitor, begin_ns = Monitor(problem, settings, problem.actuators), _EARLIEST_NS
+    monitor, begin_ns = Monitor(problem, settings, problem.actuators), -NEVER_NS
     logs = dict(enumerate(problem.logs)) | ({WHEELS: problem.wheels} if problem.wheels else {})
     first_ns = min(int(sensor.stamps_ns[0]) for sensor in sensors)
     last_ns = max(int(sensor.stamps_ns[-1]) for sensor in sensors)

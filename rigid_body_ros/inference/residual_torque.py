@@ -23,9 +23,7 @@ two measurements causes no error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -49,18 +47,6 @@ _BLOCK = 2 ** 15
 _OUTLIER = 10.0
 #: Six symmetric tensors. In each, one of ixx, iyy, izz, ixy, ixz and iyz is 1 and the rest are 0.
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
-
-
-class Slopes(NamedTuple):
-    """
-    The slope in each window.
-
-    Each slope comes with its standard deviation and with the row of the window's middle sample.
-    """
-
-    rows: NDArray[np.intp]
-    values: Floats
-    deviations: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +143,14 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
     logged = impulses(problem, stamps_ns, sensor)
     momentum = sum(entry * part for entry, part in zip(entries(body.inertia), parts)) \
         + known - logged
-    slopes = _slopes(seconds, momentum, window)
-    if not len(slopes.rows):
+    rows, torques, variances = _slopes(seconds, momentum, window)
+    if not len(rows):
         return None
-    of_inertia = np.stack([_slopes(seconds, part, window).values for part in parts], axis=-1)
+    of_inertia = np.stack([_slopes(seconds, part, window)[1] for part in parts], axis=-1)
     return ResidualTorque(
-        stamps_ns[slopes.rows], slopes.values, np.sqrt(np.median(slopes.deviations ** 2, axis=0)),
+        stamps_ns[rows], torques, np.sqrt(np.median(variances, axis=0)),
         float(np.median(seconds[2 * window:] - seconds[:-2 * window])),
-        _slopes(seconds, logged, window).values, of_inertia)
+        _slopes(seconds, logged, window)[1], of_inertia)
 
 
 def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
@@ -303,13 +289,18 @@ def _half_window(seconds: Floats) -> int:
     return max(round(0.5 * WINDOW / usual), FEWEST // 2)
 
 
-def _slopes(seconds: Floats, values: Floats, half: int) -> Slopes:
-    """Fit a line to the samples in each window that has no gap, and return the slopes."""
+def _slopes(seconds: Floats, values: Floats, half: int
+            ) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """
+    Fit a line to the samples in each window that has no gap.
+
+    Return the rows of the middle samples, the slopes, and the variances of the slopes.
+    """
     size = 2 * half + 1
     middles = np.arange(half, len(seconds) - half)
     usual = float(np.median(np.diff(seconds)))
     long = seconds[2 * half:] - seconds[:-2 * half] > 2.0 * usual * (size - 1)
-    rows, slopes, deviations = middles[~long], [], []
+    rows, slopes, variances = middles[~long], [], []
     for first in range(0, len(rows), _BLOCK):
         part = rows[first:first + _BLOCK] - half
         times = sliding_window_view(seconds, size)[part]
@@ -320,9 +311,9 @@ def _slopes(seconds: Floats, values: Floats, half: int) -> Slopes:
         slope = np.einsum('nw,nkw->nk', times, inside) / spread
         left = inside - slope[:, :, None] * times[:, None, :]
         slopes.append(slope)
-        deviations.append(np.sqrt(np.sum(left ** 2, axis=2) / (size - 2) / spread))
-    empty: Sequence[Floats] = [np.empty((0, values.shape[1]))]
-    return Slopes(rows, np.concatenate([*empty, *slopes]), np.concatenate([*empty, *deviations]))
+        variances.append(np.sum(left ** 2, axis=2) / (size - 2) / spread)
+    empty: Floats = np.empty((0, values.shape[1]))
+    return rows, np.concatenate([empty, *slopes]), np.concatenate([empty, *variances])
 
 
 def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
