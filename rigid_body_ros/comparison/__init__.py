@@ -23,8 +23,7 @@ errors say nothing about the model. `result` is what a comparison found, with it
 
 from rigid_body_ros.comparison.comparison import compare
 from rigid_body_ros.comparison.result import Comparison, Errors
-from rigid_body_ros.inference.align import ALIGNMENTS
-from rigid_body_ros.inference.alignment import Alignment
+from rigid_body_ros.inference.align import Alignment, ALIGNMENTS
 from rigid_body_ros.inference.horizons import Horizon
 from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.recording.measured import Measured

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.inference.align import align as aligned_by
-from rigid_body_ros.inference.alignment import Alignment
+from rigid_body_ros.inference.align import Alignment
 from rigid_body_ros.inference.horizons import Horizon
 from rigid_body_ros.inference.motion import apart, divided, errors_of, inside, Motion
 from rigid_body_ros.inference.parameters import START

@@ -16,9 +16,9 @@
 Fit models to measurements, and judge them.
 
 `motion` defines what measurements can be compared with. `parameters` is the table of all that can
-be fitted, `coordinates` its values and charts, and `sensors` what a sensor makes of a motion.
-`inputs` checks the inputs of a fit, `guess` guesses where it begins, and `setup` holds all inputs
-and divides recordings into `windows`. `fit` is the least-squares problem of some windows, and
+be fitted, and `coordinates` its values and charts. `inputs` checks the inputs of a fit, `guess`
+guesses where it begins, and `setup` holds all inputs and divides recordings into `windows`, which
+predict what the sensors measure. `fit` is the least-squares problem of some windows, and
 `growth` solves it in longer and longer windows, and `solution` is the result. `align` is a fit of
 clocks, mountings and the start.
 

@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.inference.fit import errors_of
-from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.windows import Window
+from rigid_body_ros.inference.windows import corrected, Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured

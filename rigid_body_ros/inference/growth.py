@@ -37,10 +37,9 @@ from rigid_body_ros.inference.errors import rms
 from rigid_body_ros.inference.fit import errors_of, LeastSquares, Weights
 from rigid_body_ros.inference.guess import local_state
 from rigid_body_ros.inference.parameters import LONGEST_DELAY
-from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import median_size, ROUNDING, Solution, solution_of
-from rigid_body_ros.inference.windows import Window
+from rigid_body_ros.inference.windows import corrected, Window
 from rigid_body_ros.mechanics.states import Poses
 
 #: If the first fit may have ended in the wrong minimum, another fit is tried with windows that are
