@@ -24,9 +24,9 @@ from rigid_body_ros.inference.noise import FEWEST, spread_of
 from rigid_body_ros.inference.window_error import linear_motion
 from rigid_body_ros.propagation import Problem
 
-#: The start is assumed to be estimated from `_SPAN` seconds of the measurement, but from at least
-#: `_FEWEST` samples.
-_SPAN, _FEWEST = 1.0, 11
+#: The start is assumed to be estimated from this many seconds of the measurement, but from at
+#: least `FEWEST` samples.
+_SPAN = 1.0
 #: Number of times at which the uncertainty is computed.
 _INSTANTS = 1000
 
@@ -71,17 +71,17 @@ def _deviations(comparison: Comparison) -> Floats:
     for errors in comparison.errors:
         if len(errors.times_ns) < FEWEST:
             continue
-        seconds = np.asarray(1e-9 * (errors.times_ns - errors.times_ns[0]), float)
-        spacing = float(np.median(np.diff(seconds)))
-        count = max(_FEWEST, round(_SPAN / spacing))
+        times_ns = errors.times_ns
+        spacing = 1e-9 * float(np.median(np.diff(times_ns)))
+        count = max(FEWEST, round(_SPAN / spacing))
         if errors.rotation_vectors is not None:
-            mean = spread_of(seconds, errors.rotation_vectors, True) / np.sqrt(count)
+            mean = spread_of(times_ns, errors.rotation_vectors, True) / np.sqrt(count)
             found[:3] = np.minimum(found[:3], mean)
             # The rate is the slope of a line fitted to the attitudes, so compute the standard
             # deviation of this slope.
             found[3:] = np.minimum(found[3:], mean * np.sqrt(12.0) / (count * spacing))
         if errors.rates is not None:
-            found[3:] = np.minimum(found[3:], spread_of(seconds, errors.rates) / np.sqrt(count))
+            found[3:] = np.minimum(found[3:], spread_of(times_ns, errors.rates) / np.sqrt(count))
     if not comparison.of('rotation_vectors'):
         found[:3] = 0.0
     return found

@@ -125,8 +125,7 @@ def _noise(errors: Errors, values: Floats) -> float:
     """Return the largest noise of the three axes, or 0 if there are too few samples."""
     if len(values) < 3:
         return 0.0
-    seconds = np.asarray(1e-9 * (errors.times_ns - errors.times_ns[0]), float)
-    return float(spread_of(seconds, values, values is errors.rotation_vectors).max())
+    return float(spread_of(errors.times_ns, values, values is errors.rotation_vectors).max())
 
 
 def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:

@@ -26,7 +26,7 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.certainty import certainty
 from rigid_body_ros.inference.evidence import own_noises, weighted
 from rigid_body_ros.inference.growth import solved_whole
-from rigid_body_ros.inference.guess import guess
+from rigid_body_ros.inference.guess import guess, IDENTITY
 from rigid_body_ros.inference.inputs import setup_of_sensors
 from rigid_body_ros.inference.motion import apart, inside, Motion, Recorded
 from rigid_body_ros.inference.parameters import SPACE, START
@@ -41,10 +41,6 @@ ALIGNMENTS = (START, CLOCK, MOUNT)
 #: The samples of a recorded motion that are used begin and end this long, ns, after its start and
 #: before its end if clock offsets are fitted.
 _MARGIN_NS = 10_000_000
-
-
-def _identity() -> Floats:
-    return np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +70,8 @@ class Alignment:
     """
 
     clock_offset_s: float = 0.0
-    mount: Floats = field(default_factory=_identity)
-    space: Floats = field(default_factory=_identity)
+    mount: Floats = field(default_factory=IDENTITY.copy)
+    space: Floats = field(default_factory=IDENTITY.copy)
     start: State | None = None
     sigma: dict[str, Any] | None = None
 

@@ -52,12 +52,11 @@ _LITTLE = 1e-3
 #: The lag with which a fit starts, in seconds. It must not be zero, because at zero lag the
 #: derivatives with respect to lag and delay are equal.
 SHORT_LAG = 0.02
-#: Six directions n. Every symmetric tensor is a weighted sum of the six tensors n n^T.
-_DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
-#: Column i contains the entries xx ... yz of the tensor n n^T for direction i.
-_OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(ROWS, COLUMNS)])
-
-
+#: Column i contains the entries xx ... yz of the tensor n n^T for direction i of six directions n.
+#: Every symmetric tensor is a weighted sum of these six tensors.
+_OF_DIRECTIONS = np.array([[1.0 * n[i] * n[j] for n in (
+    (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1))]
+    for i, j in zip(ROWS, COLUMNS)])
 #: Values of the parameters that are not fitted. They are stored here because creating these arrays
 #: at each use would take a tenth of the time of a fit.
 _NEUTRAL = {name: np.broadcast_to(kind.neutral, len(kind.components))

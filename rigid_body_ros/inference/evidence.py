@@ -34,7 +34,7 @@ from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import ahead_of, Residuals
 from rigid_body_ros.inference.fit import LeastSquares, Weights
 from rigid_body_ros.inference.growth import polished, states_at
-from rigid_body_ros.inference.noise import Noise, noise_of, tail
+from rigid_body_ros.inference.noise import LEAST, Noise, noise_of, tail
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import extended
 from rigid_body_ros.recording.measured import Measured
@@ -47,9 +47,6 @@ _NO_SLOPE = 1e-7
 #: If the largest of the noise spreads exceeds the smallest by more than this factor, the fit is
 #: repeated with weights that are computed from the spreads.
 _UNEQUAL = 1.05
-#: Smallest noise that a fit assumes for any axis, as a fraction of the root-mean-square noise of
-#: all axes.
-_LEAST = 1e-3
 #: Maximum number of samples per channel in a window. This limits the memory that is needed.
 _LONGEST = 12_000
 #: Limits for the standard deviation of a predicted attitude, rad. Above `LOST`, the prediction is
@@ -243,7 +240,7 @@ def weighted(solution: Solution, found: list[list[Noise]]) -> Solution:
             # Use relative sizes, because the next fit estimates the factor common to all axes. If
             # a sensor is stuck, one axis may have no errors. That axis must not dominate the fit.
             relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
-            sizes = np.ones(3) if given else np.maximum(relative, _LEAST)
+            sizes = np.ones(3) if given else np.maximum(relative, LEAST)
             spreads[-1].append(sizes * noise.lasting)
     weights = replace(solution.weights, spreads=spreads)
     return replace(solution, weights=weights, problem=solution.problem.weighted(weights))

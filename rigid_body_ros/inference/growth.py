@@ -42,9 +42,6 @@ from rigid_body_ros.inference.solution import median_size, ROUNDING, Solution, s
 from rigid_body_ros.inference.windows import corrected, Window
 from rigid_body_ros.mechanics.states import Poses
 
-#: If the first fit may have ended in the wrong minimum, another fit is tried with windows that are
-#: shorter by this factor.
-_CLOSER = 8
 #: The first fit may have ended in the wrong minimum if adjacent errors have a correlation above
 #: this limit.
 _LASTING = 0.5
@@ -53,7 +50,8 @@ _MUCH_LESS = 0.5
 #: Maximum number of windows, and of evaluations, in the first fit, which only needs to find
 #: approximate parameters, and in a fit that only compares hypotheses.
 _FIRST, _SCREENED = (8, 30), (4, 10)
-#: Factors by which the windows may grow, in the order in which they are tried.
+#: Factors by which the windows may grow, in the order in which they are tried. If the first fit
+#: may have ended in the wrong minimum, its windows shrink by the first factor.
 _GROWTH = (8, 4, 2)
 #: Derivatives are useful only if the prediction errors are below this number. The unit is rad for
 #: attitudes; errors of angular velocities are relative to the rate.
@@ -112,7 +110,7 @@ def rough(setup: Setup) -> Solution:
     guess = _guess(setup)
     found = _from_few(setup, setup.shortest_ns, guess)
     if lasts(found) and setup.is_computed:
-        closer = _from_few(setup, setup.shortest_ns // _CLOSER, guess)
+        closer = _from_few(setup, setup.shortest_ns // _GROWTH[0], guess)
         if not setup.parameters.size:
             is_much_less = misfit(closer) < misfit(found) + np.log(_MUCH_LESS)
             return closer if is_much_less else found

@@ -48,7 +48,8 @@ _ROWS = 500
 #: A clock offset is accepted only if the fraction of the torque that stays unexplained at this
 #: offset is less than `_BETTER` times the fraction that stays unexplained at zero offset.
 _BETTER = 0.8
-_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+#: The quaternion of no rotation.
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
@@ -75,11 +76,11 @@ def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
         the rotation of the space axes.
 
     """
-    space, most, found = _IDENTITY, 0, []
+    space, most, found = IDENTITY, 0, []
     for sensor, clock, mount in zip(sensors, clocks, mounts):
         offset = _offset(motion, sensor, mount) if clock else 0.0
         mounting, turn = _mounting(motion, sensor, round(1e9 * offset)) if mount \
-            else (_IDENTITY, _IDENTITY)
+            else (IDENTITY, IDENTITY)
         if mount and sensor.attitude is not None and len(sensor) > most:
             space, most = turn, len(sensor)
         found.append((offset, mounting))
@@ -156,17 +157,17 @@ def _mounting(motion: Motion, sensor: Measured, offset_ns: int
     times_ns = sensor.stamps_ns + offset_ns
     within = inside(motion, times_ns)
     if within.sum() < 2:
-        return _IDENTITY, _IDENTITY
+        return IDENTITY, IDENTITY
     states = motion.propagate(at=times_ns[within])
     if sensor.attitude is None:
         assert sensor.angular_velocity is not None
-        return kabsch(sensor.angular_velocity[within], states.angular_velocity), _IDENTITY
+        return kabsch(sensor.angular_velocity[within], states.angular_velocity), IDENTITY
     attitude = sensor.attitude[within]
     step = _stride(attitude)
     turned, expected = (so3.log(so3.multiply(so3.conjugate(each[:-step]), each[step:]))
                         for each in (attitude, states.attitude))
     short = np.linalg.norm(turned, axis=1) < 2.8
-    mount = kabsch(turned[short], expected[short]) if short.any() else _IDENTITY
+    mount = kabsch(turned[short], expected[short]) if short.any() else IDENTITY
     rest = so3.multiply(so3.multiply(attitude, so3.conjugate(mount)),
                         so3.conjugate(states.attitude))
     return mount, davenport(rest)

@@ -34,7 +34,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import of_training, Residuals
 from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
-from rigid_body_ros.inference.guess import davenport, guess, kabsch
+from rigid_body_ros.inference.guess import davenport, guess, IDENTITY, kabsch
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.noise import FEWEST, spread_of, tail
 from rigid_body_ros.inference.residual_torque import interpolated, measured_rates, residual_torque
@@ -52,10 +52,9 @@ _SMALLER, _MUCH, _ABOUT = 3.0, 30.0, 1.5
 #: Values that differ by less than `_SAME` standard deviations are treated as equal. A sensor is
 #: frozen only if the motion changes by `_MOVES` standard deviations in the meantime.
 _SAME, _MOVES = 6.0, 30.0
-#: A fault of some samples explains the outliers if it explains at least this fraction of them.
+#: A fault of some samples explains the outliers if it explains at least this fraction of them. A
+#: gyro may saturate if less than this fraction of its samples are below the largest value.
 _MOST = 0.8
-#: A gyro may saturate if more than this fraction of its samples are at the largest value.
-_AT_LIMIT = 0.2
 #: Smaller clock offsets, s, and mountings, rad, are left to the linear test of a parameter.
 _LATE, _TURNED = 0.1, 0.6
 #: Samples are frozen where they change by less than this part of their usual change and of their
@@ -151,9 +150,9 @@ def _of_rates(setup: Setup, topic: str) -> Iterator[tuple[str, str, _Change]]:
             so3.conjugate(_attitude_at(one, every, setup)), one.values))
     gyro = next(one for one in setup.channels[0] if one.topic == topic and not one.is_attitude)
     limit = float(np.abs(gyro.values).max())
-    noise = spread_of(1e-9 * (gyro.stamps_ns - gyro.stamps_ns[0]), gyro.values)
+    noise = spread_of(gyro.stamps_ns, gyro.values)
     below = (np.abs(gyro.values) < limit - _SAME * noise).all(axis=1)
-    if FEWEST <= below.sum() < (1.0 - _AT_LIMIT) * len(gyro):
+    if FEWEST <= below.sum() < _MOST * len(gyro):
         yield 'gyro_saturation', f'the gyro saturates at {limit:.4g} rad/s', \
             lambda one, _: one.rows(np.flatnonzero((
                 np.abs(one.values) < limit - _SAME * noise).all(axis=1)))
@@ -185,7 +184,7 @@ def _attitude_at(rates: Measured, channels: Sequence[Measured], setup: Setup) ->
 
 def _accumulated(turns: Floats) -> Floats:
     """Return the products 1, t[0], t[1] t[0], ... of rotations, shape (n + 1, 4)."""
-    result = np.concatenate([[[0.0, 0.0, 0.0, 1.0]], turns])
+    result = np.concatenate([[IDENTITY], turns])
     step = 1
     while step < len(result):
         result[step:] = so3.multiply(result[step:], result[:-step])
@@ -352,9 +351,9 @@ def _frozen(sensor: Measured, motion: Recorded, expected: Floats) -> Iterator[tu
     """Generate the longest part in which a sensor stands still although it should measure more."""
     apart = so3.angle_between if sensor.is_attitude else _distance
     steps = apart(sensor.values[:-1], sensor.values[1:])
-    seconds = np.asarray(1e-9 * (sensor.stamps_ns - motion.start.time_ns), float)
+    seconds = 1e-9 * (sensor.stamps_ns - motion.start.time_ns)
     vectors = so3.log(sensor.values) if sensor.is_attitude else sensor.values
-    noise = spread_of(seconds, vectors, sensor.is_attitude)
+    noise = spread_of(sensor.stamps_ns, vectors, sensor.is_attitude)
     least = _STILL * min(float(np.median(steps)), float(noise.min()))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], steps < least, [0]])))
     first, last = max(edges.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0],

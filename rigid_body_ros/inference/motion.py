@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.inference.noise import JUMP
 from rigid_body_ros.mechanics import hermite, so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
@@ -33,8 +34,6 @@ from rigid_body_ros.recording.measured import Measured
 #: Lengths of the parts that `Recorded.of_attitudes` tries, s; minimum number of samples in a part;
 #: and by how much the errors may exceed those of the next shorter parts.
 _PARTS, _FEWEST, _AS_GOOD = (1.0, 0.5, 0.25, 0.125, 0.06, 0.0), 5, 1.15
-#: An attitude is an outlier if both steps to its neighbours exceed the usual step by this factor.
-_ALONE = 10.0
 #: A part, or the time between two parts, has a gap if it is longer than usual by this factor.
 _GAP = 1.5
 #: The noise is estimated from this quantile of the squared errors of the parts.
@@ -95,7 +94,7 @@ class Recorded:
             raise InputError(f'{sensor.topic}: expected an attitude that changes, found '
                              f'{sensor.values[0].tolist()} in all {len(sensor)} samples')
         alone = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))
-        sensor = sensor.rows(alone <= _ALONE * np.median(steps[steps > 0.0]))
+        sensor = sensor.rows(alone <= JUMP * np.median(steps[steps > 0.0]))
         spacing = max(1e-9 * float(np.median(np.diff(sensor.stamps_ns))), 1e-9)
         if len(sensor) < 2 * _FEWEST:  # at least two parts are needed to interpolate
             raise InputError(f'{sensor.topic}: expected at least {2 * _FEWEST} attitudes that '

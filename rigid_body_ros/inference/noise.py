@@ -32,9 +32,12 @@ FEWEST = 10
 NORMAL_95 = 1.959963984540054
 #: Ratio of the standard deviation of normal noise to its median absolute value.
 NORMAL = 1.4826
-#: The noise of an axis is at least this fraction of the largest noise of the three axes, and at
-#: least this number, rad or rad/s.
-_LEAST, _ROUNDING = 1e-3, 1e-7
+#: A sample is an outlier if both steps to its neighbours, or that to their median, are longer than
+#: usual by this factor: no body jumps to some state and back.
+JUMP = 10.0
+#: The noise of an axis is at least this fraction of that of all axes, because one axis of a sensor
+#: may be stuck, and at least the second number, rad or rad/s.
+LEAST, _ROUNDING = 1e-3, 1e-7
 #: Maximum number of previous samples that a sample may depend on.
 _ORDER = 3
 #: Largest `Noise.lasting` that a sensor may have. An autoregression with the single coefficient
@@ -197,7 +200,8 @@ def _lagged(parts: Sequence[Floats], lag: int) -> float:
     return float(np.mean(np.concatenate(finite))) if any(map(len, finite)) else 0.0
 
 
-def spread_of(seconds: Floats, errors: Floats, is_attitude: bool = False) -> Floats:
+def spread_of(stamps_ns: NDArray[np.int64], errors: Floats,
+              is_attitude: bool = False) -> Floats:
     """
     Estimate the noise of some errors from how far each is from the line between its neighbours.
 
@@ -205,7 +209,7 @@ def spread_of(seconds: Floats, errors: Floats, is_attitude: bool = False) -> Flo
 
     Parameters
     ----------
-    seconds : array, shape (n,), s
+    stamps_ns : array of int64, shape (n,), ns
         The times of the samples.
     errors : array, shape (n, 3)
         The errors, at least three.
@@ -218,7 +222,7 @@ def spread_of(seconds: Floats, errors: Floats, is_attitude: bool = False) -> Flo
         The standard deviation on each axis.
 
     """
-    before, here, after = seconds[:-2], seconds[1:-1], seconds[2:]
+    before, here, after = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
     share = ((here - before) / (after - before))[:, None]
     if is_attitude:  # rotation vectors are discontinuous at half a turn
         turns = so3.exp(errors)
@@ -229,7 +233,7 @@ def spread_of(seconds: Floats, errors: Floats, is_attitude: bool = False) -> Flo
         left = errors[1:-1] - (1.0 - share) * errors[:-2] - share * errors[2:]
     sizes = NORMAL * np.median(np.abs(left) / np.sqrt(
         1.0 + share ** 2 + (1.0 - share) ** 2), axis=0)
-    return np.maximum(sizes, max(_LEAST * float(sizes.max()), _ROUNDING))
+    return np.maximum(sizes, max(LEAST * float(sizes.max()), _ROUNDING))
 
 
 def with_bound(sigma: ArrayLike, bound: ArrayLike) -> Floats:

@@ -72,8 +72,6 @@ LONGEST_DELAY = 2.0
 START = 'start'
 #: Names of all parameters, in the order in which a fit lists them.
 NAMES = (*(name for name in KINDS if name != SPACE), START)
-#: Pairs of names that cannot be fitted together.
-_EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
 #: The parameters and the two parts of the start, by the part of a component before the dot.
 _KINDS = {one.components[0].split('.')[0]: one for one in (
     *KINDS.values(), Kind(_axes('initial_attitude'), 'rad'),
@@ -132,7 +130,7 @@ def checked_names(names: Sequence[str]) -> tuple[str, ...]:
                              f'{kind!r} and {name!r}')
     if not names:
         raise InputError('estimate: expected at least one name, found none')
-    for pair in _EXCLUSIVE:
+    for pair in (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains')):
         if {*pair} <= {*names}:
             raise InputError(f'estimate: expected one of {pair[0]} and {pair[1]}, found both')
     order = [*NAMES, '']

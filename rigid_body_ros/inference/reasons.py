@@ -30,9 +30,6 @@ from rigid_body_ros.inference.suspects import extended
 
 #: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0
-#: A normal variable exceeds its mean by more than this many standard deviations with probability
-#: 1e-4.
-_FAR = 3.72
 #: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s or, if this is
 #: more, as a fraction of the measured rates.
 _NOISIEST_ATTITUDE, _NOISIEST_RATE = 0.1, 0.3
@@ -87,6 +84,7 @@ def of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     Noise is too large if no sensor is plausibly that noisy, or if it exceeds the noise that the
     user gave, or that of most other recordings.
     """
+    from scipy.special import ndtr
     setup, every = solution.problem.setup, of_training(solution)
     for one, noise in zip(every, chain(*found)):
         size = rms(one.kept) / np.sqrt(3.0)
@@ -104,7 +102,7 @@ def of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
                          f'{one.topic} are {size / others:.2g} times as large')
         given = setup.attitude_noise if one.is_attitude else setup.rate_noise
         spread = np.sqrt(2.0 * noise.overlap / max(one.kept.size, 1))
-        if given and size ** 2 > (1.0 + _FAR * spread) * given ** 2:
+        if given and ndtr((1.0 - (size / given) ** 2) / spread) < ALARM:
             yield Reason(f'{one.topic}: errors of {size:.2g} exceed the given noise of '
                          f'{given:.2g}')
 

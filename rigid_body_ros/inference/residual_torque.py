@@ -29,6 +29,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import entries, Floats, symmetric
+from rigid_body_ros.inference.noise import FEWEST, JUMP
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -36,15 +37,10 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.recording.measured import Measured
 
-#: Length of a window, s, and minimum number of samples in it. If the samples of a window span more
+#: Length of a window, s; it has more than `FEWEST` samples. If the samples of a window span more
 #: than twice the usual time, the window contains a gap and is skipped.
-WINDOW, FEWEST = 0.25, 11
-#: Nodes of two-point Gauss quadrature, which is exact for cubics.
-_NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
+WINDOW = 0.25
 _BLOCK = 2 ** 15
-#: A sample can be an outlier only if its distance from the median of five samples exceeds the
-#: usual distance by this factor.
-_OUTLIER = 10.0
 #: Six symmetric tensors. In each, one of ixx, iyy, izz, ixy, ixz and iyz is 1 and the rest are 0.
 _UNITS = [symmetric(unit) for unit in np.eye(6)]
 
@@ -192,7 +188,8 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
         changes = changes[(changes > stamps_ns[0]) & (changes < stamps_ns[-1])]
         ends = np.union1d(stamps_ns, changes)
         spans, impulse = np.diff(ends), np.zeros((len(ends) - 1, 3))
-        for node in _NODES:
+        # Two-point Gauss quadrature is exact for cubics.
+        for node in (0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)):
             times = ends[:-1] + (node * spans).astype(np.int64)
             impulse += 0.5e-9 * spans[:, None] * _in_body(problem, log, times, sensor)
         sums = np.concatenate([np.zeros((1, 3)), np.cumsum(impulse, axis=0)])
@@ -270,7 +267,7 @@ def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
     from scipy.ndimage import median_filter
     away = np.linalg.norm(rates - median_filter(rates, (5, 1), mode='nearest'), axis=1)
     change = np.median(np.linalg.norm(np.diff(rates, axis=0), axis=1))
-    kept = away <= _OUTLIER * np.median(away) + 3.0 * change
+    kept = away <= JUMP * np.median(away) + 3.0 * change
     return stamps_ns[kept], rates[kept]
 
 

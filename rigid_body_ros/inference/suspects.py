@@ -24,7 +24,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.inference.coordinates import Parameters, Physics, Prior, SHORT_LAG
 from rigid_body_ros.inference.fit import LeastSquares, Weights
-from rigid_body_ros.inference.growth import fitted
+from rigid_body_ros.inference.growth import COARSE, fitted
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.parameters import (
     moments_of,
@@ -38,9 +38,6 @@ from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.windows import mount_of, topics_of
 from rigid_body_ros.scene.fields import MOMENT
-
-#: Limits of a fit with a suspect: the maximum number of function evaluations, and the tolerance.
-_MOST, _TOLERANCE = 15, 1e-6
 
 
 @dataclass(frozen=True)
@@ -164,7 +161,7 @@ def with_suspect(solution: Solution, name: str) -> Solution:
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
     start = replace(solution, problem=problem, physics=wider.parameters.guess)
-    return fitted(start, solution.length_ns, _TOLERANCE, _MOST, is_last=True)
+    return fitted(start, solution.length_ns, *COARSE[1:], is_last=True)
 
 
 def sum_of_squares(solution: Solution, weights: Weights) -> float:

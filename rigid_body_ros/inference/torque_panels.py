@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import style
@@ -37,8 +38,6 @@ _FLATTENED = 2.5
 #: The spacing of the frequencies is one cycle per segment, divided by this number. With this
 #: spacing, the spectrum has a frequency close to that of any sine.
 _FINER = 4
-#: Minimum number of samples needed to compute a spectrum.
-_FEWEST = 16
 
 
 def residual_panels(torque: ResidualTorque, sensors: Sequence[Measured],
@@ -103,7 +102,7 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     effect, and ends at the frequency where the factor has dropped to one half.
     """
     seconds = 1e-9 * (torque.times_ns - torque.times_ns[0])
-    if len(seconds) < _FEWEST:
+    if len(seconds) < FEWEST:
         return None
     spacing = float(np.median(np.diff(seconds)))
     grid = np.arange(0.0, seconds[-1], spacing)

@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.inference.guess import IDENTITY
 from rigid_body_ros.inference.motion import errors_of, poses_of
 from rigid_body_ros.inference.noise import NoiseLevel
 from rigid_body_ros.inference.residual_torque import measured_rates
@@ -183,7 +184,7 @@ def _guess(sensors: Sequence[Measured], begin_ns: int,
     name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
     rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
     if not has_attitude:
-        return np.array([0.0, 0.0, 0.0, 1.0]), rates
+        return IDENTITY, rates
     turned = _longest(sensors, 'attitude')
     assert turned.attitude is not None
     seconds = 1e-9 * (begin_ns - turned.stamps_ns[0])

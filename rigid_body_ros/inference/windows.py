@@ -38,8 +38,6 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.recording.measured import Measured
 
-#: Parameters that change the torques in a window.
-_OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
 #: Lags shorter than this, s, are ignored.
 _SHORTEST = 1e-6
 Stamps = Sequence[NDArray[np.int64]]
@@ -245,7 +243,8 @@ class Window:
         """
         if isinstance(self.problem, Recorded):
             return self.problem
-        key = b''.join(physics.value(name).tobytes() for name in _OF_TORQUES)
+        key = b''.join(physics.value(name).tobytes() for name in (
+            'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'))
         if not self._applied or key != self._applied[0]:
             self._applied = key, acted(self.problem, physics)
         problem, bias = self._applied[1], physics.value('torque_bias')
