@@ -139,14 +139,13 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
     logged = impulses(problem, stamps_ns, sensor)
     momentum = sum(entry * part for entry, part in zip(entries(body.inertia), parts)) \
         + known - logged
-    rows, torques, variances = _slopes(seconds, momentum, window)
+    rows, slopes, variances = _slopes(seconds, np.stack([momentum, logged, *parts]), window)
     if not len(rows):
         return None
-    of_inertia = np.stack([_slopes(seconds, part, window)[1] for part in parts], axis=-1)
     return ResidualTorque(
-        stamps_ns[rows], torques, np.sqrt(np.median(variances, axis=0)),
+        stamps_ns[rows], slopes[:, 0], np.sqrt(np.median(variances, axis=0)),
         float(np.median(seconds[2 * window:] - seconds[:-2 * window])),
-        _slopes(seconds, logged, window)[1], of_inertia)
+        slopes[:, 1], slopes[:, 2:].swapaxes(1, 2))
 
 
 def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
@@ -291,26 +290,39 @@ def _slopes(seconds: Floats, values: Floats, half: int
     """
     Fit a line to the samples in each window that has no gap.
 
-    Return the rows of the middle samples, the slopes, and the variances of the slopes.
+    Parameters
+    ----------
+    seconds : array, shape (n,), s
+        The times of the samples.
+    values : array, shape (k, n, 3)
+        The samples of k vectors.
+    half : int
+        Number of samples in a window before and after the middle one.
+
+    Returns
+    -------
+    rows : array, shape (m,)
+        The rows of the middle samples.
+    slopes : array, shape (m, k, 3)
+    variances : array, shape (m, 3)
+        The variances of the slopes of the first vector.
+
     """
-    size = 2 * half + 1
-    middles = np.arange(half, len(seconds) - half)
-    usual = float(np.median(np.diff(seconds)))
-    long = seconds[2 * half:] - seconds[:-2 * half] > 2.0 * usual * (size - 1)
-    rows, slopes, variances = middles[~long], [], []
-    for first in range(0, len(rows), _BLOCK):
-        part = rows[first:first + _BLOCK] - half
+    size, usual = 2 * half + 1, float(np.median(np.diff(seconds)))
+    is_whole = seconds[2 * half:] - seconds[:-2 * half] <= 2.0 * usual * (size - 1)
+    views = sliding_window_view(np.ascontiguousarray(values.swapaxes(1, 2)), size, axis=2)
+    slopes, variances = np.empty((len(is_whole), *values.shape[::2])), np.empty((len(is_whole), 3))
+    for first in range(0, len(is_whole), _BLOCK):
+        part = slice(first, first + _BLOCK)
         times = sliding_window_view(seconds, size)[part]
-        times = times - times.mean(axis=1, keepdims=True)
-        inside = sliding_window_view(values, size, axis=0)[part]
-        inside = inside - inside.mean(axis=2, keepdims=True)
-        spread = np.sum(times ** 2, axis=1)[:, None]
-        slope = np.einsum('nw,nkw->nk', times, inside) / spread
-        left = inside - slope[:, :, None] * times[:, None, :]
-        slopes.append(slope)
-        variances.append(np.sum(left ** 2, axis=2) / (size - 2) / spread)
-    empty: Floats = np.empty((0, values.shape[1]))
-    return rows, np.concatenate([empty, *slopes]), np.concatenate([empty, *variances])
+        times = times - times[:, half:half + 1]  # small numbers, whose mean has a small error
+        times -= times.mean(axis=1, keepdims=True)
+        spread, inside = np.sum(times ** 2, axis=1), views[:, :, part]
+        slope = np.einsum('nw,kxnw->nkx', times, inside) / spread[:, None, None]
+        left = inside[0] - inside[0].mean(axis=2, keepdims=True) - slope[:, 0].T[..., None] * times
+        slopes[part] = slope
+        variances[part] = (np.sum(left ** 2, axis=2) / (size - 2) / spread).T
+    return np.flatnonzero(is_whole) + half, slopes[is_whole], variances[is_whole]
 
 
 def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
