@@ -18,7 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 import math
+from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import entries, Floats
@@ -212,9 +214,9 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     fitted = errors.of_training(solution)
     findings = findings.with_validation(every, ahead)
     attempts = tried(findings, every) if is_whole else []
-    moved = [{name: abs(value - before) for name, value, before in zip(
-                 numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
-             for _, fit in attempts]
+    others = [dict(zip(*_numbers(fit)[:2])) for _, fit in attempts]
+    moved = [{name: abs(other.get(name, math.nan) - before)
+              for name, before in zip(numbers.names, numbers.values)} for other in others]
     verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved)
     estimates = {name: Estimate(name, kind_of(name).unit, float(numbers.values[i]),
                                 float(numbers.guesses[i]), float(sigma[i]),
@@ -267,20 +269,13 @@ def _numbers(solution: Solution) -> _Numbers:
         columns = parameters.columns(['rotor_momentum'])
         for vector in (shared.values, shared.guesses):
             vector[columns] += setup.start(0).rotor_momentum
-    parts = [shared]
-    for number in range(len(setup.problems)):
-        own = _start(solution, number)[1]
-        if own is not None:
-            suffix = f'[{number + 1}]' if number else ''
-            parts.append(replace(own, names=[f'{name}{suffix}' for name in own.names]))
-    values, guesses, scales = (np.concatenate([getattr(part, what) for part in parts])
-                               for what in ('values', 'guesses', 'scales'))
-    return _Numbers([name for part in parts for name in part.names], values, guesses, scales,
-                    block_diag(*(part.turn for part in parts)))
+    starts = [_start(solution, number)[1] for number in range(len(setup.problems))]
+    names, *arrays, turns = zip(shared, *filter(None, starts))
+    values, guesses, scales = map(np.concatenate, arrays)
+    return _Numbers([*chain(*names)], values, guesses, scales, block_diag(*turns))
 
 
-@dataclass(frozen=True, eq=False)
-class _Numbers:
+class _Numbers(NamedTuple):
     """
     Components of the estimated parameters, with their values, guesses and scales.
 
@@ -298,11 +293,6 @@ class _Numbers:
     guesses: Floats
     scales: Floats
     turn: Floats
-
-    def of(self, names: Sequence[str]) -> list[float]:
-        """Return the values of the given components, with NaN for components that do not exist."""
-        known = dict(zip(self.names, self.values.tolist()))
-        return [known.get(name, math.nan) for name in names]
 
 
 def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
@@ -322,12 +312,13 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
     attitude, velocity = (solution.problem.reference.attitude[k],
                           solution.problem.reference.angular_velocity[k])
     start = State(given.time_ns, attitude, velocity, momentum, given.wheel_speeds)
-    names = [f'initial_angular_velocity.{axis}' for axis in 'xyz']
+    ends = [f'.{axis}[{number + 1}]' if number else f'.{axis}' for axis in 'xyz']
+    names = [f'initial_angular_velocity{end}' for end in ends]
     values, guesses, scales, turn = (velocity, given.angular_velocity, np.full(3, setup.rate),
                                      np.eye(3))
     if setup.fits_attitude[number]:
         turned = so3.log(so3.multiply(so3.conjugate(given.attitude), attitude))
-        names = [*(f'initial_attitude.{axis}' for axis in 'xyz'), *names]
+        names = [*(f'initial_attitude{end}' for end in ends), *names]
         values, guesses = np.append(turned, values), np.append(np.zeros(3), guesses)
         scales = np.append(np.ones(3), scales)
         turn = block_diag(_change_of_vector(turned), turn)

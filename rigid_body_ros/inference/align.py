@@ -148,8 +148,8 @@ def align(motion: Motion, sensors: Sequence[Measured],
                          'found start')
     if not names:
         return tuple(Alignment() for _ in sensors)
-    clocks, mounts = ([is_asked(names, kind, sensor.topic) for sensor in sensors]
-                      for kind in (CLOCK, MOUNT))
+    clocks, mounts = ([not {kind, f'{kind}@{sensor.topic}'}.isdisjoint(names)
+                       for sensor in sensors] for kind in (CLOCK, MOUNT))
     guesses = guess(motion, sensors, clocks, mounts)
     values: dict[str, Floats] = {}
     channels = []
@@ -183,11 +183,6 @@ def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> 
         if at and topics is not None and topic not in topics:
             raise InputError(f'align: {name}: expected a topic among {listed(topics)}, found '
                              f'{topic}')
-
-
-def is_asked(names: Collection[str], kind: str, topic: str) -> bool:
-    """Return whether `names` request the alignment `kind`, 'clock' or 'mount', for a topic."""
-    return kind in names or f'{kind}@{topic}' in names
 
 
 def _alignments(solution: Solution, count: int, motion: Motion) -> tuple[Alignment, ...]:

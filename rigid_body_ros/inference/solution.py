@@ -29,7 +29,8 @@ from rigid_body_ros.recording.measured import Measured
 
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
-#: If fewer samples than this fraction are within that limit, the limit says nothing.
+#: If fewer samples than this fraction are within that limit, the limit says nothing, because
+#: nearly all samples cannot be outliers.
 _RARE = 0.1
 #: Smallest standard deviation that the search for outliers assumes, rad or rad/s. Rounding errors
 #: are smaller than this and therefore never count as outliers.
@@ -89,54 +90,41 @@ def solution_of(problem: LeastSquares, physics: Physics, length_ns: int, evaluat
 
     If `is_last` is true, outliers have no weight. Otherwise, large errors have less weight.
     """
-    setup, errors, unknown = problem.setup, problem.residuals(physics), problem.size
+    setup, errors = problem.setup, problem.residuals(physics)
     total = sum(int(np.isfinite(error).sum()) for every in errors for error in every)
-    share = np.sqrt(total / max(total - unknown, 1))
-    sigma, roots, inliers = [], [], []
-    for every, channels in zip(errors, setup.channels):
-        levels = [_level(error, channel, setup, share) for error, channel in zip(every, channels)]
-        given = [setup.attitude_noise if channel.is_attitude else setup.rate_noise
-                 for channel in channels]
-        distances = [np.nan_to_num(np.linalg.norm(error, axis=1)
-                                   / max(level, noise or 0.0, _NO_OUTLIER))
-                     for error, level, noise in zip(every, levels, given)]
-        inlier = [_inliers(distance, error) for distance, error in zip(distances, every)]
-        if is_last:
-            levels = [max(_rms(error[one]) * share, _floor(channel, setup))
-                      for error, one, channel in zip(every, inlier, channels)]
-        inliers.append(inlier)
-        sigma.append([noise or level for noise, level in zip(given, levels)])
-        roots.append([one.astype(float) if is_last else
-                      1.0 / np.sqrt(1.0 + distance ** 2 / (3.0 * _CAUCHY ** 2))
-                      for one, distance in zip(inlier, distances)])
+    share = float(np.sqrt(total / max(total - problem.size, 1)))
+    found = [[_weighed(*pair, setup, share, is_last) for pair in zip(*each)]
+             for each in zip(errors, setup.channels)]
+    sigma = [[one for one, _, _ in every] for every in found]
+    roots = [[one for _, one, _ in every] for every in found]
+    inliers = [[one for _, _, one in every] for every in found]
     weights = Weights(sigma, roots, problem.weights.spreads)
     return Solution(length_ns, problem, physics, errors, weights, inliers, evaluations, converged)
 
 
-def _inliers(distances: Floats, error: Floats) -> NDArray[np.bool_]:
-    """Return a mask of the samples that are not outliers, which nearly all cannot be."""
-    inliers, finite = distances <= _OUTLIER, np.isfinite(error[:, 0])
-    if finite.any() and np.mean(inliers[finite]) < _RARE:
-        return np.ones(len(inliers), bool)
-    return np.asarray(inliers)
+def _weighed(error: Floats, channel: Measured, setup: Setup, share: float, is_last: bool
+             ) -> tuple[float, Floats, NDArray[np.bool_]]:
+    """
+    Return the noise of a channel, the root of the weight of each sample, and the inliers.
 
-
-def _level(error: Floats, channel: Measured, setup: Setup, share: float) -> float:
-    """Return an outlier-resistant estimate of the standard deviation of a channel's errors."""
-    return max(NORMAL * median_size(error) * share, _floor(channel, setup))
+    The errors of samples outside windows are NaN. These samples count as inliers.
+    """
+    floor = ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
+    given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
+    level, used = max(NORMAL * median_size(error) * share, floor), np.isfinite(error[:, 0])
+    distances = np.nan_to_num(
+        np.linalg.norm(error, axis=1) / max(level, given or 0.0, _NO_OUTLIER))
+    inliers = distances <= _OUTLIER
+    if used.any() and np.mean(inliers[used]) < _RARE:
+        inliers = np.ones(len(inliers), bool)
+    if not is_last:
+        return given or level, 1.0 / np.sqrt(1.0 + distances ** 2 / (3.0 * _CAUCHY ** 2)), inliers
+    kept = error[inliers & used]
+    level = max(float(np.sqrt(np.mean(kept ** 2))) * share, floor) if len(kept) else floor
+    return given or level, inliers.astype(float), inliers
 
 
 def median_size(error: Floats) -> float:
     """Return the median magnitude of errors, ignoring samples outside windows, which are NaN."""
     finite = np.abs(error[np.isfinite(error)])
     return float(np.median(finite)) if finite.size else 0.0
-
-
-def _rms(error: Floats) -> float:
-    """Return the root-mean-square error, ignoring samples outside windows, which are NaN."""
-    finite = error[np.isfinite(error)]
-    return float(np.sqrt(np.mean(finite ** 2))) if finite.size else 0.0
-
-
-def _floor(channel: Measured, setup: Setup) -> float:
-    return ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
