@@ -34,10 +34,9 @@ _ZERO, _ROUNDING = 1e-9, 1e-6
 #: combination, relative to the scales of the parameters, exceeds this number.
 _WIDEST = 0.5
 #: Limits for the components of a `Direction`. A component above `_COUNTS` matters, a component
-#: above `_LISTED` is listed in the result, and a component below `_EXACT` is a rounding error.
+#: above `_LISTED` is listed in the result, and a component below `_EXACT` is a rounding error, as
+#: is the distance of a parameter from its bound, as a fraction of the bound.
 _COUNTS, _LISTED, _EXACT = 0.3, 0.05, 1e-3
-#: A parameter is at its bound if it differs from the bound by less than this fraction.
-_NEAR = 1e-3
 #: Relative changes of the moments of inertia count as equal if they differ by less than this
 #: fraction.
 _SAME = 0.1
@@ -105,7 +104,7 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats
 def _at_bound(names: Sequence[str], values: Floats) -> NDArray[np.bool_]:
     """Return which parameters are at a bound. Only the torque delay has bounds."""
     return np.array([name == 'torque_delay' for name in names], bool) & (
-        np.abs(values) >= (1.0 - _NEAR) * LONGEST_DELAY)
+        np.abs(values) >= (1.0 - _EXACT) * LONGEST_DELAY)
 
 
 def _split(factor: Floats) -> tuple[Floats, Floats]:

@@ -115,6 +115,10 @@ class Physics:
         found = self.values.get(name) if found is None else found
         return _NEUTRAL[name] if found is None else found
 
+    def with_value(self, name: str, values: Floats) -> Physics:
+        """Return the parameters with another value of one of them."""
+        return replace(self, values={**self.values, name: values})
+
     def number(self, name: str, topic: str = '') -> float:
         """Return the value of a parameter with one component."""
         return float(self.value(name, topic)[0])

@@ -45,8 +45,8 @@ from rigid_body_ros.mechanics.states import Poses
 #: The first fit may have ended in the wrong minimum if adjacent errors have a correlation above
 #: this limit.
 _LASTING = 0.5
-#: Another state is much better if its median error is smaller by this factor.
-_MUCH_LESS = 0.5
+#: Errors that differ by this factor are much larger, or much smaller.
+_MUCH = 2.0
 #: Maximum number of windows, and of evaluations, in the first fit, which only needs to find
 #: approximate parameters, and in a fit that only compares hypotheses.
 _FIRST, _SCREENED = (8, 30), (4, 10)
@@ -60,8 +60,8 @@ _LINEAR = 0.3
 #: too nonlinear to give reliable intervals.
 _FAST = 6
 #: A fit with longer windows is good if the errors grow by a factor of at most `_WORSE` in all
-#: windows together, and by a factor of at most `_WORST` in each single window.
-_WORSE, _WORST = 1.1, 2.0
+#: windows together, and by a factor of at most `_MUCH` in each single window.
+_WORSE = 1.1
 #: Arguments of `polished` for fits that must not take long: the number of fits, their tolerance,
 #: and their maximum number of evaluations.
 COARSE, COARSEST = (2, 1e-6, 20), (1, 1e-3, 10)
@@ -112,7 +112,7 @@ def rough(setup: Setup) -> Solution:
     if lasts(found) and setup.is_computed:
         closer = _from_few(setup, setup.shortest_ns // _GROWTH[0], guess)
         if not setup.parameters.size:
-            is_much_less = misfit(closer) < misfit(found) + np.log(_MUCH_LESS)
+            is_much_less = misfit(closer) < misfit(found) - np.log(_MUCH)
             return closer if is_much_less else found
         found = min(found, _from_few(setup, setup.shortest_ns, closer.physics), key=misfit)
     return found
@@ -247,7 +247,7 @@ def _restarted(solution: Solution) -> Solution | None:
             continue
         near = before.state_at(physics, *states[k - 1], window.anchor_ns)
         own, other = _medians(window, physics, states[k], near)
-        if other < _MUCH_LESS * own:
+        if _MUCH * other < own:
             states[k], is_better = near, True
     if not is_better:
         return None
@@ -325,7 +325,7 @@ def _fits(longer: Solution, shorter: Solution) -> bool:
     Return whether a fit with longer windows is good.
 
     A good fit has converged, and its errors are not much larger than those of the fit with shorter
-    windows. `_WORSE` limits how much the errors of all windows together may grow, and `_WORST`
+    windows. `_WORSE` limits how much the errors of all windows together may grow, and `_MUCH`
     limits how much the errors in a single window may grow.
     """
     usual = [[median_size(error) for error in every] for every in shorter.errors]
@@ -333,7 +333,7 @@ def _fits(longer: Solution, shorter: Solution) -> bool:
              for error, middle in zip(every, middles)]
     for window in longer.problem.windows:
         one = window.experiment
-        pairs += [(error[rows], _WORST * middle)
+        pairs += [(error[rows], _MUCH * middle)
                   for error, rows, middle in zip(longer.errors[one], window.rows, usual[one])]
     return longer.converged and all(median_size(error) <= most + 1e3 * ROUNDING
                                     for error, most in pairs)

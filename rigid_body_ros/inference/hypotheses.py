@@ -31,7 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import of_training, Residuals
 from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
 from rigid_body_ros.inference.guess import davenport, guess, IDENTITY, kabsch
@@ -40,7 +39,7 @@ from rigid_body_ros.inference.noise import FEWEST, spread_of, tail
 from rigid_body_ros.inference.residual_torque import interpolated, measured_rates, residual_torque
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import Suspect
+from rigid_body_ros.inference.suspects import extended, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.measured import Measured
@@ -269,9 +268,7 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[_Hypoth
                 continue
             value, text = (np.array([offset]), _clock_text(offset, setup)) if clock else (
                 so3.log(turn), f'the sensor is turned by {_turn_text(turn)}')
-            wider = Parameters([*parameters.groups, full], replace(
-                parameters.guess, values={**parameters.guess.values, full: value}),
-                parameters.magnitudes, parameters.priors)
+            wider = extended(setup, parameters.guess.with_value(full, value), [full])
             yield full, f'{topic}: {text}', replace(setup, parameters=wider)
 
 

@@ -37,6 +37,7 @@ from rigid_body_ros.inference.guess import likely_offset, local_state
 from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.parameters import moments_of, split_topic, START
+from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.windows import AxialInertia, topics_of
 from rigid_body_ros.mechanics import so3
@@ -92,20 +93,14 @@ def _checked(channel: Measured, start_ns: int) -> Measured:
 
 def typical_rate(channels: Sequence[Measured]) -> float:
     """Return an outlier-resistant estimate of the root-mean-square angular velocity, rad/s."""
-    rates = [channel.values if not channel.is_attitude else _rates(channel)
-             for channel in channels]
-    found = max(float(np.sqrt(np.mean(np.minimum(squares, 25.0 * np.median(squares)))))
-                for squares in (np.sum(rate * rate, axis=1) for rate in rates))
-    return max(found, 1e-6)
-
-
-def _rates(channel: Measured) -> Floats:
-    """Compute angular velocities from pairs of attitudes that are close in time."""
-    spacing = np.median(np.diff(channel.stamps_ns)) * 1e-9
-    lag = min(max(1, round(_LAG / max(spacing, 1e-9))), len(channel) - 1)
-    turned = so3.log(so3.multiply(so3.conjugate(channel.values[:-lag]), channel.values[lag:]))
-    seconds = (channel.stamps_ns[lag:] - channel.stamps_ns[:-lag]) * 1e-9
-    return turned / np.maximum(seconds, 1e-9)[:, None]
+    found = 1e-6
+    for channel in channels:
+        spacing = 1e-9 * max(float(np.median(np.diff(channel.stamps_ns))), 1.0)
+        lag = min(max(1, round(_LAG / spacing)), len(channel) - 1)
+        squares = np.sum(measured_rates(channel, lag)[1] ** 2, axis=1)
+        limited = np.minimum(squares, 25.0 * np.median(squares))
+        found = max(found, float(np.sqrt(np.mean(limited))))
+    return found
 
 
 def prepared(problem: Problem, channels: Sequence[Measured]

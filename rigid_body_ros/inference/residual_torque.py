@@ -325,25 +325,25 @@ def _slopes(seconds: Floats, values: Floats, half: int
     return np.flatnonzero(is_whole) + half, slopes[is_whole], variances[is_whole]
 
 
-def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
+def measured_rates(sensor: Measured, lag: int = 1) -> tuple[NDArray[np.int64], Floats]:
     """
     Return the angular velocities of a sensor.
 
     If the sensor does not measure angular velocities, they are computed from its attitudes.
 
-    Each computed value is the mean angular velocity between two adjacent samples, and its time is
-    halfway between their stamps.
+    Each computed value is the mean angular velocity between two samples that are `lag` samples
+    apart, and its time is halfway between their stamps.
 
     Returns
     -------
-    times_ns : array of int64, shape (n,) or (n - 1,)
-    rates : array, shape (n, 3) or (n - 1, 3), rad/s, body axes
+    times_ns : array of int64, shape (n,) or (n - lag,)
+    rates : array, shape (n, 3) or (n - lag, 3), rad/s, body axes
 
     """
     stamps_ns, attitude = sensor.stamps_ns, sensor.attitude
     if sensor.angular_velocity is not None:
         return stamps_ns, sensor.angular_velocity
     assert attitude is not None
-    spans = np.diff(stamps_ns)
-    turned = so3.log(so3.multiply(so3.conjugate(attitude[:-1]), attitude[1:]))
-    return stamps_ns[:-1] + spans // 2, turned / (1e-9 * spans)[:, None]
+    spans = stamps_ns[lag:] - stamps_ns[:-lag]
+    turned = so3.log(so3.multiply(so3.conjugate(attitude[:-lag]), attitude[lag:]))
+    return stamps_ns[:-lag] + spans // 2, turned / (1e-9 * np.maximum(spans, 1))[:, None]

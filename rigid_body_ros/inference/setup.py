@@ -38,9 +38,9 @@ _FIRST = 8.0
 _SHORTEST, _LONGEST = 20, 60_000
 #: Time by which a window begins before the first of its samples, ns, if a parameter shifts stamps.
 _LEAD_NS = 200_000_000
-#: Time for which torques from before a window are kept, because they may act in it, ns. A lag of a
-#: quarter of a second remembers a torque for longer.
-_MEMORY_NS, _MEMORY_OF_LAG_NS = round(1e9 * LONGEST_DELAY), 10_000_000_000
+#: Time for which torques from before a window are kept if a lag is fitted, ns, in addition to the
+#: longest delay. A lag of a quarter of a second remembers a torque for this long.
+_MEMORY_OF_LAG_NS = 10_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,8 @@ class Setup:
         if axial:
             momenta = momenta + np.where(anchors > start_ns, 1.0, 0.0)[:, None] * (
                 axial.tensor @ axial.rate)
-        memory_ns = _MEMORY_NS + _MEMORY_OF_LAG_NS * ('torque_lag' in self.parameters.groups)
+        memory_ns = round(1e9 * LONGEST_DELAY) \
+            + _MEMORY_OF_LAG_NS * ('torque_lag' in self.parameters.groups)
         ends = np.array([np.searchsorted(each, edges) for each in stamps])
 
         def made(k: int) -> Window:

@@ -145,11 +145,10 @@ def with_suspect(solution: Solution, name: str) -> Solution:
     groups = setup.parameters.groups
     physics = solution.physics
     if name == 'torque_lag':
-        physics = replace(physics, values={**physics.values, name: np.array([SHORT_LAG])})
+        physics = physics.with_value(name, np.array([SHORT_LAG]))
     if name == 'torque_gains' and 'torque_gain' in groups:
-        physics = replace(physics, values={
-            **{key: value for key, value in physics.values.items() if key != 'torque_gain'},
-            name: np.full(3, physics.number('torque_gain'))})
+        physics = physics.with_value(name, np.full(3, physics.number('torque_gain')))
+        physics = physics.with_value('torque_gain', np.ones(1))
         setup = replace(setup, parameters=Parameters(
             [group for group in groups if group != 'torque_gain'], physics,
             setup.parameters.magnitudes, setup.parameters.priors))
