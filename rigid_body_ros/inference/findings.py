@@ -44,14 +44,7 @@ from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
 from rigid_body_ros.inference.misfit import at_rest, left_by, scattered, with_persistence
 from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise, tail
 from rigid_body_ros.inference.parameters import components_of
-from rigid_body_ros.inference.reasons import (
-    halves,
-    of_correlation,
-    of_noise,
-    of_outliers,
-    probability,
-    Reason,
-)
+from rigid_body_ros.inference.reasons import halves, probability, Reason, tests_of
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import candidates, extended, Suspect
@@ -178,8 +171,7 @@ def examined(solution: Solution) -> Findings:
     elif known or all(one.chi2_drop <= LARGE * solution.count for one in suspects):
         suspects += _largest([*_changes(solution), *_breaks(solution)])
     reasons, drift, _ = halves(solution)
-    reasons += [*of_noise(solution, found), *of_outliers(solution),
-                *of_correlation(solution, found)]
+    reasons += tests_of(solution, found)
     result = Findings(solution, solution, reasons, _significant(suspects), drift, found)
     return _doubted(result, problem, names) if known and (reasons or result.suspects) else result
 

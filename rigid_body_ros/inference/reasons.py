@@ -77,7 +77,14 @@ def halves(solution: Solution) -> tuple[list[Reason], dict[str, float], float]:
     return reasons, drift, ratio
 
 
-def of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+def tests_of(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+    """Generate the reasons against the model that its errors give, from noise of a given form."""
+    yield from _of_noise(solution, found)
+    yield from _of_outliers(solution)
+    yield from _of_correlation(solution, found)
+
+
+def _of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     """
     Generate a reason against the model for each channel whose noise is too large.
 
@@ -107,7 +114,7 @@ def of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
                          f'{given:.2g}')
 
 
-def of_outliers(solution: Solution) -> Iterator[Reason]:
+def _of_outliers(solution: Solution) -> Iterator[Reason]:
     """Generate a reason against the model for each channel with clustered or too many outliers."""
     for one in of_training(solution):
         bad = ~one.inliers
@@ -120,7 +127,7 @@ def of_outliers(solution: Solution) -> Iterator[Reason]:
                          share > _MOST_OUTLIERS)
 
 
-def of_correlation(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+def _of_correlation(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     """
     Generate a reason against the model for each channel with errors that persist.
 
