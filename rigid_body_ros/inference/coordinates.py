@@ -17,17 +17,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import COLUMNS, entries, Floats, ROWS, symmetric
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.parameters import (
     components_of,
-    field_of,
     is_of_sensor,
     kind_of,
     KINDS,
@@ -77,20 +76,26 @@ class Physics:
 
     Attributes
     ----------
-    inertia : array, shape (3, 3), kg m^2, body axes
-    damping : array, shape (3, 3), N m s/rad, body axes
     values : dict of str to array
-        The other fitted parameters by name. If a parameter applies to only one sensor, its name
-        ends in `@TOPIC`.
+        The inertia, the damping and all fitted parameters by name. If a parameter applies to only
+        one sensor, its name ends in `@TOPIC`.
     gravity : array, shape (3,), m/s^2, space axes
         The acceleration of gravity that acts on the weight.
 
     """
 
-    inertia: Floats
-    damping: Floats
-    values: Mapping[str, Floats] = field(default_factory=dict)
+    values: Mapping[str, Floats]
     gravity: Sequence[float] = GRAVITY
+
+    @cached_property
+    def inertia(self) -> Floats:
+        """Return the inertia in body axes, kg m^2, shape (3, 3)."""
+        return symmetric(self.value('inertia'))
+
+    @cached_property
+    def damping(self) -> Floats:
+        """Return the damping in body axes, N m s/rad, shape (3, 3)."""
+        return symmetric(self.value('damping'))
 
     @cached_property
     def body(self) -> RigidBody:
@@ -125,9 +130,8 @@ class Physics:
 
     def of_motion(self) -> bytes:
         """Return everything that changes the motion, as bytes: not the values of the sensors."""
-        return b''.join((self.inertia.tobytes(), self.damping.tobytes(), *(
-            value.tobytes() for name, value in self.values.items()
-            if not is_of_sensor(name))))
+        return b''.join(value.tobytes() for name, value in self.values.items()
+                        if not is_of_sensor(name))
 
     def acting(self, fields: Sequence[Field]) -> list[Field]:
         """Return `fields` with fitted moments, followed by the weight if the weight is fitted."""
@@ -316,8 +320,9 @@ class Parameters:
         for name in self.groups:
             part = point[first:first + len(components_of(name))]
             first += len(part)
-            change = self._plain if plain else self._value
-            physics = replace(physics, **change(name, part, physics))
+            values = (self._plain if plain else self._value)(name, part, physics)
+            physics = physics.with_value('inertia' if name == 'inertia_diagonal' else name,
+                                         np.abs(values) if name == 'torque_lag' else values)
         return physics
 
     def _coordinates(self, name: str, physics: Physics) -> Floats:
@@ -327,35 +332,33 @@ class Parameters:
             return logarithms if name == 'inertia_diagonal' else np.append(
                 logarithms, factor[[1, 2, 2], [0, 0, 1]])
         if name == 'damping':
-            scale = self._scales[name][0]
-            damping = physics.damping / scale
+            damping = physics.damping / self._scales[name][0]
             factor = np.linalg.cholesky(damping + _LITTLE * np.eye(3))
             return entries(factor.T)
         return _values(name, physics) / self._scale(name)
 
-    def _value(self, name: str, part: Floats, physics: Physics) -> dict[str, Any]:
+    def _value(self, name: str, part: Floats, physics: Physics) -> Floats:
+        if name == 'damping':
+            factor = np.zeros((3, 3))
+            factor[COLUMNS, ROWS] = part
+            return entries(self._scales[name][0] * factor @ factor.T)
+        if not name.startswith('inertia'):
+            return part * self._scale(name)
         if name == 'inertia':
             factor = np.diag(np.exp(part[:3]))
             factor[[1, 2, 2], [0, 0, 1]] = part[3:]
             factor *= self._size
-            return {'inertia': inertia_of(factor @ factor.T)}
-        if name == 'inertia_diagonal':
+        else:
             factor = _with_products(self._size * np.exp(part), self._moments)
-            return {'inertia': inertia_of(factor @ factor.T)}
-        if name == 'damping':
-            factor = np.zeros((3, 3))
-            factor[COLUMNS, ROWS] = part
-            return {'damping': self._scales[name][0] * factor @ factor.T}
-        return _attribute(name, part * self._scale(name), physics)
+        return entries(inertia_of(factor @ factor.T))
 
-    def _plain(self, name: str, part: Floats, physics: Physics) -> dict[str, Any]:
-        scaled = part * self._scale(name)
-        if name.startswith('inertia'):
-            rest = np.zeros(6 - len(part))
-            return {'inertia': physics.inertia + symmetric(np.append(scaled, rest))}
+    def _plain(self, name: str, part: Floats, physics: Physics) -> Floats:
+        change = part * self._scale(name)
         if name == 'damping':
-            return {'damping': physics.damping + symmetric(_OF_DIRECTIONS @ scaled)}
-        return _attribute(name, _values(name, physics) + scaled, physics)
+            change = _OF_DIRECTIONS @ change
+        if name == 'inertia_diagonal':
+            change, name = np.append(change, np.zeros(3)), 'inertia'
+        return _values(name, physics) + change
 
 
 def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, Prior]:
@@ -431,16 +434,6 @@ def _scales(inertia: Floats, magnitudes: Magnitudes) -> dict[str, Floats]:
 
 
 def _values(name: str, physics: Physics) -> Floats:
-    if name.startswith('inertia'):
-        return entries(physics.inertia)[:len(components_of(name))]
-    if name == 'damping':
-        return entries(physics.damping)
-    if field_of(name):
-        return physics.values[name]
+    if name == 'inertia_diagonal':
+        return physics.value('inertia')[:3]
     return physics.value(*split_topic(name))
-
-
-def _attribute(name: str, values: Floats, physics: Physics) -> dict[str, Any]:
-    if name == 'torque_lag':
-        values = np.abs(values)
-    return {'values': {**physics.values, name: values}}

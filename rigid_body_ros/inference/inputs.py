@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import cast
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.coordinates import (
     GRAVITY,
@@ -154,7 +154,8 @@ def setup_of(problems: Sequence[Problem], channels: list[list[Measured]], names:
         elif kind == 'torque_lag':
             values[name] = np.array([SHORT_LAG])
     is_fitted = not {'inertia', 'inertia_diagonal'}.isdisjoint(names)
-    guess = Physics(lifted(body.inertia) if is_fitted else body.inertia, body.damping, values,
+    inertia = lifted(body.inertia) if is_fitted else body.inertia
+    guess = Physics({'inertia': entries(inertia), 'damping': entries(body.damping), **values},
                     gravity)
     strengths = {f'{one.name}.{MOMENT}': float(np.linalg.norm(one.field)) for one in fields
                  if isinstance(one, UniformField) and one.name and np.any(one.field)}
@@ -186,10 +187,10 @@ def setup_of_sensors(motion: Motion, channels: list[Measured],
     problem = cast(Problem, motion)  # a recorded motion has what windows need of a problem
     inertia, damping = (np.eye(3), np.zeros((3, 3))) if isinstance(motion, Recorded) else (
         motion.body.inertia, motion.body.damping)
+    guess = Physics({'inertia': entries(inertia), 'damping': entries(damping), **values})
     rate = typical_rate(channels)
     span_ns = max(int(np.ptp(one.stamps_ns)) for one in channels)
-    parameters = Parameters([*values], Physics(inertia, damping, values),
-                            Magnitudes(rate, 0.0, 1e-9 * span_ns, {}))
+    parameters = Parameters([*values], guess, Magnitudes(rate, 0.0, 1e-9 * span_ns, {}))
     return Setup([problem], [channels], parameters, rate, fits_start, None, None, [None])
 
 

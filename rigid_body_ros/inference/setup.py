@@ -17,11 +17,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.inference.coordinates import Parameters, Physics
 from rigid_body_ros.inference.motion import span_of
 from rigid_body_ros.inference.parameters import LONGEST_DELAY, SPACE
@@ -68,7 +68,8 @@ class Setup:
 
         The fit may start from a different inertia if the given body is too flat.
         """
-        return replace(self.parameters.guess, inertia=self.problems[0].body.inertia)
+        return self.parameters.guess.with_value('inertia', entries(
+            self.problems[0].body.inertia))
 
     @property
     def axial_tensor(self) -> Floats:
