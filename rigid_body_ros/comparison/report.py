@@ -21,8 +21,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.result import Comparison, Errors, QUANTITIES
-from rigid_body_ros.inference.errors import rms
+from rigid_body_ros.comparison.result import Comparison, Errors, QUANTITIES, statistics
 from rigid_body_ros.inference.motion import Motion
 from rigid_body_ros.inference.noise import spread_of
 from rigid_body_ros.inference.torque_panels import residual_panels
@@ -87,9 +86,8 @@ def _size(comparison: Comparison, degrees: bool) -> str:
     """
     label, unit, attribute = next(each for each in QUANTITIES if comparison.of(each[2]))
     factor, unit = scaled(unit, degrees)
-    errors = comparison.pooled(attribute)
-    assert errors is not None
-    return f'{label} {factor * rms(errors):.3g} {unit} (rms) over {comparison.span_s:.3g} s'
+    size = factor * statistics(comparison.pooled(attribute))['rms']
+    return f'{label} {size:.3g} {unit} (rms) over {comparison.span_s:.3g} s'
 
 
 def _panels(comparison: Comparison, aligned: Sequence[Measured],

@@ -198,7 +198,9 @@ class Monitor:
             # Start at the end of the previous window, where the rotor momentum is known.
             problem = self._between(self._begin_ns or begin_ns, end_ns, self._momentum)
             sensors = self._measured_between(begin_ns, end_ns)
-            levels = [self._noise(sensor.topic) for sensor in sensors]
+            levels = [self.noises.setdefault(sensor.topic, (
+                NoiseLevel(self._settings.attitude_noise), NoiseLevel(self._settings.rate_noise)))
+                for sensor in sensors]
             self.notes = {sensor.topic: note for sensor in sensors for note
                           in sensor.account.notes}
             error = None
@@ -314,10 +316,6 @@ class Monitor:
             start=replace(start, time_ns=rest_ns), wheels=wheels, log=[*logs.values()],
             actuator=[self._actuators[source] for source in logs] if self._actuators else None)
         return problem.replaced(start=start)
-
-    def _noise(self, topic: str) -> tuple[NoiseLevel, NoiseLevel]:
-        return self.noises.setdefault(topic, (NoiseLevel(self._settings.attitude_noise),
-                                              NoiseLevel(self._settings.rate_noise)))
 
 
 def monitored(problem: Problem, sensors: Sequence[Measured], settings: Settings
