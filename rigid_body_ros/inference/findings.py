@@ -42,9 +42,9 @@ from rigid_body_ros.inference.fit import LeastSquares
 from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
 from rigid_body_ros.inference.misfit import at_rest, left_by, scattered, with_persistence
-from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise, tail
+from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise, SMALLEST, tail
 from rigid_body_ros.inference.parameters import components_of
-from rigid_body_ros.inference.reasons import halves, probability, Reason, tests_of
+from rigid_body_ros.inference.reasons import halves, MISFIT, probability, Reason, tests_of
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
 from rigid_body_ros.inference.suspects import candidates, extended, Suspect
@@ -64,15 +64,10 @@ LARGE = 0.5
 #: The noise of a recorded motion is not well known, so a suspect must lower the chi-square by more
 #: than this fraction of the number of errors.
 _VISIBLE = 0.3
-#: Starts that differ by less than this, rad or relative to the rate, count as equal.
-_SAME_START = 1e-7
 #: A change in the inertia is suspected only if the fractions of outliers before and after the
 #: change differ by at least this much, and not in this fraction of the samples at either end.
 _APART, _EDGE = 0.4, 0.1
 INERTIA_CHANGE = 'inertia_change'
-#: A model that leaves more than this of a channel unexplained, rad or relative to the rates, is
-#: rejected.
-_MISFIT = 0.1
 #: Number of suspects that are fitted because they would explain much if the errors did not last.
 _SHARP = 2
 
@@ -196,7 +191,7 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
     suspects = _significant([*faults_of_outliers(solution), *blunt, *_largest(
         [*_changes(solution), *_breaks(solution)])])
     contradictions, drift, apart = halves(solution)
-    reasons = [*(Reason(text, part > _MISFIT) for text, part in left_by(solution)),
+    reasons = [*(Reason(text, part > MISFIT) for text, part in left_by(solution)),
                *contradictions,
                *(one for one in findings.reasons if not one.is_contradiction)]
     texts, scatter = scattered(solution)
@@ -213,7 +208,7 @@ def start_suspect(solution: Solution) -> Suspect | None:
     turned = so3.log(so3.multiply(so3.conjugate(states.attitude[0]), given.attitude))
     faster = given.angular_velocity - states.angular_velocity[0]
     change = np.append(turned, faster / setup.rate)[unknown]
-    if np.abs(change).max() < _SAME_START:
+    if np.abs(change).max() < SMALLEST:
         return None
     slopes = problem.derivatives(0, solution.physics)[:len(unknown)]
     drop = float(np.sum((change @ slopes) ** 2))

@@ -24,16 +24,16 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.inference.noise import JUMP
+from rigid_body_ros.inference.noise import FEWEST, JUMP
 from rigid_body_ros.mechanics import hermite, so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.recording.measured import Measured
 
-#: Lengths of the parts that `Recorded.of_attitudes` tries, s; minimum number of samples in a part;
-#: and by how much the errors may exceed those of the next shorter parts.
-_PARTS, _FEWEST, _AS_GOOD = (1.0, 0.5, 0.25, 0.125, 0.06, 0.0), 5, 1.15
+#: Lengths of the parts that `Recorded.of_attitudes` tries, s, and by how much the errors may
+#: exceed those of the next shorter parts.
+_PARTS, _AS_GOOD = (1.0, 0.5, 0.25, 0.125, 0.06, 0.0), 1.15
 #: A part, or the time between two parts, has a gap if it is longer than usual by this factor.
 _GAP = 1.5
 #: The noise is estimated from this quantile of the squared errors of the parts.
@@ -96,10 +96,11 @@ class Recorded:
         alone = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))
         sensor = sensor.rows(alone <= JUMP * np.median(steps[steps > 0.0]))
         spacing = max(1e-9 * float(np.median(np.diff(sensor.stamps_ns))), 1e-9)
-        if len(sensor) < 2 * _FEWEST:  # at least two parts are needed to interpolate
-            raise InputError(f'{sensor.topic}: expected at least {2 * _FEWEST} attitudes that '
+        if len(sensor) < FEWEST:
+            raise InputError(f'{sensor.topic}: expected at least {FEWEST} attitudes that '
                              f'are not outliers, found {len(sensor)}')
-        halves = [min(max(round(0.5 * length / spacing), _FEWEST // 2),
+        fewest = FEWEST // 2  # because at least two parts are needed to interpolate
+        halves = [min(max(round(0.5 * length / spacing), fewest // 2),
                       (len(sensor) // 2 - 1) // 2) for length in _PARTS]
         fits = [_polynomials(sensor, half) for half in dict.fromkeys(halves)]
         longest = next((k for k, (fit, shorter) in enumerate(pairwise(fits))
@@ -108,7 +109,7 @@ class Recorded:
         motion, _ = fits[min(longest + 1, len(fits) - 1)]
         if len(motion) < 2:
             raise InputError(f'{sensor.topic}: expected attitudes without so many gaps, found '
-                             f'{len(motion)} parts with at least {_FEWEST} samples')
+                             f'{len(motion)} parts with at least {fewest} samples')
         return cls(motion, sensor, int(np.median(np.diff(motion.stamps_ns))))
 
     def is_known(self, times_ns: NDArray[np.int64]) -> NDArray[np.bool_]:

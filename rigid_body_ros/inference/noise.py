@@ -36,8 +36,9 @@ NORMAL = 1.4826
 #: usual by this factor: no body jumps to some state and back.
 JUMP = 10.0
 #: The noise of an axis is at least this fraction of that of all axes, because one axis of a sensor
-#: may be stuck, and at least the second number, rad or rad/s.
-LEAST, _ROUNDING = 1e-3, 1e-7
+#: may be stuck, and at least the second number, rad or rad/s. Starts that differ by less count as
+#: equal.
+LEAST, SMALLEST = 1e-3, 1e-7
 #: Maximum number of previous samples that a sample may depend on.
 _ORDER = 3
 #: Largest `Noise.lasting` that a sensor may have. An autoregression with the single coefficient
@@ -233,7 +234,7 @@ def spread_of(stamps_ns: NDArray[np.int64], errors: Floats,
         left = errors[1:-1] - (1.0 - share) * errors[:-2] - share * errors[2:]
     sizes = NORMAL * np.median(np.abs(left) / np.sqrt(
         1.0 + share ** 2 + (1.0 - share) ** 2), axis=0)
-    return np.maximum(sizes, max(LEAST * float(sizes.max()), _ROUNDING))
+    return np.maximum(sizes, max(LEAST * float(sizes.max()), SMALLEST))
 
 
 def with_bound(sigma: ArrayLike, bound: ArrayLike) -> Floats:

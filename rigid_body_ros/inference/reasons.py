@@ -30,9 +30,12 @@ from rigid_body_ros.inference.suspects import extended
 
 #: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0
-#: Largest plausible noise of an attitude sensor, in rad, and of a gyro, in rad/s or, if this is
-#: more, as a fraction of the measured rates.
-_NOISIEST_ATTITUDE, _NOISIEST_RATE = 0.1, 0.3
+#: A model that leaves more than this of a channel unexplained, rad or relative to the rates, is
+#: rejected. No attitude sensor is noisier than this.
+MISFIT = 0.1
+#: Largest plausible noise of a gyro, in rad/s or, if this is more, as a fraction of the measured
+#: rates.
+_NOISIEST_RATE = 0.3
 #: The errors of a recording may be this many times as large as those of most others.
 _NOISIER = 4.0
 #: Largest plausible fraction of outliers among the samples of a sensor.
@@ -95,7 +98,7 @@ def _of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     setup, every = solution.problem.setup, of_training(solution)
     for one, noise in zip(every, chain(*found)):
         size = rms(one.kept) / np.sqrt(3.0)
-        if one.is_attitude and size > _NOISIEST_ATTITUDE:
+        if one.is_attitude and size > MISFIT:
             yield Reason(f'{one.topic}: attitude errors of {size:.2g} rad are not the noise of a '
                          'sensor', True)
         elif not one.is_attitude and size > _NOISIEST_RATE * max(

@@ -259,8 +259,9 @@ def _solved(times_ns: NDArray[np.int64], states: Poses, derivatives: Floats,
     for sensor, levels in zip(sensors, noises):
         rows = np.searchsorted(times_ns, sensor.stamps_ns)
         found = errors_of(sensor, states.rows(rows))
+        parts = [*zip(found, (slice(0, 3), slice(3, 6)), levels)]
         # Without corrections of the attitude, only the angular velocities are used.
-        for errors, part, level in [*zip(found, (slice(0, 3), slice(3, 6)), levels)][count < 6:]:
+        for errors, part, level in parts if count == 6 else parts[1:]:
             if errors is None or not len(errors):
                 continue
             kept = _usual(errors, level.stated)
