@@ -289,24 +289,17 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
 
     """
     attitude, velocity = fallback.attitude, fallback.angular_velocity
-    has_rate = False
-    for channel in channels:
-        if channel.is_attitude or has_rate:
-            continue
-        near = _near(channel, time_ns, rate)
-        if len(near):
-            velocity = _robust_line((near.stamps_ns - time_ns) * 1e-9, near.values)[0]
-            has_rate = True
-    for channel in (one for one in channels if one.is_attitude):
-        near = _near(channel, time_ns, rate)
-        if not len(near):
-            continue
-        middle = near.values[np.argsort(near.stamps_ns)[len(near) // 2]]
-        turned = so3.log(so3.multiply(so3.conjugate(middle), near.values))
-        here, slope = _robust_line((near.stamps_ns - time_ns) * 1e-9, turned)
+    near = [one for channel in channels if len(one := _near(channel, time_ns, rate))]
+    rates = next((one for one in near if not one.is_attitude), None)
+    turns = next((one for one in near if one.is_attitude), None)
+    if rates is not None:
+        velocity, _ = _robust_line((rates.stamps_ns - time_ns) * 1e-9, rates.values)
+    if turns is not None:
+        middle = turns.values[np.argsort(turns.stamps_ns)[len(turns) // 2]]
+        turned = so3.log(so3.multiply(so3.conjugate(middle), turns.values))
+        here, slope = _robust_line((turns.stamps_ns - time_ns) * 1e-9, turned)
         attitude = so3.multiply(middle, so3.exp(here))
-        velocity = velocity if has_rate else slope
-        break
+        velocity = slope if rates is None else velocity
     return attitude, velocity
 
 
