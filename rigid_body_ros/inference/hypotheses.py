@@ -291,7 +291,8 @@ def _of_outliers(one: Residuals, start_ns: int) -> Iterator[tuple[str, str, NDAr
     apart = so3.angle_between if one.is_attitude else _distance
     still = _still(one.measured, one.computed, sigma, apart)
     if np.mean(still[bad]) > _MOST:
-        times, (name, what) = seconds[still], ('attitude', 'attitude') if one.is_attitude \
+        times = seconds[still]
+        name, what = ('attitude', 'attitude') if one.is_attitude \
             else ('rates', 'angular velocity')
         yield f'frozen_{name}', f'{one.topic}: the {what} is frozen in {still.sum()} samples ' \
             f'from {times[0]:.4g} s to {times[-1]:.4g} s after the start', still & bad
