@@ -13,15 +13,15 @@
 # limitations under the License.
 
 """
-Measure the cost of calls and of bodies, and compare elliptic functions and rotations with SciPy.
+Measure the cost of calls, bodies and derivatives, and compare functions with those of SciPy.
 
     python benchmarks/choices.py [SECTION ...]
 
 The sections are `calls` (from Python to a kernel), `bodies` (the constants of one body and of
-many), `elliptic` and `so3` (this package and SciPy). Times are processor times, the shortest of
-several. Errors are the largest differences from mpmath: relative ones for `elliptic`, and those of
-components for `so3`. Outside of kernels, the functions of `elliptic` run as plain Python, so they
-are not timed.
+many), `derivatives` (how many motions they take), `elliptic` and `so3` (this package and SciPy).
+Times are processor times, the shortest of several. Errors are the largest differences from mpmath:
+relative ones for `elliptic`, and those of components for `so3`. Outside of kernels, the functions
+of `elliptic` run as plain Python, so they are not timed.
 """
 
 import argparse
@@ -74,6 +74,26 @@ def bodies():
         many = seconds(partial(RigidBodies, tensors, damping)) / len(tensors)
         one = sum(seconds(partial(RigidBody, tensor, damping)) for tensor in tensors[:20]) / 20
         print(f'bodies: {name:12} {1e6 * many:.1f} us of many, {1e6 * one:.0f} us alone')
+
+
+def derivatives():
+    """Print the time of a motion, and of its derivatives by 1, 9 and 24 numbers."""
+    from rigid_body_ros import Problem, RigidBody, State, TorqueLog
+    start, full = State(angular_velocity=(0.5, -0.7, 0.9)), RigidBody.from_moments(
+        1.1, 2.0, 2.7, 0.15, 0.05, -0.2)
+    log = TorqueLog(np.arange(60_000) * 10 ** 6, RANDOM.normal(size=(60_000, 3)) * 0.01)
+    for name, torques, at in (
+            ('a torque for 1000 s', TorqueLog([0], [[0.01, 0.02, 0.0]]), [1000 * 10 ** 9]),
+            ('a minute at 1 kHz', log, [60 * 10 ** 9])):
+        problem = Problem(full, start, torques)
+        one = seconds(partial(problem.propagate, at=at))
+        print(f'derivatives: {name}: {1e3 * one:.2f} ms', end='')
+        for names in (['torque_gain'], ['inertia', 'torque_bias'], [
+                'inertia', 'start', 'torque_gains', 'torque_bias', 'damping']):
+            found = problem.derivatives(names, at=at)
+            more = seconds(partial(problem.derivatives, names, at=at))
+            print(f'; by {len(found.names)}: {more / one:.1f} times', end='')
+        print()
 
 
 def elliptic():
@@ -143,7 +163,8 @@ def largest(found, exact):
     return float(np.max(np.abs(np.asarray(found) / exact - 1)))
 
 
-SECTIONS = {'calls': calls, 'bodies': bodies, 'elliptic': elliptic, 'so3': rotations}
+SECTIONS = {'calls': calls, 'bodies': bodies, 'derivatives': derivatives, 'elliptic': elliptic,
+            'so3': rotations}
 
 
 def main():

@@ -53,6 +53,14 @@ log = TorqueLog([0, 20 * 10 ** 9], [[0.02, -0.01, 0.03], [0.0, 0.03, 0.01]])
 motion = propagate_many(bodies, starts, log, at=[50 * 10 ** 9])
 print(*(x.hex() for x in motion.attitude.ravel().tolist()))
 """
+TANGENTS = """
+from rigid_body_ros import Problem, RigidBody, State, TorqueLog
+problem = Problem(RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05), State(
+    0, angular_velocity=(0.5, -0.7, 0.9), rotor_momentum=(0.1, 0.0, 0.2)), TorqueLog(
+        [0, 10 ** 8], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]]))
+found = problem.derivatives(['inertia', 'torque_gains', 'start'], at=[3 * 10 ** 8])
+print(*(x.hex() for each in found[1:] for x in each.ravel().tolist()))
+"""
 #: The instruction levels of the module; tests skip levels that this processor does not support.
 LEVELS = [pytest.param(level, marks=pytest.mark.skipif(
     level not in _compiled.LEVELS, reason=f'this processor lacks {level}'))
@@ -86,6 +94,12 @@ def test_every_level_gives_many_motions_the_same_bits(level):
     assert result.stderr == ''
     numbers = [*map(float.fromhex, result.stdout.split())]
     assert numbers == [number for motion in alone for number in motion.attitude[0].tolist()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('level', [*LEVELS, 'python'])
+def test_every_level_and_plain_python_give_derivatives_the_same_bits(level):
+    assert run(TANGENTS, RIGID_BODY_ROS_KERNELS=level) == run(TANGENTS)
 
 
 @pytest.mark.slow
@@ -158,21 +172,27 @@ class Good:
         self.leaves, self.written, self.optional = {}, set(), set()
         self.values = {name: self._value(hint, name) for name, hint in hints.items()}
 
-    def _value(self, hint, label):
+    def _value(self, hint, label, absent=()):
         if get_origin(hint) in (Union, UnionType):
             self.optional.add(label)
             hint = self._choose.choice(get_args(hint))
-        if get_origin(hint) is Annotated:
+        if get_origin(hint) is Annotated and hasattr(get_args(hint)[0], '_fields'):
+            hint, *absent = get_args(hint)
+        elif get_origin(hint) is Annotated:
             return self._array(label, *get_args(hint))
         self.leaves[label] = hint
         if hasattr(hint, '_fields'):
-            return hint(*(self._value(part, f'{label}.{name}')
-                          for name, part in self._fields(hint).items()))
+            return hint(*(self._value(part, f'{label}.{name}', absent)
+                          for name, part in self._fields(hint, absent).items()))
         return None if hint is type(None) else hint(0)
 
-    def _fields(self, hint):
+    def _fields(self, hint, absent):
         """Return the annotations of a named tuple; of those that are combined, choose some."""
         hints = get_type_hints(hint, include_extras=True)
+        if absent:
+            return {name: type(None) if name in absent else get_args(part)[0]
+                    if get_origin(part) in (Union, UnionType) else part
+                    for name, part in hints.items()}
         if given := getattr(hint, 'combinations', None):
             chosen = self._choose.choice(given)
             return {name: part if get_origin(part) not in (Union, UnionType) else

@@ -62,6 +62,7 @@ SIGNATURES = [
     (Problem, 'body, start, log=None, *, wheels=None, efforts=None, fields=(), changes=None, '
               f'actuator=None, {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
+    (Problem.derivatives, 'self, names, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
            "wheel_command=None, inertia=None, interpolation=None, time_source='header', "
            'columns=None'),

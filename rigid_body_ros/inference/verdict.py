@@ -172,9 +172,12 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
     best = max((one.chi2_drop for one in attempts), default=0.0)
     counted = [move for suspect, move in zip(attempts, moved)
                if suspect.chi2_drop >= _COUNTS * best]
-    parts = [findings.drift, *counted]
-    systematic = {name: float(np.sqrt(np.nansum([one.get(name, 0.0) ** 2 for one in parts])))
-                  for name in dict.fromkeys(name for one in parts for name in one)}
+    # Either a suspect is the cause, or it is not: half the square of the change is the variance.
+    # A bound, as for `with_bound`, has this variance if its square is larger by one half.
+    parts = [(1.0, findings.drift), *((1.5, move) for move in counted)]
+    systematic = {name: float(np.sqrt(np.nansum([factor * one.get(name, 0.0) ** 2
+                                                 for factor, one in parts])))
+                  for name in dict.fromkeys(name for _, one in parts for name in one)}
     is_rejected = not attempts and any(one.is_contradiction for one in findings.reasons)
     verdict = _judged(findings, suspects, is_rejected)
     return verdict, {} if verdict.is_consistent else systematic

@@ -86,7 +86,8 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
                                 body, loads)
         reached = stepping.advance(
             grid, now_ns, time_ns, drive, body, method, table, budget, loads,
-            Tangents(latest, derivatives, have_constants, torques, work, row, degree))
+            Tangents(latest, derivatives, have_constants, torques, work, len(rows.times_ns),
+                     row, degree))
         budget = reached.budget
         if reached.arrived:
             grid, now_ns = reached.latest, time_ns

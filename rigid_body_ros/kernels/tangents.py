@@ -79,12 +79,13 @@ class Tangents(NamedTuple):
     constants: Floats
     #: bool (g,): whether any derivative of a constant is not zero.
     have_constants: NDArray[np.bool_]
-    #: float64 (3 (d + 1) n g, LANES): the derivatives dtau in each of n rows, as polynomials of
-    #: degree d in the variable of the row. The array is empty if all are zero.
+    #: float64 (3 (d + 1) n t, LANES): the derivatives dtau in each of n rows, as polynomials of
+    #: degree d in the variable of the row, for the last t groups. They are zero for the others.
     torques: Floats
     #: float64 (WORKSPACE, LANES)
     work: Floats
-    #: The row in force, and the degree of the polynomials.
+    #: The number of rows, the row in force, and the degree of the polynomials.
+    rows: int
     row: int
     degree: int
 
@@ -137,13 +138,13 @@ def follow(found: Tangents | None, table: Floats, order: int, span: Span,
     """
     if found is None:
         return
-    groups = len(found.have_constants)
-    size = len(found.torques) // groups
+    groups, size = len(found.have_constants), 3 * (found.degree + 1) * found.rows
     for i in range(groups):
+        end = len(found.torques) - size * (groups - i - 1)
         _extend(found.latest[SIZE * i:SIZE * i + SIZE],
                 found.constants[CONSTANTS * i:CONSTANTS * i + CONSTANTS],
-                found.torques[size * i:size * i + size], found, found.have_constants[i], table,
-                order, span, coefficients, drive, loads)
+                found.torques[max(end - size, 0):max(end, 0)], found, found.have_constants[i],
+                table, order, span, coefficients, drive, loads)
 
 
 @internal

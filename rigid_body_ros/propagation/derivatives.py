@@ -91,7 +91,8 @@ def derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike) -> D
         yet, a time is before the start, or the body turns too fast.
 
     """
-    components = _components(names)
+    # Tangents with gains come last, because others have no derivatives of the torques.
+    components = sorted(_components(names), key=lambda component: component.part == _GAINS)
     _check(problem, names)
     times_ns, ascends, _ = checked_times(at, problem.start.time_ns)
     order = slice(None) if ascends else np.argsort(times_ns, kind='stable')
@@ -178,4 +179,5 @@ def _torques(rows: Rows, gains: Floats) -> Floats:
     if not gains.any():
         return np.empty((0, LANES))
     on_body = rows.torques[:, :rows.torques.shape[1] // 2 + 1] + rows.terms.motors
+    gains = gains[gains.any(axis=1).argmax() // LANES * LANES:]
     return _in_lanes((gains[:, None, None] * on_body).reshape(len(gains), -1))

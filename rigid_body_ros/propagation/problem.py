@@ -189,6 +189,7 @@ class Problem(MotionInputs):
         Returns
         -------
         Derivatives
+            Gains come last, otherwise in the order of `names`.
 
         Raises
         ------
