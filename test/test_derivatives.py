@@ -17,7 +17,16 @@
 from derivatives_truth import CASES, FULL, SECOND, TRUTH
 import numpy as np
 import pytest
-from rigid_body_ros import Problem, RigidBody, State, TorqueLog, UniformField, Wheel
+from rigid_body_ros import (
+    Actuator,
+    EffortLog,
+    Problem,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+    Wheel,
+)
 from rigid_body_ros.engine import layout
 
 NAMES = ['inertia', 'start', 'torque_gains', 'torque_bias', 'damping', 'rotor_momentum']
@@ -92,6 +101,28 @@ def test_derivatives_are_the_limits_of_differences(interpolation, has_wheels, in
     assert compared >= 18
 
 
+@pytest.mark.parametrize('name', ['inertia.ixz', 'initial_angular_velocity.x'])
+def test_wheels_that_turn_with_the_body_and_actuators_have_derivatives(name):
+    wheels = [Wheel('a', (1.0, 0.0, 0.0), 0.1, 20.0), Wheel('b', (0.6, 0.0, 0.8), 0.05)]
+    efforts = EffortLog([0, SECOND], [[0.1, -0.2], [0.0, 0.3]])
+    log = TorqueLog([0, SECOND], [[0.3, -0.2, 0.1], [0.0, 0.1, -0.4]])
+
+    def changed(change):
+        inertia, rates = FULL.copy(), np.array([0.5, -0.7, 0.9])
+        if name.startswith('inertia'):
+            inertia[0, 2] = inertia[2, 0] = inertia[0, 2] + change
+        else:
+            rates[0] += change
+        return Problem(RigidBody(inertia), State(0, angular_velocity=rates), log, wheels=wheels,
+                       efforts=efforts, actuator=Actuator(delay=0.35, limit=(0.25, 0.25, 0.25)))
+    at, step = [5 * SECOND], 2e-4
+    found = changed(0.0).derivatives(['inertia', 'start'], at=at)
+    rate = sum(weight / step * changed(places * step).propagate(at=at).angular_velocity
+               for places, weight in WEIGHTS.items())
+    np.testing.assert_allclose(found.angular_velocity[..., found.names.index(name)], rate,
+                               rtol=1e-10)
+
+
 def test_the_gain_of_all_axes_is_the_sum_of_the_gains():
     at = [5 * SECOND]
     one, each = (problem().derivatives([name], at=at) for name in ('torque_gain', 'torque_gains'))
@@ -134,7 +165,9 @@ def test_wrong_names_are_named(names, expected):
 
 @pytest.mark.parametrize(('inputs', 'expected'), [
     ({'fields': [UniformField((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))]}, 'fields'),
-    ({'wheels': [Wheel('a', (1.0, 0.0, 0.0), 0.1)]}, 'named wheels'),
+    ({'wheels': [Wheel('a', (1.0, 0.0, 0.0), 0.1, friction=0.1)]}, 'wheels with friction'),
+    ({'actuator': Actuator(delay=0.1), 'log': TorqueLog([0], [[0.0, 0.1, 0.0]])},
+     'gains of actuators'),
     ({'log': TorqueLog([0], [[0.0, 0.1, 0.0]], 'space')}, 'gains of torques in space axes')])
 def test_what_has_no_derivatives_yet_is_named(inputs, expected):
     given = Problem(RigidBody(FULL), State(), **inputs)

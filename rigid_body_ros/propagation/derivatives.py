@@ -119,15 +119,19 @@ def _components(names: Sequence[str]) -> list[_Component]:
 
 def _check(problem: MotionInputs, names: Sequence[str]) -> None:
     """Raise ValueError if the problem has what has no derivatives yet."""
-    found = [text for text, has in (
-        ('fields', problem.fields), ('a body that changes', problem.changes),
-        ('named wheels', problem.named_wheels), ('actuators', problem.actuators)) if has]
-    if any(name.startswith('torque_gain') for name in names) and any(
-            log.in_space.any() for log in problem.logs):
-        found.append('gains of torques in space axes')
-    if found:
-        raise ValueError(f'derivatives: expected a problem without {found[0]}, which has no '
-                         'derivatives yet')
+    has_gains = any(name.startswith('torque_gain') for name in names)
+    wheels = problem.named_wheels
+    for text, has in (
+            ('fields', problem.fields), ('bodies that change', problem.changes),
+            ('wheels with friction or a largest speed', problem.has_friction or (
+                wheels and wheels.is_limited)),
+            ('torques that lag', problem.lagging()),
+            ('gains of actuators', has_gains and problem.actuators),
+            ('gains of torques in space axes', has_gains and any(
+                log.in_space.any() for log in problem.logs))):
+        if has:
+            raise ValueError(f'derivatives: expected a problem without {text}, which have no '
+                             'derivatives yet')
 
 
 def _computed(problem: MotionInputs, seeds: dict[str, Floats],
@@ -135,6 +139,11 @@ def _computed(problem: MotionInputs, seeds: dict[str, Floats],
     """Return the tangents at ascending times, shape (m, tangents.SIZE, components)."""
     integration = Integration(problem)
     timeline, progress = integration._timeline, integration._progress
+    carrier = integration._carrier
+    if problem.named_wheels:  # they turn with the body when the motion starts
+        axial = problem.body_at(problem.start.time_ns).inertia - carrier.inertia
+        seeds[_CONSTANTS][:, tangents.MOMENTUM:tangents.DAMPING] += seeds[_START][
+            :, tangents.RATE:tangents.ROTATION] @ axial
     latest, constants = _in_lanes(seeds[_START]), _in_lanes(seeds[_CONSTANTS])
     has_constants = np.asarray(constants.reshape(-1, tangents.CONSTANTS * LANES).any(axis=1))
     requested = np.zeros((len(times_ns), *latest.shape))
@@ -145,7 +154,7 @@ def _computed(problem: MotionInputs, seeds: dict[str, Floats],
         progress['row'] -= first
         progress['stop'] = end - first
         while result := kernels.run_tangents(
-                progress, times_ns, rows, problem.body._constants, problem.options.method, latest,
+                progress, times_ns, rows, carrier._constants, problem.options.method, latest,
                 constants, has_constants, torques, requested, work):
             if result == layout.TOO_FAST:
                 raise problem.options.too_fast(int(progress['grid_ns'][0]))

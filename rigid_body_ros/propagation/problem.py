@@ -195,8 +195,8 @@ class Problem(MotionInputs):
         ------
         ValueError
             A name is unknown or given twice, no name is given, a time is before the start, or the
-            body turns too fast. Problems with fields, actuators, named wheels or changes of the
-            body, and gains of torques in space axes, are not supported yet.
+            body turns too fast. Fields, lags, friction and largest speeds of wheels, bodies that
+            change, and gains of actuators and of torques in space axes have no derivatives yet.
 
         """
         return derivatives(self, names, at)
