@@ -58,7 +58,7 @@ from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, optional, scratch
 from rigid_body_ros.kernels.lag_series import WORKSPACE as LAG_WORKSPACE
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
-from rigid_body_ros.kernels.tangents import follow, least_order, Span, Tangents
+from rigid_body_ros.kernels.tangents import follow, least_order, StepSpan, Tangents
 
 _RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULER
 
@@ -309,5 +309,6 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
     acting = _series(loads, now, stage, seconds)
     latest, order = taylor.step(state, seconds, body.coefficients, series, method.tolerance,
                                 table, acting, least_order(tangents, acting))
-    follow(tangents, table, order, Span(seconds, offset, ratio), body.coefficients, series, acting)
+    follow(tangents, table, order, StepSpan(seconds, offset, ratio), body.coefficients, series,
+           acting)
     return latest

@@ -90,7 +90,7 @@ class Tangents(NamedTuple):
     degree: int
 
 
-class Span(NamedTuple):
+class StepSpan(NamedTuple):
     """A step within a row: its length, s, and where it lies in the variable of the row."""
 
     seconds: float
@@ -116,7 +116,7 @@ def least_order(_found: Tangents, loads: taylor.SeriesLoads | None) -> int:
 
 
 @inlined
-def follow(found: Tangents | None, table: Floats, order: int, span: Span,
+def follow(found: Tangents | None, table: Floats, order: int, span: StepSpan,
            coefficients: Coefficients, drive: taylor.SeriesDrive,
            loads: taylor.SeriesLoads | None) -> None:
     """
@@ -128,7 +128,7 @@ def follow(found: Tangents | None, table: Floats, order: int, span: Span,
         None does nothing.
     table, order
         The table that `taylor.step` fills, and the order up to which it does.
-    span : Span
+    span : StepSpan
         The step.
     coefficients : Coefficients
         The coefficients of Euler's equations.
@@ -149,7 +149,7 @@ def follow(found: Tangents | None, table: Floats, order: int, span: Span,
 
 @internal
 def _extend(latest: Floats, constants: Floats, torques: Floats, found: Tangents,
-            has_constants: bool, table: Floats, order: int, span: Span,
+            has_constants: bool, table: Floats, order: int, span: StepSpan,
             coefficients: Coefficients, drive: taylor.SeriesDrive,
             loads: taylor.SeriesLoads | None) -> None:
     # Advance the tangents of a group.
@@ -216,7 +216,7 @@ def _products(work: Floats, table: Floats, k: int,
 
 
 @inlined
-def _derivative(torques: Floats, found: Tangents, k: int, span: Span) -> Vector:
+def _derivative(torques: Floats, found: Tangents, k: int, span: StepSpan) -> Vector:
     # Return the order-k term of dtau in the fraction of the step.
     total = of(lanes.zero(lanes.load(found.work, 0)), 0.0, 0.0)
     if len(torques) == 0 or found.row < 0 or k > found.degree:

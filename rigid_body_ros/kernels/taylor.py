@@ -354,7 +354,7 @@ def _add_start(table: Floats, total: Quaternion, factor: float) -> Quaternion:
 
 @inlined
 def linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector],
-                 loads: SeriesLoads) -> Vector:
+                loads: SeriesLoads) -> Vector:
     """Return the contribution of rotors and damping to the order-k term of the acceleration."""
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
