@@ -184,6 +184,9 @@ class Good:
             return self._array(label, *get_args(hint))
         self.leaves[label] = hint
         if hasattr(hint, '_fields'):
+            # Without one of its parts, a combination may be another one.
+            self.optional |= {f'{label}.{name}' for name, part in get_type_hints(
+                hint, include_extras=True).items() if get_origin(part) in (Union, UnionType)}
             return hint(*(self._value(part, f'{label}.{name}', absent)
                           for name, part in self._fields(hint, absent).items()))
         return None if hint is type(None) else hint(0)

@@ -214,7 +214,7 @@ def polynomial_of(polynomials: Floats, row: int, degree: int) -> vector.Polynomi
 def low_order_parts(torques: Floats, row: int) -> vector.Polynomial:
     """Return the low-order parts of the coefficients of the torque of a row."""
     none = four.broadcast(0.0)
-    if torques.shape[1] == 1:
+    if row < 0 or torques.shape[1] == 1:
         return none, none, none, none
     if torques.shape[1] == 3:
         return none, coefficient(torques, row, 2), none, none
