@@ -141,6 +141,16 @@ def test_derivatives_do_not_depend_on_what_else_is_asked():
     np.testing.assert_allclose(alone.attitude, one.attitude[-1:], rtol=1e-12)
 
 
+def test_every_solver_has_the_derivatives_of_the_series():
+    at = [5 * SECOND]
+    fixed = problem().solved_by(solver='rk4', max_step=0.01).derivatives(NAMES, at=at)
+    assert np.array_equal(fixed.attitude, problem().derivatives(NAMES, at=at).attitude)
+
+
+def test_no_times_have_no_derivatives():
+    assert problem().derivatives(['start'], at=[]).attitude.shape == (0, 3, 6)
+
+
 def test_a_long_motion_is_computed_in_several_calls(monkeypatch):
     at = [300 * SECOND]
     whole = problem().derivatives(['inertia'], at=at)

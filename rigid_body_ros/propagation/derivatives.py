@@ -137,7 +137,7 @@ def _check(problem: MotionInputs, names: Sequence[str]) -> None:
 def _computed(problem: MotionInputs, seeds: dict[str, Floats],
               times_ns: NDArray[np.int64]) -> Floats:
     """Return the tangents at ascending times, shape (m, tangents.SIZE, components)."""
-    integration = Integration(problem)
+    integration = Integration(problem.solved_by())  # only the series has tangents
     timeline, progress = integration._timeline, integration._progress
     carrier = integration._carrier
     if problem.named_wheels:  # they turn with the body when the motion starts
@@ -154,14 +154,15 @@ def _computed(problem: MotionInputs, seeds: dict[str, Floats],
         progress['row'] -= first
         progress['stop'] = end - first
         while result := kernels.run_tangents(
-                progress, times_ns, rows, carrier._constants, problem.options.method, latest,
-                constants, has_constants, torques, requested, work):
+                progress, times_ns, rows, carrier._constants,
+                integration.problem.options.method, latest, constants, has_constants, torques,
+                requested, work):
             if result == layout.TOO_FAST:
                 raise problem.options.too_fast(int(progress['grid_ns'][0]))
             progress['budget'] = layout.BUDGET
         progress['row'] += first
-    groups = requested.reshape(len(times_ns), -1, tangents.SIZE, LANES)
-    found = groups.swapaxes(1, 2).reshape(len(times_ns), tangents.SIZE, -1)
+    groups = requested.reshape(len(times_ns), len(has_constants), tangents.SIZE, LANES)
+    found = groups.swapaxes(1, 2).reshape(len(times_ns), tangents.SIZE, has_constants.size * LANES)
     return found[..., :len(seeds[_START])]
 
 

@@ -173,8 +173,8 @@ class Problem(MotionInputs):
         """
         Return how the motion changes with its start and with parameters.
 
-        The derivatives are those of the Taylor series of the motion, accurate to rounding errors,
-        which grow as the motion itself amplifies changes.
+        The derivatives are those of the Taylor series of the motion, whatever the solver. They are
+        accurate to rounding errors, which grow as the motion itself amplifies changes.
 
         Parameters
         ----------
