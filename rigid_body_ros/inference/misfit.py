@@ -118,7 +118,7 @@ def at_rest(solution: Solution) -> str:
     fits_motion = not all(map(is_of_sensor, setup.parameters.groups))
     # A quantity without samples shows nothing.
     quantities = [one for one in of_training(solution) if one.inliers.any()]
-    if not setup.is_computed or any(_turns(one) or _is_told(one, fits_motion)
+    if not setup.is_computed or any(_turns(one) or _is_explained(one, fits_motion)
                                     for one in quantities):
         return ''
     acts = any(log.torques.any() for problem in setup.problems for log in problem.logs)
@@ -138,8 +138,8 @@ def _turns(one: Residuals) -> bool:
     return rms(turned) > _STILL
 
 
-def _is_told(one: Residuals, fits_motion: bool) -> bool:
-    """Return whether the model tells more of a quantity than that it is constant."""
+def _is_explained(one: Residuals, fits_motion: bool) -> bool:
+    """Return whether the model explains a quantity better than a constant does."""
     left, size = rms(one.kept), rms(_about_mean(one))
     # If nothing is fitted to the motion, a model that is right leaves the noise about the mean.
     return left < (np.sqrt(_LEFT) if fits_motion else _LARGER) * size or not (left or fits_motion)
