@@ -42,6 +42,7 @@ from rigid_body_ros.kernels.series_table import (
     turned,
 )
 from rigid_body_ros.kernels.vector import (
+    add,
     add_scaled,
     Coefficients,
     cross,
@@ -279,6 +280,30 @@ def _expand_orbit(vectors: Floats, count: int, angle: float, table: Floats, k: i
     _store(vectors, place, k, add_scaled(turn, factor, along))
     _store(vectors, place_along, k, add_scaled(
         turned(vectors, place_along, _ORDER, table, k), -factor, position))
+
+
+@inlined
+def uniform_term(step: StepFields, k: int, i: int) -> Vector:
+    """Return the order-k term of a uniform field, in body axes."""
+    return four.load(step.vectors, _ORDER * k + PERMUTED * i)
+
+
+@inlined
+def uniform_slope(step: StepFields | None, k: int, turn: Vector) -> Vector:
+    """Return the order-k term of how the torque of the uniform fields changes with a rotation."""
+    total = four.broadcast(0.0)
+    if step is None:
+        return total
+    for i in range(step.fields[0].count):
+        total = add(total, cross(fields.moment(step.fields, i),
+                                 cross(uniform_term(step, k, i), turn)))
+    return total
+
+
+@inlined
+def position_products(step: StepFields, k: int) -> Products:
+    """Return the order-k terms of the products of the components of the position."""
+    return _squares(step.vectors, PERMUTED * step.fields[0].count, k)
 
 
 @inlined

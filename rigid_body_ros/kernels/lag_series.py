@@ -120,6 +120,18 @@ def add_acceleration(u: Vector, step: StepLags | None, table: Floats, k: int, se
 
 
 @inlined
+def space_term(step: StepLags | None, k: int) -> Vector:
+    """Return the order-k term of the excess in space axes, in body axes."""
+    total = four.broadcast(0.0)
+    if step is None:
+        return total
+    for i in range(len(step.lags.time_constants)):
+        if not is_zero(lags.excess(step.lags, i, 1)):
+            total = add(total, four.load(step.vectors, _ORDER * k + PERMUTED * i))
+    return total
+
+
+@inlined
 def lowest_order(step: StepLags | None) -> int:
     """
     Return an upper bound on how many consecutive terms may be zero by coincidence.

@@ -181,6 +181,27 @@ def add_lag(row_times_ns: Annotated[Ints, 'n'], source: CommandChanges, time_con
                 into[row, which, axes, j] += factor * rest
 
 
+@njit
+def lag_slopes(times_ns: Annotated[Ints, 'n'], excess: Annotated[Floats, 'n l 2 3'],
+               time_constants: Annotated[Floats, 'l'],
+               into: Annotated[Floats, 'n l 2 3', WRITTEN]) -> None:
+    """
+    Compute the derivatives of torques with respect to their time constants.
+
+    The derivative z of the torque y obeys T z' + z = -y'. It is zero at the first of the times,
+    ns, which include all changes of the commands. The excess is that at these times.
+    """
+    for row in range(1, len(times_ns)):
+        seconds = (times_ns[row] - times_ns[row - 1]) / 1e9
+        for i in range(len(time_constants)):
+            factor = decay(seconds, time_constants[i])
+            share = seconds / (time_constants[i] * time_constants[i])
+            for axes in range(2):
+                for j in range(3):
+                    rest = excess[row - 1, i, axes, j]
+                    into[row, i, axes, j] = factor * (into[row - 1, i, axes, j] + share * rest)
+
+
 @internal
 def _share(seconds: float, time_constant: float) -> float:
     # Return 1 - exp(-t / T), accurate to the last digits even if t is much shorter than T.

@@ -288,6 +288,12 @@ def _change(constants: linear_terms.Constants, seconds: float,
     return linear_terms.rotor_matrix(constants, vector.scale(seconds, momentum))
 
 
+@optional
+def _turn_of(now: LocalLoads, seconds: float) -> float:
+    # Return by how much the loads turn a tangent in a step, rad.
+    return seconds * math.sqrt(now.square_rate + now.growth)
+
+
 @inlined
 def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
           method: Method, table: Floats, loads: Loads | None, now: LocalLoads | None,
@@ -308,7 +314,8 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
     series = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
     acting = _series(loads, now, stage, seconds)
     latest, order = taylor.step(state, seconds, body.coefficients, series, method.tolerance,
-                                table, acting, least_order(tangents, acting))
-    follow(tangents, table, order, StepSpan(seconds, offset, ratio), body.coefficients, series,
+                                table, acting, least_order(tangents, _turn_of(now, seconds)))
+    follow(tangents, state, table, order,
+           StepSpan(seconds, max(grid_ns - drive.origin_ns, 0) / 1e9), body.coefficients, series,
            acting)
     return latest

@@ -21,7 +21,15 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
-from rigid_body_ros.kernels import body_layout, intervals, lanes, layout, stepping, tangents
+from rigid_body_ros.kernels import (
+    body_layout,
+    intervals,
+    lanes,
+    layout,
+    motion_layout,
+    series_table,
+    stepping,
+)
 from rigid_body_ros.kernels.jit import njit, scratch, WRITTEN
 from rigid_body_ros.kernels.layout import (
     FINISHED,
@@ -33,22 +41,32 @@ from rigid_body_ros.kernels.layout import (
     TOO_FAST,
     UNFINISHED,
 )
-from rigid_body_ros.kernels.series_table import WORKSPACE
-from rigid_body_ros.kernels.tangents import CONSTANTS, SIZE, Tangents
+from rigid_body_ros.kernels.tangents import (
+    CONSTANTS,
+    enter,
+    Forcing,
+    OF_VECTOR,
+    SIZE,
+    STIFFNESS,
+    Tangents,
+    WORKSPACE,
+)
 
 
 @njit
 def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
                  times_ns: Annotated[Ints, 'm'],
-                 rows: Annotated[Rows, 'fields', 'lags', 'friction'],
+                 rows: Annotated[Rows, 'fields', 'lags', 'friction']
+                 | Annotated[Rows, 'friction'],
                  constants: Annotated[Floats, f'{body_layout.SIZE}'],
                  methods: Annotated[NDArray[Any], '1', METHOD],
                  latest: Annotated[Floats, f'{SIZE}g L', WRITTEN],
                  derivatives: Annotated[Floats, f'{CONSTANTS}g L'],
                  have_constants: Annotated[NDArray[np.bool_], 'g'],
-                 torques: Annotated[Floats, 'q L'],
+                 forcing: Forcing,
                  requested: Annotated[Floats, f'm {SIZE}g L', WRITTEN],
-                 work: Annotated[Floats, f'{tangents.WORKSPACE} L', WRITTEN]) -> int:
+                 motion: Annotated[Floats, '7m', WRITTEN],
+                 work: Annotated[Floats, f'{OF_VECTOR}v+{WORKSPACE} L', WRITTEN]) -> int:
     """
     Advance tangents from row to row, and store them at the requested times.
 
@@ -59,10 +77,12 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
     ----------
     progress, times_ns, rows, constants, methods
         See `loop.run`. The times are in ascending order.
-    latest, derivatives, have_constants, torques, work
+    latest, derivatives, have_constants, forcing, work
         See `tangents.Tangents`. The kernel updates `latest`.
     requested : float64 (m, 6 g, lanes)
         The tangents at the requested times.
+    motion : float64 (7 m,)
+        The attitudes and the angular velocities at the requested times; see `motion_layout`.
 
     Returns
     -------
@@ -73,7 +93,8 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
     stop, budget, result = progress[0].stop, progress[0].budget, FINISHED
     body, method = layout.load_body(constants), layout.load_method(methods)
     terms = intervals.load_terms(rows.terms, constants, progress)
-    grid, table = layout.load_states(progress).grid, scratch(WORKSPACE)
+    grid, table = layout.load_states(progress).grid, scratch(series_table.WORKSPACE)
+    stiffness = scratch(STIFFNESS)
     now_ns, _, row, done = layout.load_place(progress)
     while row < stop and done < len(times_ns) and result == FINISHED:
         now = intervals.interval(rows.times_ns, rows.torques, rows.spans, row)
@@ -84,19 +105,21 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
         degree = rows.torques.shape[1] // 2
         drive = intervals.drive(now, intervals.low_order_parts(rows.torques, row), degree, turning,
                                 body, loads)
-        reached = stepping.advance(
-            grid, now_ns, time_ns, drive, body, method, table, budget, loads,
-            Tangents(latest, derivatives, have_constants, torques, work, len(rows.times_ns),
-                     row, degree))
+        found = Tangents(latest, derivatives, have_constants, forcing, work, stiffness,
+                         len(rows.times_ns), row)
+        reached = stepping.advance(grid, now_ns, time_ns, drive, body, method, table, budget,
+                                   loads, found)
         budget = reached.budget
         if reached.arrived:
             grid, now_ns = reached.latest, time_ns
             if asked:
                 for k in range(len(latest)):
                     lanes.store(requested[done], k, lanes.load(latest, k))
+                motion_layout.store(grid, done, motion)
                 done += 1
             if time_ns == now.end_ns:
                 row += 1
+                enter(found, row, grid, body.coefficients)
         else:
             grid, now_ns = reached.grid, reached.grid_ns
             result = TOO_FAST if stepping.is_too_fast(grid) else UNFINISHED

@@ -19,30 +19,39 @@ A tangent consists of the derivative d of the angular velocity and the derivativ
 attitude, as a rotation vector in body axes. With the derivatives dJ of the inertia tensor, dh of
 the rotor momentum, dD of the damping and dtau of the torque in body axes, a tangent obeys
 
-    J dd/dt = (J d) x w + (J w + h) x d - D d + tau_s x t
+    J dd/dt = (J d) x w + (J w + h) x d - D d + S t
               + dtau + (dJ w) x w - dJ dw/dt + dh x w - dD w
     dt/dt = t x w + d
 
-where tau_s is the part of the torque that is fixed in space. The first line is linear in the
-tangent, and its coefficients are the series of the motion. So a step extends the series of the
-motion by those of the tangents, up to the same order. Each lane holds a tangent of its own.
+where S t is how the torque changes with the attitude: tau x t for a torque tau that is fixed in
+space, m x (f x t) for a uniform field, and 3 n^2 ((r x t) x J r + r x J (r x t)) for the gravity
+gradient. The first line is linear in the tangent, and its coefficients are the series of the
+motion. So a step extends the series of the motion by those of the tangents, up to the same order.
+Each lane holds a tangent of its own.
 """
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import four, lanes, linear_terms, taylor
+from rigid_body_ros.kernels import (
+    elementary,
+    field_series,
+    fields,
+    four,
+    lag_series,
+    lanes,
+    taylor,
+)
 from rigid_body_ros.kernels.euler_equations import (
     acceleration_from_torque,
     DIAGONAL,
     gyroscopic_acceleration,
 )
-from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.series_table import (
     MAX_ORDER,
@@ -52,22 +61,55 @@ from rigid_body_ros.kernels.series_table import (
     TORQUES,
     U,
 )
-from rigid_body_ros.kernels.vector import add, add_scaled, Coefficients, of, scale, Vector
+from rigid_body_ros.kernels.vector import (
+    add,
+    add_scaled,
+    Coefficients,
+    cross,
+    KernelState,
+    of,
+    scale,
+    to_body,
+    Vector,
+)
 
 #: The rows of a tangent: the derivatives of the angular velocity and of the attitude.
 RATE, ROTATION, SIZE = 0, 3, 6
 #: The rows of the derivatives of constants: dJ (xx, yy, zz, xy, xz, yz), dh, the columns of dD,
-#: and the part of dtau that acts during the whole motion.
-INERTIA, MOMENTUM, DAMPING, TORQUE, CONSTANTS = 0, 6, 9, 18, 21
+#: the part of dtau that acts during the whole motion, and the moments of the uniform fields.
+INERTIA, MOMENTUM, DAMPING, TORQUE, MOMENTS = 0, 6, 9, 18, 21
+CONSTANTS = MOMENTS + 3 * fields.MOST
 #: The rows of the terms of one order: d and t, as in a tangent, and dJ w. All are multiplied by
 #: the length of the step, except t.
 _MOMENTUM, _ORDER = SIZE, SIZE + 3
-#: Number of rows of the workspace.
-WORKSPACE = _ORDER * (MAX_ORDER + 1)
+#: Number of rows of the workspace, without those of the forcing; and how many of these there are
+#: for each vector.
+WORKSPACE, OF_VECTOR = _ORDER * (MAX_ORDER + 1), 3 * (MAX_ORDER + 1)
+#: The terms of one order of J^-1 S: its columns, and the products of the components of the unit
+#: vector to the body.
+_COLUMNS, _PRODUCTS, _STIFFNESS = 0, 12, 20
+STIFFNESS = _STIFFNESS * MAX_ORDER
 #: Terms below this size, relative to the tangent, do not matter.
 _ROUNDING = 1e-17
-_BINOMIALS = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [1.0, 2.0, 1.0, 0.0],
-                       [1.0, 3.0, 3.0, 1.0]])
+
+
+class Forcing(NamedTuple):
+    """
+    Torques dtau that change with time, of the last t groups; they are zero for the others.
+
+    In each of n rows, dtau is the sum of solutions of linear equations. A solution is the first of
+    consecutive vectors v_j, which obey dv_j/dt = a_j v_j + b_j v_j+1, and is the last vector of
+    its own if b_j is zero. A polynomial has a_j = 0, and decaying torques have a_j < 0. In body
+    axes, a vector that is fixed in space also obeys dv/dt = v x w.
+    """
+
+    #: float64 (3 v n t, LANES): the v vectors when each row begins, in their own axes, N m.
+    vectors: Annotated[Floats, 'q L']
+    #: float64 (6 n t, LANES): when each row begins, d changes by J^-1 times these impulses, N m s,
+    #: in body axes and in space axes. The array is empty if all are zero.
+    impulses: Annotated[Floats, 'j L']
+    #: float64 (v, 3): a_j, b_j, and 1 if the vector is fixed in space.
+    links: Annotated[Floats, 'v 3']
 
 
 class Tangents(NamedTuple):
@@ -79,44 +121,43 @@ class Tangents(NamedTuple):
     constants: Floats
     #: bool (g,): whether any derivative of a constant is not zero.
     have_constants: NDArray[np.bool_]
-    #: float64 (3 (d + 1) n t, LANES): the derivatives dtau in each of n rows, as polynomials of
-    #: degree d in the variable of the row, for the last t groups. They are zero for the others.
-    torques: Floats
-    #: float64 (WORKSPACE, LANES)
+    forcing: Forcing
+    #: float64 (WORKSPACE + OF_VECTOR v, LANES) and float64 (STIFFNESS,)
     work: Floats
-    #: The number of rows, the row in force, and the degree of the polynomials.
+    stiffness: Floats
+    #: The number of rows, and the row in force.
     rows: int
     row: int
-    degree: int
 
 
 class StepSpan(NamedTuple):
-    """A step within a row: its length, s, and where it lies in the variable of the row."""
+    """A step within a row: its length, and the time since the row began, s."""
 
     seconds: float
-    offset: float
-    ratio: float
+    since: float
 
 
-@optional
-def least_order(_found: Tangents, loads: taylor.SeriesLoads | None) -> int:
+@inlined
+def least_order(found: Tangents | None, size: float | None) -> int | None:
     """
     Return the order from which on linear terms contribute less than rounding errors.
 
-    The series of a body at rest ends at once, but rotors turn its tangents.
+    The series of a body at rest ends at once, but rotors and fields turn its tangents. In a step,
+    they do so by `size`, rad.
     """
-    if loads is None:
-        return 0
+    if found is None:
+        return None
     order, term = 0, 1.0
-    size = 2.0 * math.sqrt(linear_terms.square_rate(loads.linear.matrix))
-    while loads.linear_degree >= 0 and term > _ROUNDING and order < MAX_ORDER:
+    if size is None:
+        return order
+    while term > _ROUNDING and order < MAX_ORDER and size > 0.0:
         order += 1
         term *= size / order
     return order
 
 
 @inlined
-def follow(found: Tangents | None, table: Floats, order: int, span: StepSpan,
+def follow(found: Tangents | None, state: KernelState, table: Floats, order: int, span: StepSpan,
            coefficients: Coefficients, drive: taylor.SeriesDrive,
            loads: taylor.SeriesLoads | None) -> None:
     """
@@ -126,6 +167,8 @@ def follow(found: Tangents | None, table: Floats, order: int, span: StepSpan,
     ----------
     found : Tangents or None
         None does nothing.
+    state : KernelState
+        The state at the beginning of the step.
     table, order
         The table that `taylor.step` fills, and the order up to which it does.
     span : StepSpan
@@ -133,43 +176,94 @@ def follow(found: Tangents | None, table: Floats, order: int, span: StepSpan,
     coefficients : Coefficients
         The coefficients of Euler's equations.
     drive, loads
-        What acts during the step. There must be no fields, lags or friction.
+        What acts during the step. There must be no friction.
 
     """
     if found is None:
         return
-    groups, size = len(found.have_constants), 3 * (found.degree + 1) * found.rows
+    is_stiff = drive.in_space
+    if loads is not None:
+        is_stiff = is_stiff or loads.space_degree >= 0 or fields.exist(loads.fields)
+    if is_stiff:
+        for k in range(order):
+            _expand_stiffness(found.stiffness[_STIFFNESS * k:_STIFFNESS * (k + 1)], table, k,
+                              coefficients, drive, loads)
+    groups, size = len(found.have_constants), 3 * len(found.forcing.links) * found.rows
     for i in range(groups):
-        end = len(found.torques) - size * (groups - i - 1)
+        end = len(found.forcing.vectors) - size * (groups - i - 1)
+        vectors = found.forcing.vectors[max(end - size, 0):max(end, 0)]
+        has_forcing = len(vectors) > 0 and found.row >= 0
+        if has_forcing:
+            _begin_forcing(vectors, found, span.since, state)
         _extend(found.latest[SIZE * i:SIZE * i + SIZE],
-                found.constants[CONSTANTS * i:CONSTANTS * i + CONSTANTS],
-                found.torques[max(end - size, 0):max(end, 0)], found, found.have_constants[i],
-                table, order, span, coefficients, drive, loads)
+                found.constants[CONSTANTS * i:CONSTANTS * i + CONSTANTS], found,
+                found.have_constants[i], has_forcing, is_stiff, table, order, span.seconds,
+                coefficients, loads)
+
+
+@inlined
+def enter(found: Tangents, row: int, state: KernelState, coefficients: Coefficients) -> None:
+    """Add the impulses of a row, which begins at the given state."""
+    impulses, groups = found.forcing.impulses, len(found.have_constants)
+    size = 6 * found.rows
+    for i in range(groups):
+        end = len(impulses) - size * (groups - i - 1)
+        if end > 0:
+            place = end - size + 6 * row
+            change = acceleration_from_torque(coefficients, add(
+                _load(impulses, place), _to_body(state, _load(impulses, place + 3))))
+            _store(found.latest, SIZE * i + RATE, add(_load(found.latest, SIZE * i + RATE),
+                                                      change))
+
+
+@inlined
+def _to_body(state: KernelState, vector: Vector) -> Vector:
+    # Return a vector with lanes in body axes.
+    x, y, z = (to_body(state[1], of(1.0, 0.0, 0.0)), to_body(state[1], of(0.0, 1.0, 0.0)),
+               to_body(state[1], of(0.0, 0.0, 1.0)))
+    a, b, c = vector[0], vector[1], vector[2]
+    return of(fma(x[0], a, fma(y[0], b, z[0] * c)), fma(x[1], a, fma(y[1], b, z[1] * c)),
+              fma(x[2], a, fma(y[2], b, z[2] * c)))
 
 
 @internal
-def _extend(latest: Floats, constants: Floats, torques: Floats, found: Tangents,
-            has_constants: bool, table: Floats, order: int, span: StepSpan,
-            coefficients: Coefficients, drive: taylor.SeriesDrive,
-            loads: taylor.SeriesLoads | None) -> None:
+def _begin_forcing(vectors: Floats, found: Tangents, since: float, state: KernelState) -> None:
+    # Store the vectors of the row in force at the beginning of a step, in body axes.
+    links, start = found.forcing.links, 3 * len(found.forcing.links) * found.row
+    for j in range(len(links)):
+        total, factor, last = _load(vectors, start + 3 * j), 1.0, j
+        while links[last, 1] != 0.0:
+            last += 1
+            factor *= links[last - 1, 1] * since / (last - j)
+            total = add_scaled(total, factor, _load(vectors, start + 3 * last))
+        if links[j, 0] != 0.0:
+            total = scale(elementary.exponential(links[j, 0] * since), total)
+        if links[j, 2] != 0.0:
+            total = _to_body(state, total)
+        _store(found.work, WORKSPACE + 3 * j, total)
+
+
+@internal
+def _extend(latest: Floats, constants: Floats, found: Tangents, has_constants: bool,
+            has_forcing: bool, is_stiff: bool, table: Floats, order: int, seconds: float,
+            coefficients: Coefficients, loads: taylor.SeriesLoads | None) -> None:
     # Advance the tangents of a group.
     work = found.work
     for k in range(3):
-        lanes.store(work, RATE + k, span.seconds * lanes.load(latest, RATE + k))
+        lanes.store(work, RATE + k, seconds * lanes.load(latest, RATE + k))
         lanes.store(work, ROTATION + k, lanes.load(latest, ROTATION + k))
-    space_degree = drive.degree if drive.in_space else -1
-    if loads is not None:
-        space_degree = max(space_degree, loads.space_degree)
-    square = span.seconds * span.seconds
     for k in range(order):
         mixed, squares, turn = _products(work, table, k, coefficients.form)
-        torque = scale(square, _derivative(torques, found, k, span))
-        if space_degree >= 0:
-            torque = add_scaled(torque, square, _turned_torque(work, table, k, space_degree))
+        torque = of(lanes.zero(mixed[0]), 0.0, 0.0)
+        if has_forcing:
+            torque = scale(seconds * seconds, _expand_forcing(found, table, k, seconds))
         if has_constants:
-            torque = add(torque, _of_constants(constants, work, table, k, span.seconds))
+            torque = add(torque, _of_constants(constants, work, table, k, seconds))
+            torque = add(torque, _of_fields(constants, found, k, seconds, loads))
         rate = add(gyroscopic_acceleration(coefficients, (mixed, squares)),
                    acceleration_from_torque(coefficients, torque))
+        if is_stiff:
+            rate = add_scaled(rate, seconds * seconds, _stiff(work, found.stiffness, k))
         rate = _with_linear_terms(rate, work, k, loads)
         reciprocal = float(RECIPROCALS[k])
         _store(work, _ORDER * (k + 1) + RATE, scale(reciprocal, rate))
@@ -179,7 +273,7 @@ def _extend(latest: Floats, constants: Floats, torques: Floats, found: Tangents,
         total = lanes.load(work, _ORDER * order + row)
         for k in range(order - 1, -1, -1):  # the small terms first
             total = total + lanes.load(work, _ORDER * k + row)
-        lanes.store(latest, row, total if row >= ROTATION else 1.0 / span.seconds * total)
+        lanes.store(latest, row, total if row >= ROTATION else 1.0 / seconds * total)
 
 
 @inlined
@@ -215,33 +309,89 @@ def _products(work: Floats, table: Floats, k: int,
     return of(yz, zx, xy), of(xx, yy, zz), of(p, q, r)
 
 
-@inlined
-def _derivative(torques: Floats, found: Tangents, k: int, span: StepSpan) -> Vector:
-    # Return the order-k term of dtau in the fraction of the step.
-    total = of(lanes.zero(lanes.load(found.work, 0)), 0.0, 0.0)
-    if len(torques) == 0 or found.row < 0 or k > found.degree:
-        return total
-    start = 3 * (found.degree + 1) * found.row
-    for i in range(found.degree, k - 1, -1):
-        total = add_scaled(scale(span.offset, total), _BINOMIALS[i, k],
-                           _load(torques, start + 3 * i))
-    for _ in range(k):
-        total = scale(span.ratio, total)
+@internal
+def _expand_forcing(found: Tangents, table: Floats, k: int, seconds: float) -> Vector:
+    # Return the order-k term of dtau, and store the next terms of its vectors.
+    work, links = found.work, found.forcing.links
+    size = 3 * len(links)
+    total = of(lanes.zero(lanes.load(work, 0)), 0.0, 0.0)
+    for j in range(len(links)):
+        place = WORKSPACE + size * k + 3 * j
+        term, is_first = _load(work, place), True
+        if j > 0:
+            is_first = links[j - 1, 1] == 0.0
+        if is_first:
+            total = add(total, term)
+        more = scale(seconds * links[j, 0], term)
+        if links[j, 1] != 0.0:
+            more = add_scaled(more, seconds * links[j, 1], _load(work, place + 3))
+        if links[j, 2] != 0.0:
+            for i in range(k + 1):
+                more = add(more, _cross(_load(work, WORKSPACE + size * i + 3 * j),
+                                        four.load(table, row_of(table, k - i) + U)))
+        _store(work, place + size, scale(float(RECIPROCALS[k]), more))
     return total
 
 
 @internal
-def _turned_torque(work: Floats, table: Floats, k: int, degree: int) -> Vector:
-    # Return the order-k term of tau_s x t, where the torque is a polynomial of the given degree.
-    total = of(lanes.zero(lanes.load(work, 0)), 0.0, 0.0)
+def _stiff(work: Floats, stiffness: Floats, k: int) -> Vector:
+    # Return the order-k term of J^-1 S t.
+    none = lanes.zero(lanes.load(work, 0))
+    p = q = r = none
     for j in range(k + 1):
-        torque = four.broadcast(0.0)
-        for i in range(min(degree, j) + 1):
-            torque = add(torque, four.load(
-                table, row_of(table, j - i) + TORQUES + PERMUTED * i))
-        t = _load(work, _ORDER * (k - j) + ROTATION)
-        total = add(total, _cross(torque, t))
-    return total
+        row, place = _STIFFNESS * (k - j), _ORDER * j + ROTATION
+        a, b, c = (lanes.load(work, place), lanes.load(work, place + 1),
+                   lanes.load(work, place + 2))
+        p = fma(stiffness[row], a, fma(stiffness[row + 4], b, fma(stiffness[row + 8], c, p)))
+        q = fma(stiffness[row + 1], a, fma(stiffness[row + 5], b, fma(stiffness[row + 9], c, q)))
+        r = fma(stiffness[row + 2], a, fma(stiffness[row + 6], b, fma(stiffness[row + 10], c, r)))
+    return of(p, q, r)
+
+
+@internal
+def _expand_stiffness(into: Floats, table: Floats, k: int, coefficients: Coefficients,
+                      drive: taylor.SeriesDrive, loads: taylor.SeriesLoads | None) -> None:
+    # Store the order-k term of J^-1 S.
+    degree, torque = drive.degree if drive.in_space else -1, four.broadcast(0.0)
+    if loads is not None:
+        degree = max(degree, loads.space_degree)
+    for i in range(min(degree, k) + 1):
+        torque = add(torque, four.load(table, row_of(table, k - i) + TORQUES + PERMUTED * i))
+    if loads is not None:
+        torque = add(torque, lag_series.space_term(loads.lags, k))
+    for i in range(3):
+        axis = of(1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0)
+        column = cross(torque, axis)
+        if loads is not None:
+            column = add(column, field_series.uniform_slope(loads.fields, k, axis))
+        four.store(into, _COLUMNS + 4 * i, acceleration_from_torque(coefficients, column))
+    if loads is not None:
+        _add_gradient(into, loads.fields, k, coefficients)
+
+
+@inlined
+def _add_gradient(into: Floats, step: field_series.StepFields | None, k: int,
+                  coefficients: Coefficients) -> None:
+    # Add the gravity gradient to the order-k term of J^-1 S. See `field_series.add_acceleration`.
+    if step is None:
+        return
+    rate = step.fields[0].mean_motion
+    if rate == 0.0:
+        return
+    mixed, squares = field_series.position_products(step, k)
+    four.store(into, _PRODUCTS, mixed)
+    four.store(into, _PRODUCTS + 4, squares)
+    yz, zx, xy = mixed[0], mixed[1], mixed[2]
+    xx, yy, zz = squares[0], squares[1], squares[2]
+    slopes = ((of(zz - yy, -xy, zx), of(0.0, 2.0 * yz, -2.0 * yz)),
+              (of(xy, xx - zz, -yz), of(-2.0 * zx, 0.0, 2.0 * zx)),
+              (of(-zx, yz, yy - xx), of(2.0 * xy, -2.0 * xy, 0.0)))
+    place = _COLUMNS
+    for slope in slopes:
+        four.store(into, place, add_scaled(
+            four.load(into, place), -3.0 * rate * rate,
+            gyroscopic_acceleration(coefficients, slope)))
+        place += 4
 
 
 @inlined
@@ -267,6 +417,38 @@ def _of_constants(constants: Floats, work: Floats, table: Floats, k: int,
     if k == 0:
         torque = add_scaled(torque, seconds, _load(constants, TORQUE))
     return add_scaled(total, seconds, torque)
+
+
+@inlined
+def _of_fields(constants: Floats, found: Tangents, k: int, seconds: float,
+               loads: taylor.SeriesLoads | None) -> Vector:
+    # Return the order-k term of what the derivatives of constants contribute through fields.
+    total = of(lanes.zero(lanes.load(found.work, 0)), 0.0, 0.0)
+    if loads is None:
+        return total
+    if loads.fields is None:
+        return total
+    for i in range(loads.fields.fields[0].count):
+        total = add(total, _cross(_load(constants, MOMENTS + 3 * i),
+                                  field_series.uniform_term(loads.fields, k, i)))
+    rate = loads.fields.fields[0].mean_motion
+    if rate != 0.0:
+        total = add_scaled(total, 3.0 * rate * rate, _gradient(constants, found.stiffness, k))
+    return scale(seconds * seconds, total)
+
+
+@inlined
+def _gradient(constants: Floats, stiffness: Floats, k: int) -> Vector:
+    # Return the order-k term of r x dJ r.
+    place = _STIFFNESS * k + _PRODUCTS
+    mixed, squares = four.load(stiffness, place), four.load(stiffness, place + 4)
+    a, b, c = _rows(constants, INERTIA)
+    d, e, f = _rows(constants, INERTIA + 3)
+    yz, zx, xy = mixed[0], mixed[1], mixed[2]
+    xx, yy, zz = squares[0], squares[1], squares[2]
+    return of(fma(xy, e, fma(yy - zz, f, fma(yz, c - b, -(zx * d)))),
+              fma(zx, a - c, fma(yz, d, fma(zz - xx, e, -(xy * f)))),
+              fma(xx - yy, d, fma(xy, b - a, fma(zx, f, -(yz * e)))))
 
 
 @inlined

@@ -16,16 +16,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
-from rigid_body_ros.engine import kernels, layout, Rows, tangents, Terms
+from rigid_body_ros.engine import (
+    kernels,
+    layout,
+    MOST_FIELDS,
+    motion_layout,
+    Rows,
+    tangents,
+    Terms,
+)
 from rigid_body_ros.engine.binding import LANES
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.changes import MOMENTUM
+from rigid_body_ros.mechanics.fields import UniformField
+from rigid_body_ros.mechanics.states import Poses
+from rigid_body_ros.propagation import forcing
 from rigid_body_ros.propagation.inputs import MotionInputs
 from rigid_body_ros.propagation.integration import Integration
+from rigid_body_ros.propagation.lags import terms_of
 from rigid_body_ros.propagation.options import checked_times
 
 
@@ -50,34 +64,38 @@ class Derivatives(NamedTuple):
 
 
 class _Component(NamedTuple):
-    """A component of a parameter: what it changes, and which entries of that."""
+    """A component of a parameter: what it changes, and how much each entry of that."""
 
     name: str
     part: str
-    places: tuple[int, ...]
+    weights: dict[int, float]
 
 
 def _axes(name: str, part: str, first: int = 0) -> list[_Component]:
-    return [_Component(f'{name}.{axis}', part, (first + k,)) for k, axis in enumerate('xyz')]
+    return [_Component(f'{name}.{axis}', part, {first + k: 1.0}) for k, axis in enumerate('xyz')]
 
 
-#: What parameters change: the start and constants, as rows of `tangents.Tangents`, and the torque,
-#: as a multiple of the torque along each body axis.
-_START, _CONSTANTS, _GAINS = 'start', 'constants', 'gains'
-_SIZES = {_START: tangents.SIZE, _CONSTANTS: tangents.CONSTANTS, _GAINS: 3}
+#: What parameters change: the start and constants, as rows of `tangents.Tangents`, and the torques
+#: of the logs.
+_START, _CONSTANTS, _TORQUES = 'start', 'constants', 'torques'
+_SIZES = {_START: tangents.SIZE, _CONSTANTS: tangents.CONSTANTS, _TORQUES: forcing.SIZE}
 _PARAMETERS = {
-    'inertia': [_Component(f'inertia.i{entry}', _CONSTANTS, (tangents.INERTIA + k,))
+    'inertia': [_Component(f'inertia.i{entry}', _CONSTANTS, {tangents.INERTIA + k: 1.0})
                 for k, entry in enumerate(ENTRIES)],
-    'torque_gain': [_Component('torque_gain', _GAINS, (0, 1, 2))],
-    'torque_gains': _axes('torque_gains', _GAINS),
+    'torque_gain': [_Component('torque_gain', _TORQUES, dict.fromkeys(range(3), 1.0))],
+    'torque_gains': _axes('torque_gains', _TORQUES, forcing.GAINS),
     'torque_bias': _axes('torque_bias', _CONSTANTS, tangents.TORQUE),
-    'damping': [_Component(f'damping.d{entry}', _CONSTANTS, (
-        tangents.DAMPING + 3 * row + column, tangents.DAMPING + 3 * column + row))
+    'torque_delay': [_Component('torque_delay', _TORQUES, {forcing.DELAY: 1.0})],
+    'torque_lag': [_Component('torque_lag', _TORQUES, {forcing.LAG: 1.0})],
+    'damping': [_Component(f'damping.d{entry}', _CONSTANTS, dict.fromkeys((
+        tangents.DAMPING + 3 * row + column, tangents.DAMPING + 3 * column + row), 1.0))
         for entry, (row, column) in ENTRIES.items()],
     'rotor_momentum': _axes('initial_rotor_momentum', _CONSTANTS, tangents.MOMENTUM),
     'start': [*_axes('initial_attitude', _START, tangents.ROTATION),
               *_axes('initial_angular_velocity', _START, tangents.RATE)],
 }
+_NO_BIAS = np.zeros(3)
+_NO_BIAS.flags.writeable = False
 
 
 def derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike) -> Derivatives:
@@ -91,103 +109,222 @@ def derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike) -> D
         yet, a time is before the start, or the body turns too fast.
 
     """
-    # Tangents with gains come last, because others have no derivatives of the torques.
-    components = sorted(_components(names), key=lambda component: component.part == _GAINS)
-    _check(problem, names)
+    if not names:
+        raise ValueError('derivatives: expected at least one name, found none')
+    return with_derivatives(problem, names, at)[1]
+
+
+def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
+                     bias: Floats = _NO_BIAS) -> tuple[Poses, Derivatives]:
+    """
+    Return a motion and its derivatives.
+
+    The part of the torque in body axes that the gains, the delay and the lag do not change is
+    `bias`, N m, shape (3,).
+    """
+    # Tangents with torques come last, because others have no derivatives of the torques.
+    components = sorted(_components(problem, names), key=lambda one: one.part == _TORQUES)
+    _check(problem)
     times_ns, ascends, _ = checked_times(at, problem.start.time_ns)
     order = slice(None) if ascends else np.argsort(times_ns, kind='stable')
     seeds = {part: np.zeros((len(components), size)) for part, size in _SIZES.items()}
     for k, component in enumerate(components):
-        seeds[component.part][k, component.places] = 1.0
+        seeds[component.part][k, [*component.weights]] = [*component.weights.values()]
     found = np.empty((len(times_ns), tangents.SIZE, len(components)))
-    found[order] = _computed(problem, seeds, times_ns[order])
-    return Derivatives(tuple(component.name for component in components),
-                       found[:, tangents.ROTATION:], found[:, :tangents.ROTATION])
+    poses = Poses(np.empty((len(times_ns), 4)), np.empty((len(times_ns), 3)))
+    parts = [*_Tangents(problem, seeds, bias).advance(times_ns[order])]
+    for whole, computed in zip((*poses, found), zip(*parts)):
+        whole[order] = np.concatenate(computed)
+    return poses, Derivatives(tuple(component.name for component in components),
+                              found[:, tangents.ROTATION:], found[:, :tangents.ROTATION])
 
 
-def _components(names: Sequence[str]) -> list[_Component]:
+def _components(problem: MotionInputs, names: Sequence[str]) -> list[_Component]:
+    known = {**_PARAMETERS, **_moments(problem)}
     for name in names:
-        if name not in _PARAMETERS:
-            raise ValueError(f'derivatives: expected names among {", ".join(_PARAMETERS)}, found '
+        if name not in known:
+            raise ValueError(f'derivatives: expected names among {", ".join(known)}, found '
                              f'{name!r}')
         if list(names).count(name) > 1:
             raise ValueError(f'derivatives: expected each name once, found {name!r} twice')
-    if not names:
-        raise ValueError('derivatives: expected at least one name, found none')
-    return [component for name in names for component in _PARAMETERS[name]]
+    return [component for name in names for component in known[name]]
 
 
-def _check(problem: MotionInputs, names: Sequence[str]) -> None:
+def _moments(problem: MotionInputs) -> dict[str, list[_Component]]:
+    """Return the components of the moments of the named uniform fields; see `fields.packed`."""
+    uniform = [one for one in problem.fields if isinstance(one, UniformField)]
+    # With many fields, each acts by its components along three fields.
+    weights = np.eye(len(uniform)) if len(uniform) <= MOST_FIELDS else \
+        np.array([one.field for one in uniform])
+    return {f'{one.name}.moment': [
+        _Component(f'{one.name}.moment.{axis}', _CONSTANTS, {
+            tangents.MOMENTS + 3 * i + k: float(weight) for i, weight in enumerate(row)})
+        for k, axis in enumerate('xyz')] for one, row in zip(uniform, weights) if one.name}
+
+
+def _check(problem: MotionInputs) -> None:
     """Raise ValueError if the problem has what has no derivatives yet."""
-    has_gains = any(name.startswith('torque_gain') for name in names)
     wheels = problem.named_wheels
-    for text, has in (
-            ('fields', problem.fields), ('bodies that change', problem.changes),
-            ('wheels with friction or a largest speed', problem.has_friction or (
-                wheels and wheels.is_limited)),
-            ('torques that lag', problem.lagging()),
-            ('gains of actuators', has_gains and problem.actuators),
-            ('gains of torques in space axes', has_gains and any(
-                log.in_space.any() for log in problem.logs))):
-        if has:
-            raise ValueError(f'derivatives: expected a problem without {text}, which have no '
-                             'derivatives yet')
+    if problem.has_friction or (wheels and wheels.is_limited):
+        raise ValueError('derivatives: expected a problem without wheels with friction or a '
+                         'largest speed, which have no derivatives yet')
 
 
-def _computed(problem: MotionInputs, seeds: dict[str, Floats],
-              times_ns: NDArray[np.int64]) -> Floats:
-    """Return the tangents at ascending times, shape (m, tangents.SIZE, components)."""
-    integration = Integration(problem.solved_by())  # only the series has tangents
-    timeline, progress = integration._timeline, integration._progress
-    carrier = integration._carrier
-    if problem.named_wheels:  # they turn with the body when the motion starts
-        axial = problem.body_at(problem.start.time_ns).inertia - carrier.inertia
-        seeds[_CONSTANTS][:, tangents.MOMENTUM:tangents.DAMPING] += seeds[_START][
-            :, tangents.RATE:tangents.ROTATION] @ axial
-    latest, constants = _in_lanes(seeds[_START]), _in_lanes(seeds[_CONSTANTS])
-    has_constants = np.asarray(constants.reshape(-1, tangents.CONSTANTS * LANES).any(axis=1))
-    requested = np.zeros((len(times_ns), *latest.shape))
-    work = np.empty((tangents.WORKSPACE, LANES))
-    for first, end, rows in timeline.chunks(progress['row'], len(timeline.times_ns)):
-        rows = _with_terms(rows)
-        torques = _torques(rows, seeds[_GAINS])
-        progress['row'] -= first
-        progress['stop'] = end - first
-        while result := kernels.run_tangents(
-                progress, times_ns, rows, carrier._constants,
-                integration.problem.options.method, latest, constants, has_constants, torques,
-                requested, work):
-            if result == layout.TOO_FAST:
-                raise problem.options.too_fast(int(progress['grid_ns'][0]))
-            progress['budget'] = layout.BUDGET
-        progress['row'] += first
-    groups = requested.reshape(len(times_ns), len(has_constants), tangents.SIZE, LANES)
-    found = groups.swapaxes(1, 2).reshape(len(times_ns), tangents.SIZE, has_constants.size * LANES)
-    return found[..., :len(seeds[_START])]
+class _Tangents:
+    """
+    The tangents of a motion, computed piece by piece.
+
+    Parameters
+    ----------
+    problem : MotionInputs
+    seeds : dict of str to array, shape (p, ...)
+        What each of p tangents changes, for each part of `_SIZES`.
+    bias : array, shape (3,), N m
+        See `with_derivatives`.
+
+    """
+
+    def __init__(self, problem: MotionInputs, seeds: dict[str, Floats], bias: Floats) -> None:
+        # Only the series has tangents.
+        self._motion = motion = Integration(problem.solved_by())
+        self._bias, self._seeds = bias, seeds
+        start, constants = seeds[_START], seeds[_CONSTANTS]
+        carrier = motion._carrier
+        if problem.changes and problem.changes.in_force(problem.start.time_ns) >= 0:
+            self._change_constants()
+        if problem.named_wheels:  # they turn with the body when the motion starts
+            axial = problem.body_at(problem.start.time_ns).inertia - carrier.inertia
+            constants[:, tangents.MOMENTUM:tangents.DAMPING] += start[
+                :, tangents.RATE:tangents.ROTATION] @ axial
+        if (delayed := seeds[_TORQUES][:, forcing.DELAY:].any(axis=1)).any():
+            start[delayed, tangents.RATE:tangents.ROTATION] += np.linalg.solve(
+                carrier.inertia, _impulse(problem))
+        self._latest = _in_lanes(start)
+
+    def advance(self, times_ns: NDArray[np.int64]) -> Iterator[tuple[Floats, Floats, Floats]]:
+        """Generate attitudes, angular velocities and tangents at ascending times."""
+        motion = self._motion
+        while True:
+            next_ns = motion._next_ns
+            count = int(times_ns.searchsorted(next_ns))
+            if count == len(times_ns):
+                yield self._piece(times_ns)
+                return
+            yield tuple(each[:count] for each in self._piece(  # type: ignore[misc]
+                np.append(times_ns[:count], next_ns)))
+            times_ns = times_ns[count:]
+            motion._end_ns = next_ns
+            self._change(next_ns)
+
+    def _change(self, time_ns: int) -> None:
+        """Continue with the body that replaces the body at a given time."""
+        motion, changes = self._motion, self._motion.problem.changes
+        assert changes
+        before, rates = motion._carrier, motion._progress['latest'][0, :3].copy()
+        motion._change(changes.bodies[changes.in_force(time_ns)])
+        if changes.keep == MOMENTUM:
+            groups = self._latest.reshape(-1, tangents.SIZE, LANES)
+            turned = groups[:, tangents.RATE:tangents.ROTATION]
+            dj = _in_lanes(self._seeds[_CONSTANTS][:, tangents.INERTIA:tangents.MOMENTUM])
+            change = _symmetric(dj.reshape(-1, 6, LANES), rates)
+            turned[:] = np.linalg.solve(motion._carrier.inertia,
+                                        before.inertia @ turned + change)
+        self._change_constants()
+
+    def _change_constants(self) -> None:
+        """Forget the derivatives of constants of the first body."""
+        self._seeds[_CONSTANTS][:, tangents.INERTIA:tangents.MOMENTUM] = 0.0
+        self._seeds[_CONSTANTS][:, tangents.DAMPING:tangents.TORQUE] = 0.0
+
+    def _piece(self, times_ns: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+        """Return attitudes, angular velocities and tangents while the body is the same."""
+        motion, seeds = self._motion, self._seeds
+        timeline, progress = motion._timeline, motion._progress
+        constants = _in_lanes(seeds[_CONSTANTS])
+        has_constants = np.asarray(constants.reshape(-1, tangents.CONSTANTS * LANES).any(axis=1))
+        requested = np.zeros((len(times_ns), *self._latest.shape))
+        states = motion_layout.allocate(len(times_ns))
+        for first, end, rows in timeline.chunks(progress['row'], len(timeline.times_ns)):
+            rows = _with_terms(rows)
+            acting = self._forcing(rows)
+            work = np.empty((tangents.WORKSPACE + tangents.OF_VECTOR * len(acting.links), LANES))
+            progress['row'] -= first
+            progress['stop'] = end - first
+            while result := kernels.run_tangents(
+                    progress, times_ns, _packed(rows), motion._carrier._constants,
+                    motion.problem.options.method, self._latest, constants, has_constants, acting,
+                    requested, states, work):
+                if result == layout.TOO_FAST:
+                    raise motion.problem.options.too_fast(int(progress['grid_ns'][0]))
+                progress['budget'] = layout.BUDGET
+            progress['row'] += first
+        groups = requested.reshape(len(times_ns), len(has_constants), tangents.SIZE, LANES)
+        found = groups.swapaxes(1, 2).reshape(len(times_ns), tangents.SIZE,
+                                              has_constants.size * LANES)
+        return (motion_layout.attitude(states), motion_layout.angular_velocity(states),
+                found[..., :len(seeds[_START])])
+
+    def _forcing(self, rows: Rows) -> tangents.Forcing:
+        """Return the derivatives of the torques of rows, from the first group that has any."""
+        seeds = self._seeds[_TORQUES]
+        if not seeds.any():
+            none = np.empty((0, LANES))
+            return tangents.Forcing(none, none, np.empty((0, 3)))
+        seeds = seeds[seeds.any(axis=1).argmax() // LANES * LANES:]
+        vectors, impulses, links = forcing.forcing(
+            rows, self._motion._others.lagging, self._bias, seeds)
+        return tangents.Forcing(_in_lanes(vectors), _in_lanes(impulses), links)
+
+
+def _impulse(problem: MotionInputs) -> Floats:
+    """Return by how much the torque of the logs is larger before the start than after it, N m."""
+    start_ns, total = problem.start.time_ns, np.zeros(3)
+    actuators = problem.actuators or [None] * len(problem.logs)
+    for log, actuator in zip(problem.acting_logs, actuators):
+        changes_ns, _ = log.segments(problem.options.timeout_ns)
+        if (actuator and actuator.expiry_ns) or start_ns not in changes_ns:
+            continue  # the torque does not jump
+        torques, in_space = log.at(np.array([start_ns - 1, start_ns]),
+                                   problem.options.timeout_ns)
+        to_body = so3.conjugate(problem.start.attitude)
+        before, after = np.where(in_space[:, None], so3.rotate(to_body, torques), torques)
+        total += before - after
+    return total
+
+
+def _symmetric(tensors: Floats, vector: Floats) -> Floats:
+    """Multiply symmetric tensors, shape (g, 6, LANES), by a vector; return shape (g, 3, LANES)."""
+    full = tensors[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+    return np.einsum('gijl,j->gil', full, vector)
 
 
 def _in_lanes(values: Floats) -> Floats:
-    """Return an array of shape (components, n) as groups of lanes, shape (groups n, LANES)."""
-    count, size = values.shape
-    padded = np.zeros((-(-count // LANES), LANES, size))
-    padded.reshape(-1, size)[:count] = values
+    """Return an array of shape (components, ...) as groups of lanes, shape (groups n, LANES)."""
+    if not values.size:
+        return np.empty((0, LANES))
+    padded = np.zeros((-(-len(values) // LANES), LANES, values[0].size))
+    padded.reshape(-1, values[0].size)[:len(values)] = values.reshape(len(values), -1)
     return np.ascontiguousarray(padded.swapaxes(1, 2)).reshape(-1, LANES)
 
 
 def _with_terms(rows: Rows) -> Rows:
-    """Return the rows with torques on rotors and in space axes, as the kernel takes them."""
+    """Return the rows with torques on rotors and in space axes, and with lags."""
     none = np.zeros((len(rows.times_ns), rows.torques.shape[1] // 2 + 1, 3))
-    momentum, motors, space, *_ = rows.terms or Terms(np.zeros((1, 2, 3)))
-    return rows._replace(terms=Terms(momentum, none if motors is None else motors,
-                                     none if space is None else space))
+    found = rows.terms or Terms(np.zeros((1, 2, 3)))
+    return rows._replace(terms=found._replace(
+        motors=none if found.motors is None else found.motors,
+        space=none if found.space is None else found.space,
+        lags=found.lags or forcing.no_lags(len(none))))
 
 
-def _torques(rows: Rows, gains: Floats) -> Floats:
-    """Return the derivatives of the torques of rows, as `tangents.Tangents` takes them."""
-    assert rows.terms is not None
-    assert rows.terms.motors is not None
-    if not gains.any():
-        return np.empty((0, LANES))
-    on_body = rows.torques[:, :rows.torques.shape[1] // 2 + 1] + rows.terms.motors
-    gains = gains[gains.any(axis=1).argmax() // LANES * LANES:]
-    return _in_lanes((gains[:, None, None] * on_body).reshape(len(gains), -1))
+def _packed(rows: Rows) -> Rows:
+    """Return the rows as the kernel takes them: with fields and lags, or with neither."""
+    terms = rows.terms
+    assert terms is not None
+    assert terms.motors is not None
+    assert terms.space is not None
+    lags = terms.lags
+    if terms.fields is None and lags is not None and not len(lags.time_constants):
+        return rows._replace(terms=terms._replace(lags=None))
+    return rows._replace(terms=terms_of(
+        terms.momentum, terms.motors, terms.space, terms.fields, lags, None))

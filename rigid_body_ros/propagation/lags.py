@@ -95,17 +95,25 @@ class Changes(NamedTuple):
     times_ns: NDArray[np.int64]
     #: The commands in the form of `Lagging.command`, shape (n, 2, 3).
     commands: Floats
+    #: Whether the first command took effect before the torque was at rest.
+    is_clipped: bool
 
     @classmethod
     def of(cls, log: TorqueLog, actuator: Actuator, timeout_ns: int, rest_ns: int) -> Changes:
         """Return the changes, from `rest_ns` onward, in a log that `Actuator.acting` returned."""
         times_ns, samples = log.segments(timeout_ns)
         first = max(int(times_ns.searchsorted(rest_ns, 'right')) - 1, 0)
+        is_clipped = bool(len(times_ns) and times_ns[first] < rest_ns)
         times_ns, samples = np.maximum(times_ns[first:], rest_ns), samples[first:]
         commands = np.zeros((len(times_ns), 2, 3))
         acts = np.flatnonzero(samples >= 0)
         commands[acts, log.in_space[samples[acts]].astype(int)] = log.torques[samples[acts]]
-        return cls(actuator, times_ns, commands)
+        return cls(actuator, times_ns, commands, is_clipped)
+
+    def moving(self) -> Changes:
+        """Return the changes that a delay moves: not that of a clipped command."""
+        return self._replace(commands=self.commands - self.commands[:1]) if self.is_clipped \
+            else self
 
 
 class LaggingSources:
@@ -146,11 +154,28 @@ class LaggingSources:
 
         See `layout.Lags.excess` for the shape.
         """
+        return self._excess(times_ns, self._sources)
+
+    def moving_excess(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the part of `excess` that a delay of the commands moves."""
+        return self._excess(times_ns, [source.moving() for source in self._sources])
+
+    def _excess(self, times_ns: NDArray[np.int64], sources: Sequence[Changes]) -> Floats:
         result = np.zeros((len(times_ns), len(self._time_constants), 2, 3))
-        for source in self._sources:
+        for source in sources:
             which = int(np.flatnonzero(self._time_constants == source.actuator.time_constant)[0])
             _add(source, times_ns, which, result)
         return result
+
+    def slopes(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the derivatives of the torques with respect to their time constants, N m/s."""
+        every_ns = np.unique(np.concatenate([
+            times_ns, self.marks_ns, *(source.times_ns for source in self._sources)]))
+        excess = self.excess(every_ns)
+        found = np.zeros_like(excess)
+        kernels.lag_slopes(every_ns, excess, self._time_constants, found)
+        found[excess == 0.0] = 0.0  # what is left of a lag that is over
+        return found[every_ns.searchsorted(times_ns)]
 
     def key(self, time_ns: int) -> Floats:
         """Return an array of all numbers that determine the torques until the next change."""

@@ -180,23 +180,26 @@ class Problem(MotionInputs):
         ----------
         names : sequence of str
             'inertia' (six entries), 'start' (attitude as a rotation vector in body axes, and
-            angular velocity), 'torque_gain', 'torque_gains', 'torque_bias', 'damping' and
-            'rotor_momentum', as in `attitude_identify --estimate`. The torque in body axes is
-            multiplied by the gains, and the bias acts from the start.
+            angular velocity), 'torque_gain', 'torque_gains', 'torque_bias', 'torque_delay',
+            'torque_lag', 'damping', 'rotor_momentum', and 'NAME.moment' of a uniform field with a
+            name, as in `attitude_identify --estimate`. The torques of the logs are multiplied by
+            the gains, in their own axes. A delay and a lag add to those of the actuators; without
+            any lag, a small lag acts like a delay. The bias acts from the start. The inertia and
+            the damping are those of `body`, until it changes.
         at : array of int, shape (m,), ns
             Times, in any order, none before the start.
 
         Returns
         -------
         Derivatives
-            Gains come last, otherwise in the order of `names`.
+            Gains, delay and lag come last, otherwise in the order of `names`. At the stamp of a
+            torque that jumps, the derivative by a delay is that of a longer delay.
 
         Raises
         ------
         ValueError
             A name is unknown or given twice, no name is given, a time is before the start, or the
-            body turns too fast. Fields, lags, friction and largest speeds of wheels, bodies that
-            change, and gains of actuators and of torques in space axes have no derivatives yet.
+            body turns too fast. Wheels with friction or a largest speed have no derivatives yet.
 
         """
         return derivatives(self, names, at)
