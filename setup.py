@@ -75,6 +75,8 @@ setup(
         'ensemble': ['dask>=2022.12', 'distributed>=2022.12', 'pyarrow>=13',
                      'zarr>=3.1.3; python_version >= "3.11"'],
         'px4': ['pyulog>=1.0'],
+        'jax': ['jax>=0.4.35'],
+        'torch': ['torch'],
         'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
                  'colcon-test-result', 'dask', 'distributed', 'hypothesis', 'import-linter',
                  'mcap-ros2-support', 'mpmath', 'mypy', 'playwright', 'psutil', 'pyarrow',

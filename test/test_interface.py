@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import rigid_body_ros
 from rigid_body_ros import (
+    autodiff,
     BodyLog,
     build_info,
     EffortLog,
@@ -63,6 +64,9 @@ SIGNATURES = [
               f'actuator=None, {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
     (Problem.derivatives, 'self, names, *, at'),
+    (autodiff.vjp, 'problem, inputs, *, at'),
+    (autodiff.jax_motion, 'problem, *, at'),
+    (autodiff.torch_motion, 'problem, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
            "wheel_command=None, inertia=None, interpolation=None, time_source='header', "
            'columns=None'),
