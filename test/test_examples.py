@@ -24,8 +24,19 @@ import matplotlib.image
 import monte_carlo
 from mpmath import mp
 import numpy as np
+import plan_slew
 import pytest
-from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State
+from rigid_body_ros import (
+    messages,
+    Problem,
+    propagate,
+    recording,
+    RigidBody,
+    scene,
+    State,
+    TorqueLog,
+)
+from rigid_body_ros.autodiff import vjp
 from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from scipy.spatial.transform import Rotation
@@ -164,6 +175,39 @@ def test_the_picture_shows_rates_and_angle_with_their_units(tmp_path, monkeypatc
     np.testing.assert_allclose(cosine, axes @ momentum / np.linalg.norm(momentum), atol=1e-13)
     assert cosine.max() > np.cos(np.radians(1.0))
     assert cosine.min() < -np.cos(np.radians(1.0))
+
+
+def test_the_planned_slew_ends_at_rest_at_the_target(tmp_path):
+    lines = printed(tmp_path, 'plan_slew')
+    assert numbers(lines['attitude error'])[0] < 1e-9
+    assert numbers(lines['rate at the end'])[0] < 1e-12
+    assert numbers(lines['motions computed'])[0] < 50
+
+
+def test_no_slew_near_the_planned_one_takes_less_effort():
+    torques, _ = plan_slew.plan(plan_slew.SATELLITE, plan_slew.TARGET)
+    size = np.abs(torques).max()
+    problem = Problem(plan_slew.SATELLITE, State(), TorqueLog(plan_slew.STAMPS_NS, torques))
+    _, pull = vjp(problem, {'torques': torques}, at=[plan_slew.END_NS])
+    slopes = [pull(one[None, :4], one[None, 4:])['torques'].ravel() for one in np.eye(7)]
+    # Lagrange: the gradient of the effort is a combination of those of the state at the end.
+    factors, *_ = np.linalg.lstsq(np.transpose(slopes), torques.ravel(), rcond=None)
+    np.testing.assert_allclose(factors @ slopes, torques.ravel(), atol=1e-5 * size)
+
+
+def test_a_slew_of_a_sphere_takes_the_effort_of_the_formula():
+    moment, angle, seconds, count = 0.1, np.radians(120.0), 30.0, plan_slew.COUNT
+    torques, _ = plan_slew.plan(RigidBody(moment * np.eye(3)), plan_slew.TARGET)
+    # With held torques, those of the linear law of a double integrator cost n^2 / (n^2 - 1) more.
+    known = 12.0 * (moment * angle) ** 2 / seconds ** 3 * count ** 2 / (count ** 2 - 1)
+    assert np.sum(torques ** 2) * seconds / count == pytest.approx(known, rel=1e-10)
+
+
+def test_torch_fits_the_inertia_to_the_noise(tmp_path):
+    pytest.importorskip('torch', reason='PyTorch (torch) is not installed')
+    lines = printed(tmp_path, 'fit_inertia_torch')
+    assert numbers(lines['largest error, fitted'])[0] < 1e-4
+    assert numbers(lines['mean square misfit'])[0] == pytest.approx(1.0, abs=0.3)
 
 
 @pytest.mark.parametrize(('arguments', 'recorded', 'config'), [
