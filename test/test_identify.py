@@ -34,7 +34,9 @@ from rigid_body_ros import (
 )
 from rigid_body_ros.identification import Experiment, identify
 from rigid_body_ros.inference.certainty import triangle
+from rigid_body_ros.inference.fit import errors_of
 from rigid_body_ros.inference.inputs import channels_of, setup_of
+from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured
@@ -672,21 +674,41 @@ def test_actuators_are_those_of_a_propagation(names, scene):
         assert inertia_error(found) < 1e-8
 
 
-@pytest.mark.parametrize('extra', [(), ('weight',), ('torque_lag',)])
-def test_motions_that_are_computed_together_are_those_of_each_alone(extra):
-    names = ('inertia', 'torque_gains', 'torque_bias', 'torque_delay', 'damping', 'gyro_bias',
-             'clock_offset', 'rotor_momentum', *extra)
+@pytest.mark.parametrize('lag', [0.0, 0.1])
+def test_slopes_of_predictions_are_the_limits_of_differences(lag):
+    names = ('inertia', 'torque_gain', 'torque_gains', 'torque_bias', 'torque_delay', 'torque_lag',
+             'weight', 'clock_offset', 'clock_drift', 'mount', 'gyro_bias', 'gyro_scale@/imu',
+             'damping', 'rotor_momentum')
     problem, measured = tumble(2.0).experiment(tumble(2.0).measured(ATTITUDE, RATE)).observed(
         GUESS, 0.0)
-    setup = setup_of([problem], [channels_of(measured.sensors, 0)], names)
+    gyro = Measured('/gyro', measured.sensors[0].stamps_ns[::3], None,
+                    measured.sensors[0].angular_velocity[::3])
+    # Samples between the stamps of torques, so that no step goes from one torque to the next.
+    apart = [replace(one, stamps_ns=one.stamps_ns + 2_500_000)
+             for one in channels_of([*measured.sensors, gyro], 0)]
+    setup = setup_of([problem], [apart], [name for name in names if name != 'torque_gain'])
     window, = setup.windows(setup.span_ns, setup.given)
-    near = setup.parameters.guess
-    every = [near, *(setup.parameters.near(near, 1e-3 * unit)
-                     for unit in np.eye(setup.parameters.size)), near]
-    states = Poses(*(np.tile(each, (len(every), 1)) for each in (
-        problem.start.attitude, problem.start.angular_velocity)))
-    together = window.predict(every, states)
-    for i, one in enumerate(every):
-        for found, expected in zip(together, window.predict([one], states.rows([i]))):
-            np.testing.assert_array_equal(found[i], expected[0])
-    assert len({part.tobytes() for part in together[1]}) == len(every) - 1
+    state = Poses(problem.start.attitude, problem.start.angular_velocity)
+    physics = setup.parameters.guess
+    for name, value in (('torque_lag', [lag]), ('mount', [0.1, -0.2, 0.3]),
+                        ('torque_gains', [0.9, 1.1, 1.2]), ('weight', [0.0, 0.0, 1e-3]),
+                        ('torque_bias', [1e-3, 0.0, 2e-3]), ('damping', 3 * [1e-3] + 3 * [0.0]),
+                        ('gyro_scale@/imu', [1.1, 1.2, 0.9])):
+        physics = physics.with_value(name, np.array(value))
+    predicted, slopes = window.linearize(physics, state, names)
+    for found, expected in zip(predicted, window.predict(physics, state)):
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
+    at = [replace(channel, **{'attitude' if channel.is_attitude else 'angular_velocity': each})
+          for channel, each in zip(window.channels, predicted)]
+    components = [(name, entry) for name in names for entry in np.eye(len(components_of(name)))]
+    for row, (name, entry) in enumerate(components, 6):
+        step = (1e-5 if name in ('weight', 'damping', 'inertia') else 1e-4) * entry
+        values = physics.value(*name.split('@'))
+        errors = [errors_of(at, window.predict(physics.with_value(
+            name, values + times * step), state)) for times in range(4)]
+        for channel, slope, (none, one, two, three) in zip(window.channels, slopes, zip(*errors)):
+            change = (18.0 * one - 9.0 * two + 2.0 * three - 11.0 * none) / (6.0 * step.sum())
+            # Without a lag, the first derivative is that of a delay.
+            limit = 1e-5 if name != 'torque_lag' or lag else 0.1
+            assert np.abs(slope[row] - change).max() < limit * np.abs(change).max(initial=1e-3), (
+                name, channel.topic)

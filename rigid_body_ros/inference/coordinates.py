@@ -27,7 +27,6 @@ from rigid_body_ros.common.arrays import COLUMNS, entries, Floats, ROWS, symmetr
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.parameters import (
     components_of,
-    is_of_sensor,
     kind_of,
     KINDS,
     SHIFTS,
@@ -51,11 +50,6 @@ _LITTLE = 1e-3
 #: The lag with which a fit starts, in seconds. It must not be zero, because at zero lag the
 #: derivatives with respect to lag and delay are equal.
 SHORT_LAG = 0.02
-#: Column i contains the entries xx ... yz of the tensor n n^T for direction i of six directions n.
-#: Every symmetric tensor is a weighted sum of these six tensors.
-_OF_DIRECTIONS = np.array([[1.0 * n[i] * n[j] for n in (
-    (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1))]
-    for i, j in zip(ROWS, COLUMNS)])
 #: Values of the parameters that are not fitted. They are stored here because creating these arrays
 #: at each use would take a tenth of the time of a fit.
 _NEUTRAL = {name: np.broadcast_to(kind.neutral, len(kind.components))
@@ -128,19 +122,15 @@ class Physics:
         """Return the value of a parameter with one component."""
         return float(self.value(name, topic)[0])
 
-    def of_motion(self) -> bytes:
-        """Return everything that changes the motion, as bytes: not the values of the sensors."""
-        return b''.join(value.tobytes() for name, value in self.values.items()
-                        if not is_of_sensor(name))
-
-    def acting(self, fields: Sequence[Field]) -> list[Field]:
-        """Return `fields` with fitted moments, followed by the weight if the weight is fitted."""
+    def acting(self, fields: Sequence[Field], groups: Sequence[str] = ()) -> list[Field]:
+        """Return `fields` with fitted moments, followed by the weight if it acts or in groups."""
         acting: list[Field] = [
             replace(one, moment=self.values[f'{one.name}.{MOMENT}'])
             if isinstance(one, UniformField) and f'{one.name}.{MOMENT}' in self.values else one
             for one in fields]
         weight = self.value(WEIGHT)
-        return [*acting, UniformField(weight, self.gravity, WEIGHT)] if weight.any() else acting
+        has_weight = weight.any() or WEIGHT in groups
+        return [*acting, UniformField(weight, self.gravity, WEIGHT)] if has_weight else acting
 
 
 class Magnitudes(NamedTuple):
@@ -198,10 +188,6 @@ class Parameters:
     factor of the damping. For all other parameters, the coordinates are the values divided by
     their scales.
 
-    Close to a solution, *plain* coordinates are used instead, which are simply the values divided
-    by their scales. Only the damping is different: its plain coordinates are the weights of six
-    tensors, and need no bounds.
-
     Parameters
     ----------
     names : sequence of str
@@ -250,13 +236,6 @@ class Parameters:
         return [i for i, name in enumerate(self.names) if split_topic(name)[0] in SHIFTS]
 
     @property
-    def steps(self) -> Floats:
-        """Return finite-difference steps, which are longer for components that shift stamps."""
-        steps: Floats = np.full(self.size, 1e-7)
-        steps[self.shifts] = 1e-5
-        return steps
-
-    @property
     def own_priors(self) -> dict[str, Prior]:
         """Return the priors of the fitted components; the others are those of suspects."""
         return {name: prior for name, prior in self.priors.items() if name in self.names}
@@ -272,6 +251,13 @@ class Parameters:
         values = dict(zip(self.names, self.values(physics)))
         return np.array([(values[name] - prior.value) / prior.sigma
                          for name, prior in self.own_priors.items()])
+
+    @property
+    def known(self) -> Floats:
+        """Return the derivatives of `surprise` with respect to the values."""
+        priors = self.own_priors
+        return np.array([[(name == own) / prior.sigma for name in self.names]
+                         for own, prior in priors.items()]).reshape(len(priors), self.size)
 
     def columns(self, groups: Iterable[str]) -> list[int]:
         """Return the indices of the components of the given parameters."""
@@ -294,36 +280,27 @@ class Parameters:
         Values may not be finite if the coordinates are far from the guess.
         """
         with np.errstate(over='ignore', invalid='ignore'):
-            return self._at(coordinates, False, self.guess)
+            physics, first = self.guess, 0
+            for name in self.groups:
+                part = coordinates[first:first + len(components_of(name))]
+                first += len(part)
+                physics = physics.with_value('inertia' if name == 'inertia_diagonal' else name,
+                                             self._value(name, part))
+            return physics
 
-    def near(self, physics: Physics, steps: Floats) -> Physics:
-        """Return the parameters after small positive steps from `physics` in plain coordinates."""
-        return self._at(steps, True, physics)
-
-    def from_plain(self, derivatives: Floats) -> Floats:
+    def slopes(self, coordinates: Floats) -> Floats:
         """
-        Convert derivatives with respect to plain coordinates.
+        Return the derivatives of the values with respect to the coordinates.
 
-        The returned derivatives are with respect to the values divided by their scales.
+        There is a row for each coordinate. A step along the imaginary axis has no cancellation
+        (Squire and Trapp, 1998).
         """
-        result = derivatives.copy()
-        if 'damping' in self.groups:
-            rows = self.columns(['damping'])
-            result[rows] = np.linalg.inv(_OF_DIRECTIONS).T @ derivatives[rows]
-        return result
+        found = [self.values(self.physics(coordinates + 1e-30j * unit)).imag / 1e-30
+                 for unit in np.eye(self.size)]
+        return np.array(found).reshape(self.size, self.size)
 
     def _scale(self, name: str) -> Floats:
         return self._scales[split_topic(name)[0]]
-
-    def _at(self, point: Floats, plain: bool, physics: Physics) -> Physics:
-        first = 0
-        for name in self.groups:
-            part = point[first:first + len(components_of(name))]
-            first += len(part)
-            values = (self._plain if plain else self._value)(name, part, physics)
-            physics = physics.with_value('inertia' if name == 'inertia_diagonal' else name,
-                                         np.abs(values) if name == 'torque_lag' else values)
-        return physics
 
     def _coordinates(self, name: str, physics: Physics) -> Floats:
         if name.startswith('inertia'):
@@ -337,12 +314,13 @@ class Parameters:
             return entries(factor.T)
         return _values(name, physics) / self._scale(name)
 
-    def _value(self, name: str, part: Floats, physics: Physics) -> Floats:
+    def _value(self, name: str, part: Floats) -> Floats:
         if name == 'damping':
-            factor = np.zeros((3, 3))
+            factor = np.zeros((3, 3), part.dtype)
             factor[COLUMNS, ROWS] = part
-            return entries(self._scales[name][0] * factor @ factor.T)
+            return (self._scales[name][0] * factor @ factor.T)[ROWS, COLUMNS]
         if not name.startswith('inertia'):
+            part = -part if name == 'torque_lag' and part.real < 0.0 else part
             return part * self._scale(name)
         if name == 'inertia':
             factor = np.diag(np.exp(part[:3]))
@@ -350,15 +328,7 @@ class Parameters:
             factor *= self._size
         else:
             factor = _with_products(self._size * np.exp(part), self._moments)
-        return entries(inertia_of(factor @ factor.T))
-
-    def _plain(self, name: str, part: Floats, physics: Physics) -> Floats:
-        change = part * self._scale(name)
-        if name == 'damping':
-            change = _OF_DIRECTIONS @ change
-        if name == 'inertia_diagonal':
-            change, name = np.append(change, np.zeros(3)), 'inertia'
-        return _values(name, physics) + change
+        return inertia_of(factor @ factor.T)[ROWS, COLUMNS]
 
 
 def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, Prior]:

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.inference.fit import errors_of
+from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.windows import corrected, Window
+from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
@@ -262,10 +263,9 @@ def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> li
     problem, result = solution.problem, []
     for number, channels in enumerate(every):
         k, ahead = ahead_of(solution, number, channels)
-        predicted = ahead.predict([solution.physics], problem.reference.rows([k]))
+        predicted = ahead.predict(solution.physics, problem.reference.rows(k))
         for channel, errors, noise in zip(ahead.channels, errors_of(ahead.channels, predicted),
                                           solution.weights.sigma[number]):
-            errors = errors[0]
             sizes = np.linalg.norm(errors, axis=1)
             limit = _OUTLIER * max(float(np.median(sizes)) if len(sizes) else 0.0, noise)
             result.append(Residuals(number, channel.topic, channel.is_attitude, False,

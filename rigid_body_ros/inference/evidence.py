@@ -170,12 +170,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     # must therefore begin at each of these times, too.
     windows = old.setup.windows(solution.length_ns, solution.physics, parts)
     setup = replace(old.setup, parameters=parameters)
-    problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
-    shared, shifts = parameters.steps, parameters.shifts
-    factor = float((old.steps[0] / old.parameters.steps).min(initial=1.0))
-    problem.steps = np.where(np.isin(np.arange(len(shared)), shifts), shared, factor * shared), \
-        np.full((len(windows), 6), old.steps[1].min())
-    return problem
+    return LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
 
 
 def linear(problem: LeastSquares) -> Linearized:
@@ -291,7 +286,6 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     spreads[number] = sizes
     problem = LeastSquares(old.setup, [ahead], old.reference.rows([k]),
                            Weights(solution.weights.sigma, roots, spreads))
-    problem.steps = old.steps[0], old.steps[1][[k]]
     # The parameters come before the state, as in the information matrix.
     slopes = np.roll(problem.derivatives(0, solution.physics), -len(problem.unknowns[0]), axis=0)
     errors, known = problem.scaled_errors(0, solution.physics), old.information(
@@ -316,7 +310,7 @@ def _deviations(known: Floats, slopes: Floats) -> Floats:
     _, singular, right = np.linalg.svd(known)
     kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
     deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)
-    # Differences leave a part of 1e-9 or so of the largest slope in directions without an effect.
+    # Rounding leaves a small slope in directions without an effect.
     least = _NO_SLOPE * np.abs(slopes).max(initial=0.0)
     return np.where((np.abs(right[~kept] @ slopes) > least).any(axis=0), np.inf, deviations)
 

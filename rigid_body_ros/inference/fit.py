@@ -41,12 +41,6 @@ from rigid_body_ros.recording.measured import Measured
 
 #: Standard deviation of the weak prior that keeps undetermined coordinates close to the guess.
 _PRIOR = 3.0
-#: Largest finite-difference step of a state component. A step is made even smaller if it would
-#: otherwise change a prediction by more than this amount.
-_STEP = 1e-7
-#: Derivatives at the solution are second-order differences, whose steps are longer than those of
-#: other derivatives by this factor.
-_FINAL = 100.0
 #: Each time the solver rejects a step, the next state correction is multiplied by this factor.
 _SHORTER = 0.25
 
@@ -124,22 +118,19 @@ class LeastSquares:
             for window in windows]
         self.guess = parameters.coordinates(parameters.guess)
         self.evaluations = 0
-        #: Finite-difference steps for the shared parameters and for each state.
-        self.steps = parameters.steps, np.full((len(windows), 6), _STEP)
         #: `_base` is the problem linearized at the last point that the solver accepted. `_trial`
         #: is the problem linearized at the last point that the solver tried.
         self._base: _Linearization | None = None
         self._trial: _Linearization | None = None
         self._rejected = 0
-        #: Caches of `derivatives`: the parameters of the last call, with the derivatives of a
-        #: window before they are weighted, and with the parameters after small steps.
+        #: A cache of `derivatives`: the parameters of the last call, with the derivatives of a
+        #: window before they are weighted.
         self._slopes: dict[int, tuple[Physics, list[Floats]]] = {}
-        self._moved: tuple[Physics, list[list[Physics]]] | None = None
 
     def weighted(self, weights: Weights) -> LeastSquares:
         """Return a copy of this problem with the given weights."""
         other = LeastSquares(self.setup, self.windows, self.reference, weights)
-        other.steps, other._slopes = self.steps, self._slopes
+        other._slopes = self._slopes
         return other
 
     @property
@@ -150,7 +141,8 @@ class LeastSquares:
     def states(self) -> Poses:
         """Return the states at the last point that the solver accepted."""
         assert self._base is not None
-        return self._changed(slice(None), self._base.changes)
+        return Poses(*(np.array(each) for each in zip(*(
+            self._state(k, change) for k, change in enumerate(self._base.changes)))))
 
     def settle(self, tolerance: float, most: int) -> bool:
         """
@@ -201,18 +193,13 @@ class LeastSquares:
         shared, changes = self.parameters.size, self._changes(point)
         prior = (point - self.guess) / _PRIOR
         try:
-            here = self.parameters.physics(point)
-            there = [self.parameters.physics(point + step * unit)
-                     for step, unit in zip(self.steps[0], np.eye(shared))]
-            largest = np.ones((len(changes), 6 + shared))
-            triangles = [self._triangle(k, here, there, change, largest[k])
+            physics, slopes = self.parameters.physics(point), self.parameters.slopes(point)
+            triangles = [self._triangle(k, physics, slopes, change)
                          for k, change in enumerate(changes)]
-            self._adapt(largest)
         except ValueError:  # the body is impossible, or the motion is too fast: reject the step
             return _Linearization(point, changes, [], np.append(prior, np.inf), np.eye(shared))
-        known = np.array([self.parameters.surprise(one) for one in (here, *there)])
-        residuals = [prior, known[0]]
-        jacobian = [np.eye(shared) / _PRIOR, (known[1:] - known[0]).T / self.steps[0]]
+        residuals = [prior, self.parameters.surprise(physics)]
+        jacobian = [np.eye(shared) / _PRIOR, self.parameters.known @ slopes.T]
         for factor, unknown in zip(triangles, self.unknowns):
             own = len(unknown)
             residuals.append(factor[:, -1])
@@ -238,54 +225,41 @@ class LeastSquares:
                 change[unknown] -= np.linalg.solve(factor[:own, :own], wanted)
         return changes
 
-    def _changed(self, k: int | slice, changes: Floats) -> Poses:
-        """
-        Apply each row of `changes`, shape (c, 6), to reference state `k`.
+    def _state(self, k: int, change: Floats) -> Poses:
+        """Apply a scaled change, shape (6,), to reference state `k`."""
+        return Poses(so3.multiply(self.reference.attitude[k], so3.exp(change[..., :3])),
+                     self.reference.angular_velocity[k] + self.setup.rate * change[..., 3:])
 
-        If `k` is a slice, each row of `changes` is instead applied to one of the reference states
-        in the slice.
-        """
-        return Poses(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
-                     self.reference.angular_velocity[k] + self.setup.rate * changes[:, 3:])
-
-    def _triangle(self, k: int, physics: Physics, moved_physics: Sequence[Physics],
-                  change: Floats, largest: Floats) -> Floats:
+    def _triangle(self, k: int, physics: Physics, slopes: Floats, change: Floats) -> Floats:
         """
         Return the triangular factor of a window.
 
         The columns correspond to the unknowns of the state, then the shared parameters, and
-        finally the errors. The method also fills the array `largest` with the largest derivative
-        of any prediction with respect to each unknown.
+        finally the errors. The array `slopes` has the derivatives of the values of the parameters
+        with respect to their coordinates.
         """
-        window, unknown, steps = self.windows[k], self.unknowns[k], self.steps[0]
+        window, unknown = self.windows[k], self.unknowns[k]
         own = len(unknown)
-        step = np.append(self.steps[1][k, unknown], steps)
-        moves = np.zeros((1 + len(step), 6))
-        moves[1 + np.arange(own), unknown] = step[:own]
-        predicted = window.predict([physics] * (1 + own) + [*moved_physics],
-                                   self._changed(k, change + moves))
-        slope = slopes(window, [one[0] for one in predicted], [
-            (one[1:] - one[0]) / step[:, None, None] for one in predicted])
-        found = np.max([np.abs(one).max(axis=(1, 2), initial=0.0) for one in slope], axis=0)
-        largest[np.append(unknown, 6 + np.arange(len(steps)))] = found
-        columns = np.zeros((len(step) + 1, 3 * window.size + own))
-        columns[:-1, own:] = self._rows(k, slope)
-        columns[-1:, own:] = self._rows(
-            k, errors_of(window.channels, [one[:1] for one in predicted]))
+        predicted, found = window.linearize(physics, self._state(k, change),
+                                            self.parameters.groups)
+        rows = self._rows(k, found)
+        columns = np.zeros((own + len(slopes) + 1, 3 * window.size + own))
+        columns[:own, own:] = self._of_state(rows, change)[unknown]
+        columns[own:-1, own:] = slopes @ rows[6:]
+        columns[-1, own:] = self._errors(k, predicted)
         columns[np.arange(own), np.arange(own)] = 1.0 / _PRIOR
         columns[-1, :own] = change[unknown] / _PRIOR
         return triangle(columns)
 
-    def _adapt(self, largest: Floats) -> None:
-        """
-        Choose finite-difference steps that change the predictions only a little.
+    def _of_state(self, rows: Floats, change: Floats) -> Floats:
+        """Convert derivatives with respect to a state to those with respect to its change."""
+        return np.concatenate([so3.right_jacobian(change[:3]).T @ rows[:3],
+                               self.setup.rate * rows[3:6]])
 
-        In unstable motion, this requires smaller steps.
-        """
-        shared = self.parameters.steps / np.maximum(largest[:, 6:].max(axis=0), 1.0)
-        shifts = self.parameters.shifts
-        shared[shifts] = self.parameters.steps[shifts]
-        self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
+    def _errors(self, k: int, predicted: Sequence[Floats]) -> Floats:
+        """Return the errors of predictions, divided by their standard deviations."""
+        return self._rows(k, [error[None] for error in errors_of(
+            self.windows[k].channels, predicted)])[0]
 
     def _rows(self, k: int, errors: list[Floats]) -> Floats:
         """
@@ -310,10 +284,9 @@ class LeastSquares:
         result = [[np.full((len(root), 3), np.nan) for root in roots]
                   for roots in self.weights.roots]
         for k, window in enumerate(self.windows):
-            predicted = window.predict([physics], self.reference.rows([k]))
-            errors = errors_of(window.channels, predicted)
+            errors = errors_of(window.channels, window.predict(physics, self.reference.rows(k)))
             for one, rows, error in zip(result[window.experiment], window.rows, errors):
-                one[rows] = error[0]
+                one[rows] = error
         return result
 
     def information(self, physics: Physics, kept: Sequence[int] | None = None) -> Floats:
@@ -354,9 +327,7 @@ class LeastSquares:
 
     def scaled_errors(self, k: int, physics: Physics) -> Floats:
         """Return the errors in a window, divided by their standard deviations, shape (m,)."""
-        window = self.windows[k]
-        predicted = window.predict([physics], self.reference.rows([k]))
-        return self._rows(k, errors_of(window.channels, predicted))[0]
+        return self._errors(k, self.windows[k].predict(physics, self.reference.rows(k)))
 
     def derivatives(self, k: int, physics: Physics, keeps: bool = False) -> Floats:
         """
@@ -372,56 +343,26 @@ class LeastSquares:
             scales.
 
         """
-        if k in self._slopes and self._slopes[k][0] is physics:
-            return self._scaled_slopes(k, self._slopes[k][1])
-        window, unknown = self.windows[k], self.unknowns[k]
-        own = len(unknown)
-        steps = _FINAL * self.steps[0]
-        steps[self.parameters.shifts] /= _FINAL
-        step = np.append(_FINAL * self.steps[1][k, unknown], steps)
-        moves = np.zeros((2, len(step), 6))
-        moves[:, np.arange(own), unknown] = np.outer((1, 2), step[:own])
-        moved = [[physics] * own + each for each in self._near(physics, steps)]
-        predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
-            k, np.concatenate([np.zeros((1, 6)), *moves])))
-        # Use one-sided differences, because a step in the other direction could lead to an
-        # impossible body.
-        found = slopes(window, [one[0] for one in predicted], [
-            (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
-            / (2.0 * step[:, None, None]) for one in predicted])
-        if keeps:
+        if k not in self._slopes or self._slopes[k][0] is not physics:
+            found = self.windows[k].linearize(physics, self.reference.rows(k),
+                                              self.parameters.groups)[1]
+            if not keeps:
+                return self._scaled(k, found)
             self._slopes[k] = physics, found
-        return self._scaled_slopes(k, found)
+        return self._scaled(k, self._slopes[k][1])
 
-    def _scaled_slopes(self, k: int, found: list[Floats]) -> Floats:
-        rows, own = self._rows(k, found), len(self.unknowns[k])
-        rows[own:] = self.parameters.from_plain(rows[own:])
-        return rows
-
-    def _near(self, physics: Physics, steps: Floats) -> list[list[Physics]]:
-        """Return the parameters after one and after two steps of each shared parameter."""
-        if self._moved is None or self._moved[0] is not physics:
-            self._moved = physics, [[self.parameters.near(physics, times * unit * steps)
-                                     for unit in np.eye(len(steps))] for times in (1, 2)]
-        return self._moved[1]
+    def _scaled(self, k: int, found: list[Floats]) -> Floats:
+        rows = self._rows(k, found)
+        return np.concatenate([self._of_state(rows, np.zeros(6))[self.unknowns[k]],
+                               self.parameters.scales[:, None] * rows[6:]])
 
 
 def errors_of(channels: Sequence[Measured], predicted: Sequence[Floats]) -> list[Floats]:
     """
-    Return the predicted minus the measured values of each channel, shape (c, n, 3).
+    Return the predicted minus the measured values of each channel, shape (n, 3).
 
     For attitudes, the difference is a rotation vector.
     """
     return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
             if channel.is_attitude else here - channel.values
             for channel, here in zip(channels, predicted)]
-
-
-def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> list[Floats]:
-    """
-    Return the changes of the predictions in each channel, shape (c, n, 3).
-
-    For attitudes, a change is a rotation vector.
-    """
-    return [2.0 * so3.multiply(so3.conjugate(here), change)[..., :3] if channel.is_attitude
-            else change for channel, here, change in zip(window.channels, predicted, changes)]

@@ -37,9 +37,10 @@ from rigid_body_ros.inference.errors import rms
 from rigid_body_ros.inference.fit import errors_of, LeastSquares, Weights
 from rigid_body_ros.inference.guess import local_state
 from rigid_body_ros.inference.parameters import LONGEST_DELAY
+from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import median_size, ROUNDING, Solution, solution_of
-from rigid_body_ros.inference.windows import corrected, Window
+from rigid_body_ros.inference.windows import Window
 from rigid_body_ros.mechanics.states import Poses
 
 #: The first fit may have ended in the wrong minimum if adjacent errors have a correlation above
@@ -228,9 +229,10 @@ def _joined(states: Iterable[tuple[Floats, Floats]]) -> Poses:
 
 def _medians(window: Window, physics: Physics, *states: tuple[Floats, Floats]) -> Floats:
     """Return the sum of the median errors of all channels in a window, for each given state."""
-    predicted = window.predict([physics] * len(states), _joined(states))
-    return np.sum([np.median(np.linalg.norm(one, axis=2), axis=1)
-                   for one in errors_of(window.channels, predicted) if one.shape[1]], axis=0)
+    errors = [errors_of(window.channels, window.predict(physics, Poses(*state)))
+              for state in states]
+    return np.sum([[np.median(np.linalg.norm(one, axis=1)) for one in each if len(one)]
+                   for each in errors], axis=1)
 
 
 def _restarted(solution: Solution) -> Solution | None:
@@ -245,7 +247,7 @@ def _restarted(solution: Solution) -> Solution | None:
     for k, (before, window) in enumerate(pairwise(old.windows), 1):
         if window.is_first or not window.has_state:
             continue
-        near = before.state_at(physics, *states[k - 1], window.anchor_ns)
+        near = before.state_at(physics, Poses(*states[k - 1]), window.anchor_ns)
         own, other = _medians(window, physics, states[k], near)
         if _MUCH * other < own:
             states[k], is_better = near, True
@@ -274,7 +276,6 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
     else:
         converged = problem.settle(tolerance, most)
     moved = LeastSquares(setup, windows, problem.states(), previous.weights)
-    moved.steps = problem.steps
     return solution_of(moved, physics, length_ns, previous.evaluations + problem.evaluations,
                        converged, is_last)
 
@@ -302,8 +303,8 @@ def states_at(solution: Solution, windows: Sequence[Window]) -> Poses:
     for window in windows:
         k = max(bisect_right(begins, (window.experiment, window.anchor_ns + _SAME_NS)) - 1,
                 bisect_left(begins, (window.experiment,)))
-        pairs.append(old.windows[k].state_at(solution.physics, old.reference.attitude[k],
-                                             old.reference.angular_velocity[k], window.anchor_ns))
+        pairs.append(old.windows[k].state_at(solution.physics, old.reference.rows(k),
+                                             window.anchor_ns))
     return _joined(pairs)
 
 

@@ -38,8 +38,9 @@ from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.parameters import moments_of, split_topic, START
 from rigid_body_ros.inference.residual_torque import measured_rates
+from rigid_body_ros.inference.sensors import topics_of
 from rigid_body_ros.inference.setup import Setup
-from rigid_body_ros.inference.windows import AxialInertia, topics_of
+from rigid_body_ros.inference.windows import AxialInertia
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.state import State

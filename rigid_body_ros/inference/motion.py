@@ -36,6 +36,8 @@ from rigid_body_ros.recording.measured import Measured
 _PARTS, _AS_GOOD = (1.0, 0.5, 0.25, 0.125, 0.06, 0.0), 1.15
 #: A part, or the time between two parts, has a gap if it is longer than usual by this factor.
 _GAP = 1.5
+#: Step by which interpolated rates are differentiated, ns.
+_STEP_NS = 10_000
 #: The noise is estimated from this quantile of the squared errors of the parts.
 _QUANTILE = 0.95
 
@@ -129,6 +131,11 @@ class Recorded:
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return zeros, shape (m, 3)."""
         return np.zeros((len(times_ns), 3))
+
+    def angular_acceleration(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the angular acceleration, rad/s^2, body axes, shape (m, 3)."""
+        before, after = (self.propagate(at=times_ns + step) for step in (-_STEP_NS, _STEP_NS))
+        return (after.angular_velocity - before.angular_velocity) / (2e-9 * _STEP_NS)
 
     def propagate(self, *, at: NDArray[np.int64]) -> Poses:
         """Return the states at the given times, interpolated by `hermite.between`."""

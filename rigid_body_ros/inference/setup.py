@@ -25,7 +25,8 @@ from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.inference.coordinates import Parameters, Physics
 from rigid_body_ros.inference.motion import span_of
 from rigid_body_ros.inference.parameters import LONGEST_DELAY, SPACE
-from rigid_body_ros.inference.windows import AxialInertia, clocked, Window
+from rigid_body_ros.inference.sensors import clocked
+from rigid_body_ros.inference.windows import AxialInertia, Window
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem

@@ -34,9 +34,9 @@ from rigid_body_ros.inference.parameters import (
     START,
     WEIGHT,
 )
+from rigid_body_ros.inference.sensors import mount_of, topics_of
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.windows import mount_of, topics_of
 from rigid_body_ros.scene.fields import MOMENT
 
 

@@ -34,11 +34,13 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.guess import IDENTITY
 from rigid_body_ros.inference.motion import errors_of, poses_of
 from rigid_body_ros.inference.noise import NoiseLevel
+from rigid_body_ros.inference.parameters import START
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.propagation.derivatives import lacks_derivatives, with_derivatives
 from rigid_body_ros.recording.measured import Measured
 
 #: A state is estimated from one fifth of a window, which must contain at least `FEWEST` samples
@@ -54,6 +56,7 @@ _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
 _GUESSED = 5
 #: Finite-difference step of an initial value, rad or rad/s.
 _CHANGE = 1e-6
+_BIAS = 'torque_bias'
 
 
 #: The noise of the attitudes and of the angular velocities of a sensor.
@@ -147,7 +150,8 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     times_ns = np.unique(np.concatenate(
         [[turn_ns, end_ns], *(sensor.stamps_ns for sensor in inside)]))
     model = problem.between(start, end_ns)
-    states, derivatives = linear_motion(model, times_ns, has_attitude)
+    states, both = linear_motion(model, times_ns, [START, _BIAS])
+    derivatives, moved = np.split(both[..., 0 if has_attitude else 3:], [-3], axis=2)
     row = int(np.searchsorted(times_ns, turn_ns))
     later = State(turn_ns, states.attitude[row], states.angular_velocity[row],
                   _momentum(problem, turn_ns))
@@ -155,7 +159,9 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     to_end, sent = slopes[-1], derivatives[-1]
     change = _change(states.rows([-1]), ahead.rows([-1]))[0] + to_end @ found.change
     covariance = to_end @ found.covariance @ to_end.T + sent @ estimate.covariance @ sent.T
-    by_torque = _by_torque(model, states, derivatives, times_ns, estimate, found)
+    # The torque also changes the first estimate, and thereby the prediction.
+    moved = moved - derivatives @ estimate.by(moved[np.searchsorted(times_ns, estimate.times_ns)])
+    by_torque = found.by(moved[np.searchsorted(times_ns, found.times_ns)])
     torque, torque_covariance = _explained(change, covariance, to_end @ by_torque, has_attitude)
     residuals = tuple(errors_of(sensor, states.rows(np.searchsorted(times_ns, sensor.stamps_ns)))
                       for sensor in inside)
@@ -203,9 +209,9 @@ def _corrected(start: State, change: Floats) -> State:
 
 
 def linear_motion(problem: Problem, times_ns: NDArray[np.int64],
-                  has_attitude: bool = True) -> tuple[Poses, Floats]:
+                  names: Sequence[str] = (START,)) -> tuple[Poses, Floats]:
     """
-    Compute a motion and its derivatives with respect to the start.
+    Compute a motion and its derivatives with respect to parameters.
 
     Returns
     -------
@@ -213,15 +219,29 @@ def linear_motion(problem: Problem, times_ns: NDArray[np.int64],
         The motion at the m times.
     derivatives : array, shape (m, 6, p)
         At each time, there is one row for each component of the rotation vector and the rates, and
-        one column for each of the p initial values. These are the attitude, as a rotation vector
-        in body axes, unless `has_attitude` is false, and the rates.
+        one column for each of the p components of the parameters.
 
     """
-    steps = _CHANGE * np.eye(6)[0 if has_attitude else 3:]
-    starts = [problem.start, *(_corrected(problem.start, step) for step in steps)]
-    states, *others = (poses_of(problem.replaced(start=start).propagate(at=times_ns))
-                       for start in starts)
-    return states, np.stack([_change(states, other) for other in others], axis=-1) / _CHANGE
+    if lacks_derivatives(problem):
+        return _differences(problem, times_ns, names)
+    states, found = with_derivatives(problem, names, times_ns)
+    return states, np.concatenate([found.attitude, found.angular_velocity], axis=1)
+
+
+def _differences(problem: Problem, times_ns: NDArray[np.int64],
+                 names: Sequence[str]) -> tuple[Poses, Floats]:
+    """Return a motion and its derivatives as finite differences, for wheels with friction."""
+    others = [problem.replaced(start=_corrected(problem.start, step))
+              for step in _CHANGE * np.eye(6)]
+    sizes: Floats = np.full(6, _CHANGE)
+    if _BIAS in names:  # choose a torque that changes the angular velocity by about _CHANGE
+        end_ns = int(times_ns[-1])
+        size = _CHANGE * float(problem.body.principal_moments[-1]) / (
+            1e-9 * (end_ns - problem.start.time_ns))
+        others += [problem.biased(torque, end_ns) for torque in size * np.eye(3)]
+        sizes = np.append(sizes, np.full(3, size))
+    states, *moved = (poses_of(one.propagate(at=times_ns)) for one in (problem, *others))
+    return states, np.stack([_change(states, one) for one in moved], axis=-1) / sizes
 
 
 def _change(states: Poses, others: Poses) -> Floats:
@@ -242,7 +262,8 @@ def _estimated(problem: Problem, start: State, until_ns: int, sensors: Sequence[
     times_ns = np.unique(np.concatenate([*(sensor.stamps_ns for sensor in sensors), [until_ns]]))
     for _ in range(_CORRECTIONS):
         model = problem.between(start, int(times_ns[-1]))
-        states, derivatives = linear_motion(model, times_ns, has_attitude)
+        states, derivatives = linear_motion(model, times_ns)
+        derivatives = derivatives[..., 0 if has_attitude else 3:]
         estimate = _solved(times_ns, states, derivatives, sensors, noises)
         start, change = _corrected(start, estimate.change), estimate.change
         if change @ np.linalg.solve(estimate.covariance, change) < _NEGLIGIBLE:
@@ -281,25 +302,6 @@ def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
     """Return a mask of the errors that are not outliers."""
     sizes = np.abs(errors).max(axis=1)
     return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
-
-
-def _by_torque(problem: Problem, states: Poses, derivatives: Floats,
-               times_ns: NDArray[np.int64], first: _Estimate, last: _Estimate) -> Floats:
-    """
-    Return how much a constant torque changes the last estimate, per N m, shape (p, 3).
-
-    The last estimate is the one at the end of the window.
-    """
-    # Choose a torque that changes the angular velocity by about _CHANGE.
-    end_ns = int(times_ns[-1])
-    seconds = 1e-9 * (end_ns - problem.start.time_ns)
-    size = _CHANGE * float(problem.body.principal_moments[-1]) / seconds
-    others = [poses_of(problem.biased(torque, end_ns).propagate(at=times_ns))
-              for torque in size * np.eye(3)]
-    moved = np.stack([_change(states, other) for other in others], axis=-1) / size
-    # The torque also changes the first estimate, and thereby the prediction.
-    moved -= derivatives @ first.by(moved[np.searchsorted(times_ns, first.times_ns)])
-    return last.by(moved[np.searchsorted(times_ns, last.times_ns)])
 
 
 def _explained(change: Floats, covariance: Floats, by_torque: Floats, has_attitude: bool

@@ -12,34 +12,39 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Windows of a recording, and predictions of the measurements in them.
-
-A sensor has a clock and axes of its own, and a gyro also a bias and a scale.
-"""
+"""Windows of a recording, and predictions of the measurements in them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.motion import Motion, Recorded, span_of
-from rigid_body_ros.inference.parameters import SPACE, split_topic
-from rigid_body_ros.mechanics import so3
+from rigid_body_ros.inference.motion import Motion, poses_of, Recorded, span_of
+from rigid_body_ros.inference.parameters import (
+    components_of,
+    is_of_sensor,
+    split_topic,
+    START,
+    WEIGHT,
+)
+from rigid_body_ros.inference.sensors import applies, Change, CLOCKS, Sensor, sensors_of
 from rigid_body_ros.mechanics.actuator import Actuator
-from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.states import Poses, States
+from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import Problem, propagate_many
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.propagation.derivatives import START_NAMES, with_derivatives
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.scene.fields import MOMENT
 
 #: Lags shorter than this, s, are ignored.
 _SHORTEST = 1e-6
+#: The parameters of a problem that contain some parameters of a fit.
+_OF_PROBLEM = {'inertia_diagonal': 'inertia', WEIGHT: f'{WEIGHT}.{MOMENT}'}
 Stamps = Sequence[NDArray[np.int64]]
 
 
@@ -120,20 +125,20 @@ class Window:
         """Return whether the motion depends on the state at the beginning of the window."""
         return isinstance(self.problem, Problem)
 
-    def predict(self, physics: Sequence[Physics], states: Poses) -> list[Floats]:
+    def predict(self, physics: Physics, state: Poses) -> list[Floats]:
         """
         Return what each channel would contain if its sensor had no noise.
 
         Parameters
         ----------
-        physics : sequence of Physics, length c
-            The parameters to use for each prediction.
-        states : Poses
-            The c states at the beginning of the window.
+        physics : Physics
+            The parameters.
+        state : Poses
+            The state at the beginning of the window: arrays of shape (4,) and (3,).
 
         Returns
         -------
-        list of array, shape (c, n, 4) or (c, n, 3)
+        list of array, shape (n, 4) or (n, 3)
 
         Raises
         ------
@@ -141,90 +146,129 @@ class Window:
             `propagate` rejects the motion.
 
         """
-        found = [np.empty((len(physics), len(channel), 4 if channel.is_attitude else 3))
-                 for channel in self.channels]
-        for which, rows, motions in self._motions(physics, states):
-            for channel, values, here in zip(self.channels, found, rows):
-                values[which] = motions[0 if channel.is_attitude else 1][:, here]
-        space = space_axes(physics)
-        return [_attitudes(values, mount, space) if channel.is_attitude
-                else _rates(values, mount, physics, channel.topic)
-                for channel, values, mount
-                in zip(self.channels, found, mounts(physics, self.channels))]
+        sensors = sensors_of(self.channels, physics, self.origin_ns)
+        rows, times_ns = self._instants(sensors)
+        poses = self._poses(physics, state, times_ns)
+        return [sensor.measured(poses.rows(here)) for sensor, here in zip(sensors, rows)]
 
-    def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
-                 time_ns: int) -> tuple[Floats, Floats]:
+    def linearize(self, physics: Physics, state: Poses,
+                  groups: Sequence[str]) -> tuple[list[Floats], list[Floats]]:
+        """
+        Return what `predict` returns, and how it changes.
+
+        Parameters
+        ----------
+        physics, state
+            See `predict`.
+        groups : sequence of str
+            The names of parameters.
+
+        Returns
+        -------
+        predicted : list of array, shape (n, 4) or (n, 3)
+        slopes : list of array, shape (6 + p, n, 3)
+            The derivatives with respect to the state, which are those with respect to a rotation
+            vector in body axes and to the angular velocity, and to the p components of the
+            parameters. The change of an attitude is a rotation vector.
+
+        """
+        sensors = sensors_of(self.channels, physics, self.origin_ns)
+        rows, times_ns = self._instants(sensors)
+        poses, of_motion = self._derivatives(physics, state, groups, times_ns)
+        if any(split_topic(group)[0] in CLOCKS for group in groups):
+            of_motion[CLOCKS[0]] = self._flow(physics, state, poses, times_ns)
+        predicted, slopes = [], []
+        for sensor, here in zip(sensors, rows):
+            at = poses.rows(here)
+            changes = {name: each.rows(here) for name, each in of_motion.items()}
+            blocks = [sensor.felt(changes[START])]
+            for group in groups:
+                if not is_of_sensor(group):
+                    blocks.append(sensor.felt(changes[group]))
+                elif applies(group, sensor.channel, physics, self.channels):
+                    blocks.append(sensor.slopes(split_topic(group)[0], at,
+                                                changes.get(CLOCKS[0])))
+                else:
+                    blocks.append(np.zeros((len(components_of(group)), len(here), 3)))
+            predicted.append(sensor.measured(at))
+            slopes.append(np.concatenate(blocks))
+        return predicted, slopes
+
+    def state_at(self, physics: Physics, state: Poses, time_ns: int) -> Poses:
         """Propagate a state from the beginning of the window to a given time."""
-        found = self._moved([self._acting(physics, time_ns)], [physics], Poses(
-            attitude[None], velocity[None]), np.array([time_ns]))
-        return found.attitude[0, 0], found.angular_velocity[0, 0]
+        return self._poses(physics, state, np.array([time_ns])).rows(0)
 
-    def _motions(self, physics: Sequence[Physics], states: Poses
-                 ) -> Iterator[tuple[list[int], list[NDArray[np.intp]], Poses]]:
-        """
-        Generate the motions that have the same times, and can be computed together.
-
-        The first two items are the indices of these motions, and where the samples of each channel
-        lie in them.
-        """
-        instants = [self._instants(one) for one in physics]
-        acting = [self._acting(one, int(times_ns[-1]))
-                  for one, (_, times_ns) in zip(physics, instants)]
-        groups: dict[tuple[int, bool], list[int]] = {}
-        for i, (_, times_ns) in enumerate(instants):
-            groups.setdefault((id(times_ns), bool(acting[i].actuators)), []).append(i)
-        for which in groups.values():
-            # Parameters of the sensors do not change the motion.
-            keys = [(physics[i].of_motion(), *(each[i].tobytes() for each in states))
-                    for i in which]
-            own = dict(zip(keys, which))
-            rows, times_ns = instants[which[0]]
-            found = self._moved([acting[i] for i in own.values()],
-                                [physics[i] for i in own.values()],
-                                states.rows([*own.values()]), times_ns)
-            places = dict(zip(own, range(len(own))))
-            yield which, rows, found.rows([places[key] for key in keys])
-
-    def _moved(self, problems: Sequence[Motion], physics: Sequence[Physics], states: Poses,
-               times_ns: NDArray[np.int64]) -> Poses:
-        """
-        Return the motions of c problems at n times, each array of shape (c, n, 3 or 4).
-
-        At times before the beginning of the window, a motion is at its initial state.
-        """
-        times_ns, problem = np.clip(times_ns, *span_of(self.problem)), problems[0]
-        if isinstance(problem, Recorded):
-            poses = problem.propagate(at=times_ns)
-            return Poses(poses.attitude[None], poses.angular_velocity[None])
-        momenta = np.array([one.value('rotor_momentum') for one in physics]) \
-            + self.problem.start.rotor_momentum
+    def _moved(self, physics: Physics, state: Poses, end_ns: int, groups: Sequence[str] = ()
+               ) -> Problem:
+        """Return the problem with given parameters from a state, until a time."""
+        assert isinstance(self.problem, Problem)
+        momentum = physics.value('rotor_momentum') + self.problem.start.rotor_momentum
         if self.axial is not None:
-            momenta += states.angular_velocity @ self.axial
-        fields = [one.acting(self.problem.fields) for one in physics]
-        if len(problems) == 1 or problem.actuators or len({*map(len, fields)}) > 1:
-            motions = [each.replaced(body=one.body, start=State(self.anchor_ns, *own),
-                                     fields=field or None).propagate(at=times_ns)
-                       for each, one, field, *own in zip(problems, physics, fields, *states,
-                                                         momenta)]
-            return Poses(*(np.array([getattr(one, name) for one in motions])
-                           for name in Poses._fields))
-        bodies = RigidBodies([one.inertia for one in physics], np.array(
-            [one.damping for one in physics]))
-        found = propagate_many(
-            bodies, States(self.anchor_ns, *states, momenta), [each.logs for each in problems],
-            at=times_ns, wheels=problem.wheels, fields=fields if fields[0] else (),
-            **asdict(problem.options))
-        if any(found.messages):
-            raise ValueError(next(filter(None, found.messages)))
-        return Poses(found.attitude, found.angular_velocity)
+            momentum = momentum + state.angular_velocity @ self.axial
+        return self._acting(physics, end_ns).replaced(
+            body=physics.body, start=State(self.anchor_ns, *state, momentum),
+            fields=physics.acting(self.problem.fields, groups) or None)
 
-    def _instants(self, physics: Physics) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
+    def _poses(self, physics: Physics, state: Poses, times_ns: NDArray[np.int64]) -> Poses:
+        """
+        Return the motion at given times.
+
+        At times before the beginning of the window, the motion is at its initial state.
+        """
+        times_ns = np.clip(times_ns, *span_of(self.problem))
+        if isinstance(self.problem, Recorded):
+            return self.problem.propagate(at=times_ns)
+        return poses_of(self._moved(physics, state, int(times_ns[-1])).propagate(at=times_ns))
+
+    def _derivatives(self, physics: Physics, state: Poses, groups: Sequence[str],
+                     times_ns: NDArray[np.int64]) -> tuple[Poses, dict[str, Change]]:
+        """Return the motion and its derivatives with respect to the start and parameters."""
+        if isinstance(self.problem, Recorded):
+            none: Floats = np.zeros((len(times_ns), 3, 6))
+            return self._poses(physics, state, times_ns), {START: Change(none, none)}
+        times_ns = np.clip(times_ns, *span_of(self.problem))
+        own = [group for group in groups if not is_of_sensor(group)]
+        needed = [START, *own, *['rotor_momentum'] * (self.axial is not None)]
+        poses, found = with_derivatives(
+            self._moved(physics, state, int(times_ns[-1]), groups),
+            [*{_OF_PROBLEM.get(name, name): None for name in needed}], times_ns,
+            physics.value('torque_bias'))
+        changes = {}
+        for name in needed:
+            components = START_NAMES if name == START else components_of(
+                f'{WEIGHT}.{MOMENT}' if name == WEIGHT else name)
+            columns = [found.names.index(each) for each in components]
+            changes[name] = Change(found.attitude[..., columns],
+                                   found.angular_velocity[..., columns])
+        if self.axial is not None:  # the rotors turn with the body at the start
+            for whole, rotors in zip(changes[START], changes['rotor_momentum']):
+                whole[..., 3:] += rotors @ self.axial.T
+        for name in ('torque_gain', 'torque_gains'):  # the torques are already multiplied
+            if name in changes:
+                changes[name] = Change(*(each / physics.value(name) for each in changes[name]))
+        return poses, changes
+
+    def _flow(self, physics: Physics, state: Poses, poses: Poses,
+              times_ns: NDArray[np.int64]) -> Change:
+        """Return how the motion changes with time, or zeros where it is not known."""
+        first_ns, last_ns = span_of(self.problem)
+        inside = ((times_ns >= first_ns) & (times_ns <= last_ns))[:, None]
+        if isinstance(self.problem, Recorded):
+            acceleration = self.problem.angular_acceleration(times_ns)
+        else:
+            acceleration = self._moved(physics, state, int(times_ns[-1])).angular_acceleration(
+                np.clip(times_ns, first_ns, last_ns), *poses)
+        return Change(*((each * inside)[..., None]
+                        for each in (poses.angular_velocity, acceleration)))
+
+    def _instants(self, sensors: Sequence[Sensor]
+                  ) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
         """
         Return where the samples of each channel lie in the union of all sample times.
 
         The first result holds the indices of each channel. The second is the union, ns.
         """
-        stamps = [clocked(channel, physics, self.origin_ns) for channel in self.channels]
+        stamps = [sensor.stamps_ns for sensor in sensors]
         if self._times is None or not all(map(np.array_equal, stamps, self._times[0])):
             union = np.unique(np.concatenate(stamps))
             self._times = stamps, [np.searchsorted(union, each) for each in stamps], union
@@ -235,14 +279,13 @@ class Window:
         """Return the total number of samples in all channels."""
         return sum(len(channel) for channel in self.channels)
 
-    def _acting(self, physics: Physics, end_ns: int) -> Motion:
+    def _acting(self, physics: Physics, end_ns: int) -> Problem:
         """
         Return the problem of this window with the torques that act on the body.
 
         The torques include the torque bias, which acts until `end_ns`.
         """
-        if isinstance(self.problem, Recorded):
-            return self.problem
+        assert isinstance(self.problem, Problem)
         key = b''.join(physics.value(name).tobytes() for name in (
             'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'))
         if not self._applied or key != self._applied[0]:
@@ -274,112 +317,3 @@ def acted(problem: Problem, physics: Physics) -> Problem:
     first_ns = min(problem.start.time_ns, *(int(log.times_ns[0]) for log in logs))
     return problem.replaced(start=replace(problem.start, time_ns=first_ns), log=logs,
                             actuator=actuators)
-
-
-def _attitudes(attitude: Floats, mount: Floats | None, space: Floats | None) -> Floats:
-    attitude = attitude if space is None else so3.multiply(space, attitude)
-    return attitude if mount is None else so3.multiply(attitude, mount)
-
-
-def _rates(velocity: Floats, mount: Floats | None, physics: Sequence[Physics],
-           topic: str) -> Floats:
-    if mount is not None:
-        velocity = so3.rotate(so3.conjugate(mount), velocity)
-    scale, bias = (np.array([one.value(name, topic) for one in physics])[:, None]
-                   for name in ('gyro_scale', 'gyro_bias'))
-    return scale * velocity + bias
-
-
-def topics_of(kind: str, channels: Sequence[Measured]) -> list[str]:
-    """
-    Return the topics to which a sensor parameter applies.
-
-    Gyro parameters apply only to topics with angular velocities.
-    """
-    return [*{channel.topic: None for channel in channels
-              if not (kind.startswith('gyro') and channel.is_attitude)}]
-
-
-def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.int64]:
-    """
-    Return the stamps of a channel, ns, corrected for clock offset and clock drift.
-
-    The drift is zero at `origin_ns`.
-    """
-    offset_ns = round(1e9 * physics.number('clock_offset', channel.topic))
-    drift = physics.number('clock_drift', channel.topic)
-    stamps_ns = channel.stamps_ns + offset_ns if offset_ns else channel.stamps_ns
-    if not drift:
-        return stamps_ns
-    return stamps_ns + np.round(drift * (channel.stamps_ns - origin_ns)).astype(np.int64)
-
-
-def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Floats | None]:
-    """
-    Return the rotation from sensor axes to body axes for each channel.
-
-    If any topic contains attitudes, the parameter `mount` applies only to topics with attitudes.
-    The angular velocities on all other topics are then assumed to be in body axes, unless
-    `mount@TOPIC` is fitted.
-
-    Returns
-    -------
-    list of array, shape (c, 1, 4), or None
-        One entry for each channel. The entry contains a quaternion for each of the c elements of
-        `physics`, or is None if there is no rotation.
-
-    """
-    result: list[Floats | None] = []
-    for channel in channels:
-        vectors = np.array([mount_of(f'mount@{channel.topic}', one, channels) for one in physics])
-        result.append(so3.exp(vectors)[:, None] if vectors.any() else None)
-    return result
-
-
-def space_axes(physics: Sequence[Physics]) -> Floats | None:
-    """
-    Return the rotation from the space axes of the motion to those of the measurements.
-
-    The result has shape (c, 1, 4), or is None if there is no rotation.
-    """
-    vectors = np.array([one.value(SPACE) for one in physics])
-    return so3.exp(vectors)[:, None] if vectors.any() else None
-
-
-def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
-    """
-    Return the rotation vector from body axes to the axes of a sensor.
-
-    The vector is the parameter `mount@TOPIC` or, if this parameter is not fitted, `mount`. The
-    vector is zero if neither parameter applies to the sensor.
-    """
-    topic = split_topic(name)[1]
-    attitudes = {channel.topic for channel in channels if channel.is_attitude}
-    if topic and attitudes and topic not in attitudes and name not in physics.values:
-        return np.zeros(3)
-    return physics.value('mount', topic)
-
-
-def corrected(channels: Sequence[Measured], physics: Physics, origin_ns: int) -> list[Measured]:
-    """
-    Return the channels with all fitted sensor errors removed.
-
-    The stamps are converted to the torque clock and the values to body axes, and the bias and
-    scale of each gyro are removed.
-    """
-    result, space = [], space_axes([physics])
-    for channel, mount in zip(channels, mounts([physics], channels)):
-        moved = replace(channel, stamps_ns=clocked(channel, physics, origin_ns))
-        if channel.angular_velocity is not None:
-            rates = (channel.angular_velocity - physics.value('gyro_bias', channel.topic)) \
-                / physics.value('gyro_scale', channel.topic)
-            moved = replace(moved, angular_velocity=rates if mount is None
-                            else so3.rotate(mount[0], rates))
-        elif channel.attitude is not None:
-            attitude = channel.attitude
-            if space is not None:
-                attitude = so3.multiply(so3.conjugate(space[0]), attitude)
-            moved = replace(moved, attitude=attitude if mount is None
-                            else so3.multiply(attitude, so3.conjugate(mount[0])))
-        result.append(moved)
-    return result

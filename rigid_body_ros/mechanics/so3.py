@@ -187,6 +187,17 @@ def log(q: ArrayLike) -> Floats:
     return factor * q[..., :3]
 
 
+def right_jacobian(rotation_vector: ArrayLike) -> Floats:
+    """Return the matrix A, shape (3, 3), with exp(v + dv) = exp(v) exp(A dv) for a small dv."""
+    v = np.asarray(rotation_vector, float)
+    angle = float(np.linalg.norm(v))
+    # Both factors of small angles are those of the series.
+    one, two = (0.5 - angle ** 2 / 24.0, 1.0 / 6.0 - angle ** 2 / 120.0) if angle < 1e-2 else (
+        (1.0 - np.cos(angle)) / angle ** 2, (angle - np.sin(angle)) / angle ** 3)
+    cross = np.cross(v, np.eye(3)).T
+    return np.eye(3) - one * cross + two * cross @ cross
+
+
 def angle_between(p: ArrayLike, q: ArrayLike) -> Floats:
     """
     Return the angle of the rotation between two attitudes.

@@ -37,7 +37,7 @@ class Poses(NamedTuple):
     attitude: Floats
     angular_velocity: Floats
 
-    def rows(self, chosen: Sequence[int] | slice | NDArray[np.intp]) -> Poses:
+    def rows(self, chosen: int | Sequence[int] | slice | NDArray[np.intp]) -> Poses:
         """Return the attitudes and angular velocities of the chosen rows."""
         return Poses(self.attitude[chosen], self.angular_velocity[chosen])
 

@@ -94,6 +94,8 @@ _PARAMETERS = {
     'start': [*_axes('initial_attitude', _START, tangents.ROTATION),
               *_axes('initial_angular_velocity', _START, tangents.RATE)],
 }
+#: The names of the components of the start.
+START_NAMES = tuple(component.name for component in _PARAMETERS['start'])
 _NO_BIAS = np.zeros(3)
 _NO_BIAS.flags.writeable = False
 
@@ -119,12 +121,14 @@ def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
     """
     Return a motion and its derivatives.
 
-    The part of the torque in body axes that the gains, the delay and the lag do not change is
-    `bias`, N m, shape (3,).
+    `bias`, N m, shape (3,), is a torque in body axes that begins with the motion, and that gains,
+    delay and lag do not change.
     """
     # Tangents with torques come last, because others have no derivatives of the torques.
     components = sorted(_components(problem, names), key=lambda one: one.part == _TORQUES)
-    _check(problem)
+    if lacks_derivatives(problem):
+        raise ValueError('derivatives: expected a problem without wheels with friction or a '
+                         'largest speed, which have no derivatives yet')
     times_ns, ascends, _ = checked_times(at, problem.start.time_ns)
     order = slice(None) if ascends else np.argsort(times_ns, kind='stable')
     seeds = {part: np.zeros((len(components), size)) for part, size in _SIZES.items()}
@@ -162,12 +166,10 @@ def _moments(problem: MotionInputs) -> dict[str, list[_Component]]:
         for k, axis in enumerate('xyz')] for one, row in zip(uniform, weights) if one.name}
 
 
-def _check(problem: MotionInputs) -> None:
-    """Raise ValueError if the problem has what has no derivatives yet."""
+def lacks_derivatives(problem: MotionInputs) -> bool:
+    """Return whether a problem has wheels with friction or a largest speed."""
     wheels = problem.named_wheels
-    if problem.has_friction or (wheels and wheels.is_limited):
-        raise ValueError('derivatives: expected a problem without wheels with friction or a '
-                         'largest speed, which have no derivatives yet')
+    return problem.has_friction or (wheels is not None and wheels.is_limited)
 
 
 class _Tangents:
@@ -198,7 +200,7 @@ class _Tangents:
                 :, tangents.RATE:tangents.ROTATION] @ axial
         if (delayed := seeds[_TORQUES][:, forcing.DELAY:].any(axis=1)).any():
             start[delayed, tangents.RATE:tangents.ROTATION] += np.linalg.solve(
-                carrier.inertia, _impulse(problem))
+                carrier.inertia, _impulse(problem) + bias)  # the bias is not delayed
         self._latest = _in_lanes(start)
 
     def advance(self, times_ns: NDArray[np.int64]) -> Iterator[tuple[Floats, Floats, Floats]]:

@@ -151,6 +151,28 @@ class Problem(MotionInputs):
             return self.propagate(at=times_ns).rotor_momentum
         return Integration(self.with_first_body()).rotor_momentum(times_ns)
 
+    def angular_acceleration(self, times_ns: NDArray[np.int64], attitude: Floats,
+                             angular_velocity: Floats) -> Floats:
+        """
+        Return the angular acceleration in a motion, rad/s^2, body axes, shape (m, 3).
+
+        Parameters
+        ----------
+        times_ns : array of int, shape (m,), ns
+            The times, in any order.
+        attitude : array, shape (m, 4)
+            The attitudes at these times, x y z w.
+        angular_velocity : array, shape (m, 3), rad/s, body axes
+            The angular velocities at these times.
+
+        """
+        torque = self.torque(times_ns, attitude) - angular_velocity @ self.body.damping
+        if self.has_rotors:
+            torque += np.cross(self.rotor_momentum(times_ns), angular_velocity)
+        if self.wheels:
+            torque -= self.wheels.at(times_ns, self.options.timeout_ns)[0]
+        return self.body.angular_acceleration(angular_velocity, torque)
+
     def propagate(self, *, at: ArrayLike) -> Trajectory:
         """
         Return the motion at given times.
