@@ -32,7 +32,7 @@ from rigid_body_ros import (
     UniformField,
     Wheel,
 )
-from rigid_body_ros.identification import Experiment, identify
+from rigid_body_ros.identification import Experiment, Identification, identify
 from rigid_body_ros.inference.certainty import triangle
 from rigid_body_ros.inference.fit import errors_of
 from rigid_body_ros.inference.inputs import channels_of, setup_of
@@ -475,7 +475,7 @@ def test_a_rotation_about_one_axis_gives_one_moment(noise):
 
 
 @pytest.mark.slow
-def test_the_result_as_json():
+def test_the_result_as_json(tmp_path):
     result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
                       estimate=['inertia', 'start', 'torque_gain'], validate=0.2)
     data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
@@ -495,6 +495,13 @@ def test_the_result_as_json():
     assert np.array_equal(known, known.T)
     assert data['training'].keys() == data['validation'].keys() == {
         'samples', 'outliers', 'attitude_rms_rad', 'rate_rms_rad_s', 'chi2_per_dof'}
+    (tmp_path / 'fit.json').write_text(json.dumps(data))
+    saved = Identification.load(tmp_path / 'fit.json')
+    for name, one in result.estimates.items():
+        assert (saved.values[name], saved.units[name]) == (one.value, one.unit)
+    np.testing.assert_array_equal(saved.covariance, result.covariance)
+    np.testing.assert_array_equal(saved.guess_attitude, result.guess_attitude)
+    assert (saved.converged, saved.level) == (result.converged, result.verdict.level)
 
 
 #: A weight about a pivot, and the guess that a fit starts from.

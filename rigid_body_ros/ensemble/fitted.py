@@ -22,20 +22,21 @@ from functools import cached_property
 import math
 from pathlib import Path
 import re
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
+from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.ensemble.applied import components
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, normals, units_with
 from rigid_body_ros.inference.noise import with_bound
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene.fields import MOMENT
+
+if TYPE_CHECKING:
+    from rigid_body_ros.identification.result import Saved
 
 #: The keys of the rotation vector that describes the initial attitude.
 _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')
@@ -46,8 +47,8 @@ _NOT_IN_MOTION = re.compile(r'((mount|gyro_bias|gyro_scale)\.[xyz]|clock_offset|
 _WEIGHT = re.compile(r'^weight(\.[xyz])$')
 #: Eigenvalues and pivots of a correlation matrix below this limit are taken to be rounding errors.
 _ROUNDING = 1e-12
-_KINDS = {bool: 'true or false', dict: 'names and values', float: 'a number', list: 'a list',
-          str: 'a text'}
+#: The scale of an estimate that has no spread.
+_TINY = 1e-150
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,94 +136,36 @@ def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> F
         or cannot vary; or the covariance is invalid.
 
     """
-    data = read_json(path, 'estimates')
+    from rigid_body_ros.identification import Identification  # slow to import
+    saved = Identification.load(path)
     try:
-        return _fitted(data, {**units_with(fields), **dict.fromkeys(_ROTATION, 'rad')}, force)
+        return _fitted(saved, {**units_with(fields), **dict.fromkeys(_ROTATION, 'rad')}, force)
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
 
 
-def _fitted(data: Any, units: Mapping[str, str], force: bool) -> Fitted:
-    if not isinstance(data, dict) or 'estimates' not in data:
-        raise InputError('expected a JSON file of attitude_identify, found another')
-    if not _typed(data.get('converged'), bool, 'converged'):
+def _fitted(saved: Saved, units: Mapping[str, str], force: bool) -> Fitted:
+    if saved.converged is not True:
         raise InputError('expected a fit that converged, found one that did not')
-    verdict = _typed(data.get('verdict'), dict, 'verdict')
-    if _typed(verdict.get('level'), str, 'verdict.level') == 'rejected' and not force:
+    if saved.level not in ('explained', 'approximate') and not force:
         raise InputError('expected a fit that explains the measurements, found one that is '
-                         'rejected (--force takes it)')
-    estimates, covariance = _read(data, units)
-    ignored = tuple(filter(_NOT_IN_MOTION.fullmatch, estimates))
-    varied = {_WEIGHT.sub(rf'weight.{MOMENT}\1', name): value
-              for name, value in estimates.items() if name not in ignored}
-    _check_estimates(varied, units)
-    rows = [name not in ignored for name in estimates]
-    covariance = covariance[np.ix_(rows, rows)]
-    _check_covariance([*varied], covariance)
-    return Fitted(varied, _guess(data), covariance, ignored)
-
-
-def _read(data: Mapping[str, Any], units: Mapping[str, str]) -> tuple[dict[str, float], Floats]:
-    """Return all estimates and their covariance; raise InputError for an incorrect unit."""
-    estimates, covariance = (_typed(data.get(key), dict, key) for key in ('estimates',
-                                                                          'covariance'))
-    names, units_again, rows = (_list(covariance.get(key), len(estimates), f'covariance.{key}')
-                                for key in ('names', 'units', 'matrix'))
-    if names != [*estimates]:
-        raise InputError('covariance.names: expected the names of the estimates in their order, '
-                         f'found {quoted(names)}')
-    values = {}
-    for (name, estimate), unit_again in zip(estimates.items(), units_again):
-        unit = _typed(estimate, dict, f'estimates: {name}').get('unit')
-        for written, where in ((unit, 'estimates'), (unit_again, 'covariance.units')):
-            if written != units.get(name, written):
-                raise InputError(f'{name}: expected the unit {quoted(units[name])}, found '
-                                 f'{quoted(written)} in {where}')
-        values[name] = _typed(estimate.get('value'), float, f'estimates: {name}: value')
-    matrix = np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
-                       for k, row in enumerate(rows)])
+                         f'{saved.level} (--force takes it)')
+    for name, unit in saved.units.items():
+        if unit != units.get(name, unit):
+            raise InputError(f'{name}: expected the unit {quoted(units[name])}, found '
+                             f'{quoted(unit)}')
+    ignored = tuple(filter(_NOT_IN_MOTION.fullmatch, saved.values))
+    estimates = {_WEIGHT.sub(rf'weight.{MOMENT}\1', name): value
+                 for name, value in saved.values.items() if name not in ignored}
+    _check_estimates(estimates, units)
     # The intervals of a model that is a little wrong have a systematic part.
-    parts = [_typed(one.get('systematic', 0.0), float, f'estimates: {name}: systematic')
-             for name, one in estimates.items()]
     with np.errstate(invalid='ignore', divide='ignore'):
-        wider = with_bound(1.0, np.nan_to_num(np.array(parts) / np.sqrt(np.diag(matrix)),
-                                              posinf=0.0))
-    return values, matrix * np.multiply.outer(wider, wider)
-
-
-def _typed(value: Any, kind: type, where: str) -> Any:
-    """
-    Return a value that has the type `kind`; raise InputError if it has another type.
-
-    An int is accepted as a float.
-    """
-    value = float(value) if type(value) is int and kind is float else value
-    if not isinstance(value, kind):
-        raise InputError(f'{shortened(where, 100)}: expected {_KINDS[kind]}, found '
-                         f'{"none" if value is None else quoted(value)}')
-    return value
-
-
-def _list(value: Any, length: int, where: str) -> list[Any]:
-    found: list[Any] = _typed(value, list, where)
-    if len(found) != length:
-        raise InputError(f'{where}: expected a list of length {length}, found {len(found)}')
-    return found
-
-
-def _numbers(value: Any, length: int, where: str) -> list[float]:
-    """Return the numbers in a list, with NaN in place of null."""
-    return [math.nan if one is None else _typed(one, float, where)
-            for one in _list(value, length, where)]
-
-
-def _guess(data: Mapping[str, Any]) -> Floats:
-    key = 'guess_attitude_xyzw'
-    quaternion = _numbers(data.get(key), 4, key)
-    try:
-        return State(attitude=quaternion).attitude
-    except ValueError as error:
-        raise InputError(f'{key}: {reason(error)}') from error
+        wider = with_bound(1.0, np.nan_to_num(
+            saved.systematic / np.sqrt(np.diag(saved.covariance)), posinf=0.0))
+    rows = [name not in ignored for name in saved.values]
+    covariance = (saved.covariance * np.multiply.outer(wider, wider))[np.ix_(rows, rows)]
+    _check_covariance([*estimates], covariance)
+    return Fitted(estimates, saved.guess_attitude, covariance, ignored)
 
 
 def _check_estimates(estimates: Mapping[str, float], known: Collection[str]) -> None:
@@ -240,22 +183,14 @@ def _check_estimates(estimates: Mapping[str, float], known: Collection[str]) -> 
 
 
 def _check_covariance(names: Sequence[str], covariance: Floats) -> None:
-    for name, row, variance in zip(names, covariance, np.diag(covariance).tolist()):
+    for name, row in zip(names, covariance):
         if np.isnan(row).all():
             raise InputError(f'{name}: expected an estimate that the recording determines, found '
                              'one that it does not')
-        if variance < 0.0:
-            raise InputError(f'covariance: {name}: expected a variance of at least 0, found '
-                             f'{quoted(variance)}')
     if not np.isfinite(covariance).all():
         raise InputError('covariance: expected finite numbers, found others')
-    with np.errstate(over='ignore'):
-        _, correlation = _scaled(covariance)
-    no_spread = covariance[np.diag(covariance) == 0.0]
-    largest = math.inf if no_spread.any() else float(np.abs(correlation).max())
-    if largest > 1.0 + _ROUNDING:
-        raise InputError('covariance: expected a positive semidefinite matrix, found a '
-                         f'correlation of {largest:.13g}')
+    with np.errstate(over='ignore', invalid='ignore'):
+        correlation = _scaled(covariance)[1].clip(-2.0, 2.0)
     if np.abs(correlation - correlation.T).max() > _ROUNDING:
         raise InputError('covariance: expected a symmetric matrix, found another')
     least = float(np.linalg.eigvalsh(correlation)[0])
@@ -268,8 +203,8 @@ def _scaled(covariance: Floats) -> tuple[Floats, Floats]:
     """
     Split a covariance matrix into standard deviations and a correlation matrix.
 
-    Standard deviations that are 0 are returned as 1.
+    Standard deviations that are 0 are returned as a tiny number.
     """
     sigma = np.sqrt(np.diag(covariance))
-    scale = np.where(sigma > 0.0, sigma, 1.0)
+    scale = np.where(sigma > 0.0, sigma, _TINY)
     return scale, covariance / np.multiply.outer(scale, scale)

@@ -20,10 +20,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats, symmetric
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.coordinates import second_moments
 from rigid_body_ros.inference.errors import Misfit, Residuals, unexplained
@@ -36,6 +38,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, rounded, scaled
+from rigid_body_ros.runtime.limits import read_json
 
 #: The text lists at most `_PAIRS` pairs of estimates whose correlation exceeds `_CORRELATED`.
 _CORRELATED, _PAIRS = 0.95, 6
@@ -118,6 +121,20 @@ def too_wide(estimates: Iterable[Estimate], scales: Mapping[str, float],
         elif name in _MOMENTS and half >= one.value:
             texts.append(f'{name}: the interval contains 0')
     return texts
+
+
+class Saved(NamedTuple):
+    """The parts of an `Identification` that `Identification.load` reads from a JSON file."""
+
+    #: The estimates by component name, the unit of each, and the systematic part of each interval.
+    values: dict[str, float]
+    units: dict[str, str]
+    systematic: Floats
+    covariance: Floats
+    guess_attitude: Floats
+    converged: bool
+    #: The level of the verdict.
+    level: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,6 +313,27 @@ class Identification:
             'validation': self.validation.as_dict() if self.validation else None,
             'verdict': self.verdict.as_dict(), 'disturbance_torque_N_m': self.disturbance,
             'evaluations': self.evaluations, 'converged': self.converged}
+
+    @staticmethod
+    def load(path: str | Path) -> Saved:
+        """Read a file of what `as_dict` returned; raise InputError if it is another file."""
+        data = read_json(path, 'estimates')
+        try:
+            estimates, covariance = data['estimates'], data['covariance']
+            parts = [one.get('systematic', 0.0) for one in estimates.values()]
+            found = Saved({name: float(one['value']) for name, one in estimates.items()},
+                          {name: one['unit'] for name, one in estimates.items()},
+                          np.array(parts, float), np.array(covariance['matrix'], float),
+                          State(attitude=data['guess_attitude_xyzw']).attitude,
+                          data['converged'], data['verdict']['level'])
+            if covariance['names'] != [*estimates] or found.covariance.shape != 2 * (
+                    len(estimates),):
+                raise ValueError
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            other = f'one without {error}' if isinstance(error, KeyError) else 'another'
+            raise InputError(f'{path}: expected a JSON file of attitude_identify, found '
+                             f'{other}') from error
+        return found
 
     def text(self, degrees: bool = False) -> str:
         """Return the verdict, a table of the estimates, and one line for each other fact."""
