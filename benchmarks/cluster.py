@@ -39,6 +39,7 @@ from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.recording import read_problem
+from rigid_body_ros.runtime.cluster import connected
 
 HERE = Path(__file__).resolve().parent
 SCENE = HERE.parent / 'config' / 'tumbler.yaml'
@@ -79,8 +80,8 @@ def processor_time():
 
 def computed(motions, address, runs, path):
     """Compute an ensemble into a folder."""
-    driver.compute(motions, Folder(path, {}, motions.columns, runs), driver.cluster(
-        address, print), lambda blocks, total: blocks)
+    driver.compute(motions, Folder(path, {}, motions.columns, runs), connected(address, print),
+                   lambda blocks, total: blocks)
 
 
 def main():

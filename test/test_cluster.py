@@ -147,7 +147,8 @@ def test_what_kills_every_worker_ends(scheduler):
     with cluster.connected(str(scheduler), lambda text: None) as connection:
         found = connection.results(partial(os.execv, '/bin/false'), [['false']],
                                    lambda item, error: [*item, str(error)])
-        assert [*found] == [['false', '4 workers died one after the other']]
+        assert [*found] == [['false', '4 workers died one after the other; '
+                             'their logs may have the reason']]
         assert [*connection.results(abs, [-1])] == [1]
 
 
@@ -256,9 +257,10 @@ def cluster_without_package(folder):
 
 
 @pytest.mark.parametrize(('text', 'message'), [
-    (None, 'cannot read the scheduler file: No such file or directory'),
-    ('{', 'expected the file of a Dask scheduler, JSON with an address'),
-    ('[]', 'expected the file of a Dask scheduler, JSON with an address'),
+    (None, 'cannot read the scheduler file (an address is HOST:PORT or tcp://HOST:PORT): No such '
+     'file or directory'),
+    ('{', 'expected JSON, found an error'),
+    ('[]', 'address: expected one such as tcp://HOST:PORT, found None'),
     ('{"address": 5}', 'address: expected one such as tcp://HOST:PORT, found 5'),
 ], ids=['missing', 'damaged', 'list', 'number'])
 def test_bad_files(inputs, capsys, text, message):

@@ -308,9 +308,7 @@ def test_a_write_that_fails_is_one_line_and_the_folder_is_resumed(inputs, capsys
 def test_a_run_that_is_missing_is_found_before_the_table_has_its_name(inputs, capsys,
                                                                       monkeypatch):
     from rigid_body_ros.ensemble import driver
-    add = driver.threads(1)
-    monkeypatch.setattr(driver, 'threads', lambda workers: lambda ensemble, spans: add(
-        ensemble, spans[:-1]))
+    monkeypatch.setattr(driver, '_divided', lambda spans, workers: spans[:-1])
     line = error_of(capsys, inputs, 'out', 320)
     assert 'expected each of 320 runs once, found run 310 missing or twice' in line
     assert not (inputs / 'out' / 'runs.parquet').exists()

@@ -283,8 +283,8 @@ def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tm
                                          '        Path("begun").touch()\n'
                                          '    return [0.0, 0.0, 0.0]\n')
     code = ('import sys\nfrom pathlib import Path\nfrom rigid_body_ros.commands import main\n'
-            'from rigid_body_ros.ensemble import driver\nprocesses = driver.processes\n'
-            'driver.processes = lambda workers: Path("go").touch() or processes(workers)\n'
+            'from rigid_body_ros.ensemble import driver\ncompute = driver.compute\n'
+            'driver.compute = lambda *given: Path("go").touch() or compute(*given)\n'
             'main.attitude_ensemble(sys.argv[1:])')
     command = psutil.Popen([sys.executable, '-c', code, *given(tmp_path, 'endless:law')],
                            cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(ROOT)})

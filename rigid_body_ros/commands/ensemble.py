@@ -100,11 +100,12 @@ def _title(options: argparse.Namespace) -> str:
 
 
 def _pool(options: argparse.Namespace) -> Pool:
-    from rigid_body_ros.ensemble import driver
+    from rigid_body_ros.runtime.cluster import connected
+    from rigid_body_ros.runtime.pool import Processes, Workers
     if options.scheduler:
-        return driver.cluster(options.scheduler, partial(note, options))
-    pool = driver.processes if options.controller else driver.threads
-    return pool(options.workers or os.cpu_count() or 1)
+        return connected(options.scheduler, partial(note, options))
+    # Runs without a controller release the global interpreter lock.
+    return (Processes if options.controller else Workers)(options.workers or os.cpu_count() or 1)
 
 
 def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:

@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute the missing runs of an ensemble, in threads, in processes or on a Dask cluster."""
+"""Compute the missing runs of an ensemble in a pool of workers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 import hashlib
@@ -29,9 +29,8 @@ from typing import Any, NoReturn, TYPE_CHECKING
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.runtime.cluster import connected
 from rigid_body_ros.runtime.fingerprint import fingerprint
-from rigid_body_ros.runtime.pool import Processes, WorkerError, Workers
+from rigid_body_ros.runtime.pool import WorkerError, Workers
 from rigid_body_ros.scene import Scene
 
 if TYPE_CHECKING:  # never imported at run time, so that workers need neither Parquet nor MCAP
@@ -40,12 +39,9 @@ if TYPE_CHECKING:  # never imported at run time, so that workers need neither Pa
 
 #: A block: its first run, the run after its last run, and its rows.
 Block = tuple[int, int, Columns]
-#: A function that computes blocks of an ensemble, and yields each block once it is complete.
-Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
+#: A context manager that yields the workers to compute with.
+Pool = AbstractContextManager[Workers]
 
-#: Maximum number of parts into which a block is divided for a cluster, whose workers would
-#: otherwise wait for the last blocks. Dask spends about 20 ms of overhead on each part.
-_PARTS = 8
 #: Maximum number of runs in a block if there is a controller, because a run with a controller
 #: takes about a second.
 _IN_LOOP = 16
@@ -93,10 +89,11 @@ def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> Non
 
     """
     spans = folder.missing(_IN_LOOP if ensemble.controller else None)
-    runs = sum(stop - first for first, stop in spans)
-    with closing(pool(ensemble, spans)) as blocks:
-        for block in track(blocks, runs):
-            folder.add(*block)
+    if spans:
+        with pool as workers:
+            blocks = workers.results(partial(_block, ensemble), _divided(spans, workers), _died)
+            for block in track(blocks, sum(stop - first for first, stop in spans)):
+                folder.add(*block)
     folder.complete()
 
 
@@ -105,39 +102,8 @@ def runs_of(block: Block) -> int:
     return block[1] - block[0]
 
 
-def threads(workers: int) -> Pool:
-    """Return a pool of threads, which suits runs that release the global interpreter lock."""
-    return partial(_blocks, partial(Workers, workers))
-
-
-def processes(workers: int) -> Pool:
-    """Return a pool of processes, which suits runs that hold the global interpreter lock."""
-    return partial(_blocks, partial(Processes, workers))
-
-
-def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
-    """Return a pool of Dask workers. The arguments are the same as for `connected`."""
-    def died(span: Span, error: WorkerError) -> NoReturn:
-        raise InputError(f'{scheduler}: cannot compute runs {span[0]} to {span[1] - 1}: {error}; '
-                         'their logs may have the reason') from error
-
-    def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
-        if spans:
-            with connected(scheduler, note) as workers:
-                yield from workers.results(partial(_block, ensemble), _divided(spans, workers),
-                                           died)
-    return blocks
-
-
 def _hash(data: bytes) -> str:
     return f'sha256:{hashlib.sha256(data).hexdigest()}'
-
-
-def _blocks(pool: Callable[[], Workers], ensemble: Ensemble, spans: list[Span]
-            ) -> Generator[Block]:
-    if spans:
-        with pool() as workers:
-            yield from workers.results(partial(_block, ensemble), spans, _died)
 
 
 def _died(span: Span, error: WorkerError) -> NoReturn:
@@ -149,14 +115,14 @@ def _block(ensemble: Ensemble, span: Span) -> Block:
     return *span, ensemble.rows(*span)
 
 
-def _divided(spans: list[Span], workers: Workers) -> Iterator[Span]:
+def _divided(spans: Sequence[Span], workers: Workers) -> Iterator[Span]:
     """
     Divide blocks into smaller ones, so that all workers have something to compute.
 
     A block stays in one piece unless there are fewer remaining blocks than the workers can accept.
     """
     for left, (first, stop) in zip(range(len(spans), 0, -1), spans):
-        parts = min(math.ceil(workers.ahead() / left), _PARTS)
+        parts = min(math.ceil(workers.ahead() / left), workers.parts)
         size = math.ceil((stop - first) / parts)
         for begin in range(first, stop, size):
             yield begin, min(begin + size, stop)

@@ -20,12 +20,9 @@ import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
-import json
 import logging
-from pathlib import Path
 import pickle
 import re
 import socket
@@ -34,6 +31,7 @@ import warnings
 
 from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, package_hash
+from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.runtime.pool import WorkerError, Workers
 
 if TYPE_CHECKING:  # importing distributed takes a second, and only --scheduler needs it
@@ -62,6 +60,9 @@ class Cluster(Workers):
         Shows a line of text to the user.
 
     """
+
+    #: Dask spends about 20 ms of overhead on each part.
+    parts = 8
 
     def __init__(self, name: str, client: Client, note: Callable[[str], None]) -> None:
         self.client = client
@@ -105,7 +106,8 @@ class Cluster(Workers):
                              f'{reason(error)}') from error
 
     def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
-        call = pickle.dumps(_Call(self._versions, item), 5, buffer_callback=_out_of_band)
+        call = pickle.dumps(_Call((self._versions, pickle.PickleBuffer(b''), item)), 5,
+                            buffer_callback=list[Any]().append)  # out of band: returns None
         return self._executor.submit(pickle.loads, call, buffers=[self._function])
 
     def _result(self, future: Future[Any]) -> Any:
@@ -113,8 +115,8 @@ class Cluster(Workers):
         try:
             return future.result()
         except KilledWorker as error:
-            raise WorkerError(f'{error.allowed_failures + 1} workers died one after the '
-                              'other') from error
+            raise WorkerError(f'{error.allowed_failures + 1} workers died one after the other; '
+                              'their logs may have the reason') from error
         except ImportError as error:
             raise InputError(f'{self._name}: a worker cannot import what it needs of {NAME}: '
                              f'{reason(error)}') from error
@@ -148,14 +150,8 @@ def connected(scheduler: str, note: Callable[[str], None]) -> Iterator[Cluster]:
 
 def _address_in(path: str) -> str:
     """Read the address of a scheduler from the file that the scheduler has written."""
-    try:
-        address = json.loads(Path(path).read_text(encoding='utf-8'))['address']
-    except OSError as error:
-        raise InputError(f'{path}: cannot read the scheduler file: {reason(error)}; an address '
-                         'is HOST:PORT or tcp://HOST:PORT') from error
-    except (ValueError, TypeError, KeyError) as error:
-        raise InputError(f'{path}: expected the file of a Dask scheduler, JSON with an address, '
-                         'found something else') from error
+    data = read_json(path, 'scheduler file (an address is HOST:PORT or tcp://HOST:PORT)')
+    address = data.get('address') if isinstance(data, dict) else None
     if not isinstance(address, str) or not _ADDRESS.fullmatch(address):
         raise InputError(f'{path}: address: expected one such as tcp://HOST:PORT, found '
                          f'{quoted(address)}')
@@ -215,10 +211,9 @@ def _versions() -> dict[str, str]:
             f'sources of {NAME}': package_hash()[:12]}
 
 
-@dataclass(frozen=True)
-class _Call:
+class _Call(tuple[Any, ...]):
     """
-    An item to compute: when a worker unpickles this object, `_compute` is called.
+    The arguments of `_compute`, which is called when a worker unpickles this object.
 
     The user's function is passed as an out-of-band buffer, so the scheduler and the workers only
     see bytes and `pickle.loads`. A worker that has a different version of this package, or does
@@ -226,15 +221,8 @@ class _Call:
     itself, Dask would end the worker process.
     """
 
-    versions: Mapping[str, str]
-    item: Any
-
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return _compute, (self.versions, pickle.PickleBuffer(b''), self.item)
-
-
-def _out_of_band(buffer: pickle.PickleBuffer) -> None:
-    """Return None, which makes `pickle.dumps` keep the buffer out of the pickle."""
+        return _compute, tuple(self)
 
 
 def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:

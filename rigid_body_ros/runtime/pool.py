@@ -49,6 +49,9 @@ class Workers(AbstractContextManager['Workers']):
 
     """
 
+    #: Into how many parts it may pay to divide an item if the workers would accept more items.
+    parts = 1
+
     def __init__(self, workers: int) -> None:
         self._workers = workers
         self._executor: Executor = ThreadPoolExecutor(workers)
