@@ -183,7 +183,7 @@ def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
     shown, requirements = rows(found), found.get('requirements', ())
     if not requirements:  # otherwise, the rows of each requirement list the effects
         shown += _named('depends on', [f'{name} (rank correlation {value:.2f})'
-                                       for name, value in ranked(found)])
+                                       for name, value in strongest(found['rank_correlation'])])
     for one in requirements:
         shown += required(one) + _named('worst', [
             f'run {worst["run"]}, {worst["value"]:.3g} {one["unit"]}: {replay(worst["run"])}'
@@ -224,11 +224,6 @@ def _spread(percentiles: Mapping[str, float], unit: str) -> str:
     return f'median {median}, 95 % below {most}, largest {largest}'
 
 
-def ranked(found: Mapping[str, Any]) -> list[tuple[str, float]]:
-    """Return the rank correlations, beginning with the strongest."""
-    return strongest(found['rank_correlation'])
-
-
 def strongest(found: Mapping[str, float]) -> list[tuple[str, float]]:
     """Return pairs of names and numbers, beginning with the number of largest magnitude."""
     return sorted(found.items(), key=lambda item: -abs(item[1]))
@@ -257,7 +252,7 @@ def report_of(found: Mapping[str, Any], name: str, scene: Scene, command: str,
     facts = [*rows(found), *(fact for one in requirements for fact in required(one))]
     tables = [part for one in requirements for part in _tables(one, replay)]
     angle = f'parameter: {ANGLE}' if requirements else 'parameter'
-    tables += _bars(angle, 'rank correlation', ranked(found))
+    tables += _bars(angle, 'rank correlation', strongest(found['rank_correlation']))
     return Report(f'{name}: {found["runs"]} runs', _headline(found), facts, [*panels_of(found)],
                   warnings=scene.warnings, scene=scene, command=command, table=''.join(tables))
 

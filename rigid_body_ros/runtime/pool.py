@@ -132,7 +132,10 @@ class Processes(Workers):
 
     def __exit__(self, *error: object) -> None:
         for process, future in self._last.items():
-            process.end(is_idle=future.done())
+            if future.done():
+                process.connection.close()
+            else:
+                process.process.terminate()
         for process in self._last:
             process.wait(_PATIENCE)
         super().__exit__(None)
@@ -191,12 +194,6 @@ class _Process(Child):
             code = self.process.exitcode or 0
             end = f'killed (signal {-code})' if code < 0 else f'exited with status {code}'
             raise WorkerError(f'worker process {end}') from None
-
-    def end(self, is_idle: bool) -> None:
-        if is_idle:
-            self.connection.close()
-        else:
-            self.process.terminate()
 
 
 def _serve(connection: Connection) -> None:
