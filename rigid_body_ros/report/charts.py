@@ -56,8 +56,9 @@ class Curves:
         other lines are compared with. 'front' draws a broad line behind the points that it
         connects. 'band' fills the area between `low` and `high` or, with `step`, draws the bars of
         a histogram. 'marks' draws single points, which do not extend the range of the y axis.
-        'limits' draws `low` and `high` as two dashed lines. Broad lines, marks and limits in
-        column k have the same colour as line k. A single limit is black, or white on a dark page.
+        'limits' draws `low` and `high` as two dashed lines. Broad lines, marks, limits and several
+        bands in column k have the same colour as line k. A single limit is black, or white on a
+        dark page.
     gap : float, optional
         Do not join neighbouring points whose x values differ by more than `gap`.
 

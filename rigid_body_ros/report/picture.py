@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import cycle
 import math
 from pathlib import Path
@@ -109,7 +110,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 def _draw_curves(axes: Axes, panel: Panel, curves: Curves, number: int, shade: str) -> None:
     names = [_literal(name, _TITLE) or None for name in curves.names]
     if curves.style == 'band':
-        _draw_band(axes, curves, names[0], shade)
+        _draw_band(axes, curves, names, shade)
         return
     markers = MARKERS[number % len(MARKERS)] if number < len(panel.texts) else ''
     # Noise is easier to see in thin, solid lines.
@@ -136,13 +137,14 @@ def _draw_curves(axes: Axes, panel: Panel, curves: Curves, number: int, shade: s
         axes.set_ylim(low, high)
 
 
-def _draw_band(axes: Axes, curves: Curves, name: str | None, colour: str) -> None:
+def _draw_band(axes: Axes, curves: Curves, names: Sequence[str | None], shade: str) -> None:
     if curves.step:
         axes.stairs(curves.high[:-1, 0], curves.x, fill=True, color='#bbbbbb')
         axes.set_ylim(bottom=0.0)
-    else:
-        axes.fill_between(curves.x, curves.low[:, 0], curves.high[:, 0], color=colour, alpha=0.5,
-                          linewidth=0.0, label=name)
+        return
+    for name, low, high, colour in zip(names, curves.low.T, curves.high.T,
+                                       COLOURS if len(names) > 1 else [shade]):
+        axes.fill_between(curves.x, low, high, color=colour, alpha=0.5, linewidth=0.0, label=name)
 
 
 def _joined(curves: Curves, column: int, jump: float) -> tuple[Floats, Floats]:

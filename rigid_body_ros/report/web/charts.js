@@ -99,7 +99,8 @@ class Panel {
       const number = this.lines++;
       return {colour: `c${number % 6}`, dashes: this.isNoisy ? '' : DASHES[number % 4]};
     }
-    if (curves.style === 'band') return {colour: ['c5', 'c0'][this.bands++ % 2], dashes: ''};
+    if (curves.style === 'band' && curves.names.length === 1)
+      return {colour: ['c5', 'c0'][this.bands++ % 2], dashes: ''};
     if (curves.style === 'front') return {colour: 'c5', dashes: ''};
     const isLimit = curves.style === 'limits';
     return {colour: isLimit && curves.names.length === 1 ? 'c3' : `c${k % 6}`,
