@@ -109,14 +109,11 @@ def _pool(options: argparse.Namespace) -> Pool:
 
 
 def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
-    from rigid_body_ros.ensemble import dispersions, fitted
     from rigid_body_ros.ensemble.controller import ControllerError
+    from rigid_body_ros.ensemble.fitted import load_varied
     from rigid_body_ros.ensemble.motions import times_of
     from rigid_body_ros.ensemble.runs import Ensemble
-    is_fitted = Path(options.vary).suffix == '.json'
-    names = scene.values['fields']
-    varied = () if is_fitted else dispersions.load(options.vary, names)
-    estimates = fitted.load(options.vary, names, options.force) if is_fitted else None
+    varied, estimates = load_varied(options.vary, scene.values['fields'], options.force)
     if estimates and estimates.ignored:
         note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
     problem, end_ns = _problem(options, scene)

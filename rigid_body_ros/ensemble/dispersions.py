@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+import math
 from pathlib import Path
 import zlib
 
@@ -90,8 +91,15 @@ class Dispersion:
         if self.kind == 'uniform':
             low, high = self.bounds
             return low + (high - low) * uniforms(seed, runs, self.key, 1)
+        return self.bounds[0] * normals(seed, runs, self.key, len(self.moments))
+
+    @property
+    def moments(self) -> Floats:
+        """Return the mean and the standard deviation of each number in a row of `draw`."""
         count = 3 if self.kind in ('relative', 'tilt') else 1
-        return self.bounds[0] * normals(seed, runs, self.key, count)
+        moments = (0.0, *self.bounds) if self.kind != 'uniform' else (
+            0.5 * sum(self.bounds), (self.bounds[1] - self.bounds[0]) / math.sqrt(12.0))
+        return np.tile(moments, (count, 1))
 
 
 def draws(dispersions: Sequence[Dispersion], seed: int,
@@ -107,14 +115,16 @@ def draws(dispersions: Sequence[Dispersion], seed: int,
 
 
 def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float], seed: int,
-              runs: NDArray[np.int64]) -> dict[str, Floats]:
+              runs: NDArray[np.int64], drawn: Mapping[str, Floats] | None = None
+              ) -> dict[str, Floats]:
     """
     Return the values of each key in the given runs, shape (n,).
 
+    If the numbers of all keys are given in `drawn`, they take the place of those of `draws`.
     The values are dispersed if the key varies. Otherwise, all of them equal the nominal value. For
     keys without a nominal value, such as the inertia, the result contains the drawn numbers.
     """
-    drawn = draws(dispersions, seed, runs)
+    drawn = drawn or draws(dispersions, seed, runs)
     values = {**{key: np.full(len(runs), value) for key, value in nominal.items()}, **drawn}
     for one in dispersions:
         if one.key in nominal:

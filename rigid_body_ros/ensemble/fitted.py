@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.ensemble import dispersions
 from rigid_body_ros.ensemble.applied import components
-from rigid_body_ros.ensemble.dispersions import ATTITUDE, normals, units_with
+from rigid_body_ros.ensemble.dispersions import ATTITUDE, Dispersion, normals, units_with
 from rigid_body_ros.inference.noise import with_bound
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.runtime.parameters import resembled
@@ -79,24 +80,25 @@ class Fitted:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """Return a mapping from scene keys to estimates, with the attitude as a quaternion."""
-        return {key: float(column[0]) for key, column in self._values(self._mean[None]).items()}
+        return {key: float(column[0]) for key, column in self.values(self.mean[None]).items()}
 
     def draw(self, seed: int, runs: NDArray[np.int64]) -> dict[str, Floats]:
         """Return values drawn for some runs, shape (n,), for each of the keys of `nominal`."""
-        numbers = normals(seed, runs, 'fitted', len(self._mean))
+        numbers = normals(seed, runs, 'fitted', len(self.mean))
         changes = np.zeros_like(numbers)
         # Add the terms one by one, because the order in which BLAS would add the terms depends on
         # the processor.
-        for number, column in zip(numbers.T, self._factor.T):
+        for number, column in zip(numbers.T, self.factor.T):
             changes += np.multiply.outer(number, column)
-        return self._values(self._mean + changes)
+        return self.values(self.mean + changes)
 
     @cached_property
-    def _mean(self) -> Floats:
+    def mean(self) -> Floats:
+        """Return the estimates as an array, shape (n,)."""
         return np.array([*self.estimates.values()])
 
     @cached_property
-    def _factor(self) -> Floats:
+    def factor(self) -> Floats:
         """Return the Cholesky factor of the covariance, computed without BLAS."""
         scale, rest = _scaled(self.covariance)
         factor = np.zeros_like(rest)
@@ -106,7 +108,8 @@ class Fitted:
                 rest = rest - np.multiply.outer(factor[:, k], factor[:, k])
         return scale[:, None] * factor
 
-    def _values(self, numbers: Floats) -> dict[str, Floats]:
+    def values(self, numbers: Floats) -> dict[str, Floats]:
+        """Return the values for each of the keys of `nominal` from estimates, shape (m, n)."""
         values = dict(zip(self.estimates, numbers.T))
         if _ROTATION[0] in values:
             rotation = np.stack([values[name] for name in _ROTATION], axis=-1)
@@ -144,12 +147,20 @@ def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> F
         raise InputError(f'{path}: {error}') from error
 
 
+def load_varied(path: str | Path, fields: Iterable[str] = (), force: bool = False
+                ) -> tuple[tuple[Dispersion, ...], Fitted | None]:
+    """Read estimates from a JSON file, as `load` does, or dispersions from a YAML file."""
+    if Path(path).suffix == '.json':
+        return (), load(path, fields, force)
+    return dispersions.load(path, fields), None
+
+
 def _fitted(saved: Saved, units: Mapping[str, str], force: bool) -> Fitted:
     if saved.converged is not True:
         raise InputError('expected a fit that converged, found one that did not')
     if saved.level not in ('explained', 'approximate') and not force:
         raise InputError('expected a fit that explains the measurements, found one that is '
-                         f'{saved.level} (--force takes it)')
+                         f'{saved.level} (attitude_ensemble --force takes it)')
     for name, unit in saved.units.items():
         if unit != units.get(name, unit):
             raise InputError(f'{name}: expected the unit {quoted(units[name])}, found '

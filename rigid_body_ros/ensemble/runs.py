@@ -233,6 +233,26 @@ class Ensemble:
             values.update(self.fitted.draw(self.seed, runs))
         return Applied.with_values(self.problem, runs, values, self._of_fields)
 
+    @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """
+        Return the mean of the numbers that a run draws, and a factor of their covariance.
+
+        The mean has shape (p,). The covariance is F F^T for the factor F, shape (p, p).
+        """
+        if self.fitted:
+            return self.fitted.mean, self.fitted.factor
+        mean, sigma = np.vstack([one.moments for one in self.dispersions]).T
+        return mean, np.diag(sigma)
+
+    def with_numbers(self, numbers: Floats) -> Applied:
+        """Return the parameters of runs that draw the given numbers, shape (n, p)."""
+        runs, sizes = np.arange(len(numbers)), [len(one.moments) for one in self.dispersions]
+        drawn = dict(zip(self.keys, np.split(numbers, np.cumsum(sizes, dtype=int), axis=1)))
+        values = dispersed((), self.nominal, 0, runs) | self.fitted.values(numbers) \
+            if self.fitted else dispersed(self.dispersions, self.nominal, 0, runs, drawn)
+        return Applied.with_values(self.problem, runs, values, self._of_fields)
+
     @cached_property
     def _nominal(self) -> tuple[Floats, Problem]:
         """
@@ -378,18 +398,22 @@ class Ensemble:
 
         If there is a controller, the last log of the problem contains the controller's torques.
         """
+        problem = self.problem_of(applied, row)
+        if self.controller:
+            motion, log = closed_loop(problem, self.controller, self._at,
+                                      self.torques.actuated(applied, row))
+            return motion, problem.replaced(log=[*problem.logs, log], actuator=[
+                *(problem.actuators or [None] * len(problem.logs)), self.controller.actuator])
+        found = problem.propagate(at=self._at)
+        return np.concatenate([found.attitude, found.angular_velocity], axis=-1), problem
+
+    def problem_of(self, applied: Applied, row: int) -> Problem:
+        """Return the problem of a run, without the torques of the controller."""
         logs, wheels = self.torques.recorded(applied, row)
         # A torque bias acts directly on the body, even if the other torques act through actuators.
         actuators = [*(self.problem.actuators or [None] * len(self.problem.logs)), None]
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
-        problem = self.problem.replaced(
+        return self.problem.replaced(
             body=applied.bodies[row], start=start, log=logs, wheels=wheels,
             actuator=actuators[:len(logs)], fields=applied.fields.of_each[row],
             efforts=self.torques.commands(applied, row))
-        if self.controller:
-            motion, log = closed_loop(problem, self.controller, self._at,
-                                      self.torques.actuated(applied, row))
-            return motion, problem.replaced(log=[*logs, log], actuator=[
-                *actuators[:len(logs)], self.controller.actuator])
-        found = problem.propagate(at=self._at)
-        return np.concatenate([found.attitude, found.angular_velocity], axis=-1), problem
