@@ -143,7 +143,7 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
     ({'converged': False}, 'expected a fit that converged'),
     ({'verdict': None}, 'of attitude_identify, found another'),
     ({'verdict': {'level': 3}}, 'found one that is 3 (attitude_ensemble --force takes it)'),
-    ({'verdict': {'level': 'rejected'}}, 'found one that is rejected (attitude_ensemble --force takes it)'),
+    ({'verdict': {'level': 'rejected'}}, 'is rejected (attitude_ensemble --force takes it)'),
     ({'names': ('mass', *NAMES[1:])}, 'mass: expected an estimate that can vary'),
     ({'names': ('torque_bais.x', *NAMES[1:])}, 'did you mean torque_bias.x?'),
     ({'names': ('initial_attitude.x', *NAMES[1:])}, 'initial_attitude: expected three components'),

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 #: The options that name recordings, the options that name files of any kind, and the suffixes of
 #: the command's outputs.
-_INPUTS = 'input', 'recording', 'motion', 'reference', 'vary'
+_INPUTS = 'input', 'recording', 'motion', 'reference', 'vary', 'uncertain'
 _PATHS = *_INPUTS, 'scene', 'output', 'json', 'plot', 'report'
 _SUFFIXES = {'json': '.json', 'plot': '.png', 'report': '.html'}
 

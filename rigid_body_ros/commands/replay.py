@@ -24,11 +24,14 @@ from typing import Any, TYPE_CHECKING
 from rigid_body_ros.commands.arguments import length_of, load_scene, note, topics_of, warn_of_units
 from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
+    from rigid_body_ros.ensemble.band import Band
+    from rigid_body_ros.recording import Logged
     from rigid_body_ros.replay.many import Pool
+    from rigid_body_ros.scene import Scene
 
 #: The exit statuses of the command, which are explained in docs/commands.md.
 OK, DIFFERENT = 0, 1
@@ -36,7 +39,7 @@ OK, DIFFERENT = 0, 1
 
 def _run(options: argparse.Namespace) -> int:
     count = len(options.input)
-    for name in ('verify', 'plot', 'report'):
+    for name in ('verify', 'plot', 'report', 'uncertain'):
         if getattr(options, name) and count > 1:
             raise InputError(f'--{name}: expected one recording, found {count}')
     if options.verify:
@@ -57,17 +60,45 @@ def _replay_one(options: argparse.Namespace) -> int:
     if options.also and not options.output:
         raise InputError('--also: expected an output file or folder (-o), found none')
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
-        scene, collect = load_scene(options), None
+        scene, collect, band, logged = load_scene(options), None, None, None
+        if options.uncertain:
+            logged, band = _uncertain(options, path, scene)
+            scene = band.scene_of(scene)
         if options.report or options.plot:  # otherwise, do not import what reports need
             from rigid_body_ros.replay.report import ReportCollector
             collect = partial(ReportCollector, scene)
         with outputs.writing(options.output):
             result = replay.replay(path, scene, options.output, keep=False, collect=collect,
-                                   **_replay_options(options))
+                                   logged=logged, **_replay_options(options))
+        result.uncertain = band.rows(Path(options.uncertain).name) if band else ()
         collected: Any = result.collected  # a `ReportCollector` if there is a report to write
-        outputs.write_asked(lambda line: collected.report(result, name, line))
+        outputs.write_asked(lambda line: collected.report(
+            result, name, line, band.panels if band else list))
     outputs.show(result.text(), 14)
     return OK
+
+
+def _uncertain(options: argparse.Namespace, path: str, scene: Scene) -> tuple[Logged, Band]:
+    """Return the torques with the mean values of --uncertain, and the band."""
+    from rigid_body_ros import recording
+    from rigid_body_ros.ensemble.band import band_of
+    from rigid_body_ros.ensemble.fitted import load_varied
+    from rigid_body_ros.ensemble.runs import Ensemble
+    from rigid_body_ros.replay.batches import end_of
+    logged = recording.chosen(path, scene, recording.read_epochs(
+        path, scene, topics_of(options).found_in(path, scene), options.interpolation,
+        time_source=options.time_source, skip=options.start), may_change=True, may_command=True)
+    end_ns = end_of(path, int(logged.times_ns[-1]), logged.problem.start.time_ns,
+                    _length(options))
+    varied, estimates = load_varied(options.uncertain, scene.values['fields'])
+    if estimates and estimates.ignored:
+        note(options, f'{options.uncertain}: {listed(estimates.ignored)}: no effect on the motion')
+    try:
+        band = band_of(Ensemble(logged.problem, end_ns, varied, 0, estimates))
+    except ValueError as error:
+        raise InputError(f'{options.uncertain}: {error}; attitude_ensemble --vary '
+                         f'{options.uncertain} does without derivatives') from error
+    return logged._replace(problem=band.problem), band
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -105,7 +136,8 @@ def _pool(options: argparse.Namespace) -> Pool | None:
 
 def _verify(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.verify import verify
-    unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'scheduler')
+    unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'uncertain',
+                                'scheduler')
               if getattr(options, name)]
     if unused:
         name = unused[0].replace('start', 'from')
@@ -147,6 +179,10 @@ def _add_arguments(parser: Parser) -> None:
         '--duration', type=positive, metavar='SECONDS',
         help='end the motion SECONDS after its start; if a node recorded the log, end each epoch '
         'SECONDS after its start (default: at the last torque stamp)')
+    parser.add_argument('--uncertain', metavar='FILE',
+                        help='compute the motion with the mean values in FILE, which is a file '
+                        'as for attitude_ensemble --vary, and how uncertain it is, without '
+                        'sampling')
     parser.add_time_source('when a torque takes effect: at the stamp in its header, or when its '
                            'message')
     add_scheduler(parser)

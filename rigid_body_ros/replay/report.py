@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,15 +80,17 @@ class ReportCollector:
         self._keys.add(len(motion.times_ns), times_ns, np.hstack([
             attitude, motion.angular_velocity[chosen], torques, motion.rotor_momentum[chosen]]))
 
-    def report(self, result: Replay, name: str, command: str) -> Report:
-        """Return the report of the replay of the recording `name`."""
+    def report(self, result: Replay, name: str, command: str,
+               shown: Callable[[list[Panel]], list[Panel]] = list) -> Report:
+        """Return the report of the replay of the recording `name`, with the panels `shown`."""
         times_ns, keys = self._keys.result()
         body = result.scene.body
         story = [('recording', name), *result.rows(_DIGITS),
                  ('start', f'attitude {numbers(result.start.attitude, _DIGITS)} (x y z w), body '
                            f'rates {numbers(result.start.angular_velocity, _DIGITS)} rad/s'),
                  ('moments', f'{numbers(body.principal_moments, _DIGITS)} kg m^2')]
-        return Report(f'{name}: {result.topic}', _headline(times_ns, keys), story, self._panels(),
+        return Report(f'{name}: {result.topic}', _headline(times_ns, keys), story,
+                      shown(self._panels()),
                       moving_body.as_data(body, times_ns, keys), result.scene.warnings,
                       scene=result.scene, command=command)
 

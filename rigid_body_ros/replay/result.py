@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from rigid_body_ros.mechanics import euler
@@ -83,6 +84,8 @@ class Replay:
     earlier : tuple of Replay
         If the recording contains several epochs of a node, this object is the result of the last
         epoch, and `earlier` contains the results of the others.
+    uncertain : sequence of (str, object)
+        Rows of the summary about the band around the motion, if parameters are uncertain.
 
     """
 
@@ -108,6 +111,7 @@ class Replay:
     trajectory: Trajectory | None = None
     collected: Collector | None = None
     earlier: tuple[Replay, ...] = ()
+    uncertain: Sequence[tuple[str, object]] = ()
 
     def text(self) -> str:
         """Return a summary of the replay as text, with one fact per line."""
@@ -151,6 +155,7 @@ class Replay:
             ('  body rates', f'{numbers(last.angular_velocity, digits)}  rad/s'),
             *([('  rotors', f'{numbers(last.rotor_momentum, digits)}  N m s')]
               if self.scene.has_rotors else []),
+            *self.uncertain,
             ('check', self.check),
             *([('last digits', self.last_digits)] if _is_reported(self.last_digits) else []),
             ('speed', f'{speed:.3g} times real time ({split})'),

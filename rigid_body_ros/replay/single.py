@@ -59,7 +59,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            wheel_torque: str | None = None, wheel_momentum: str | None = None,
            wheel_command: str | None = None, inertia: str | None = None,
            columns: Mapping[str, str] | None = None,
-           collect: Callable[[], Collector] | None = None) -> Replay:
+           collect: Callable[[], Collector] | None = None,
+           logged: Logged | None = None) -> Replay:
     """
     Compute the motion of a body from the torques in a recording.
 
@@ -127,6 +128,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         Returns an object that collects the motion. Each `Batch` is passed to the method `add` of
         this object. If there are several epochs, only the motion of the last epoch is collected.
         `collect` is called again if the recording has to be read a second time.
+    logged : Logged, optional
+        The problem to solve, in place of the one that the recording and the scene describe.
 
     Returns
     -------
@@ -156,7 +159,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             copied = stack.enter_context(Source(
                 path, next(iter(topics.wrenches), others), _KINDS, preferred=topics.preferred))
             copied.check_copied(outputs.topics(request))
-        if not (keep or others or scene.actuators or request.sensor_delay_ns):
+        if not (logged or keep or others or scene.actuators or request.sensor_delay_ns):
             with suppress(NotInOrderError), Streams(
                     path, scene, topics, progress('replaying', size=len),
                     time_source) as streams:
@@ -164,7 +167,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
                                    copied, output)
                 result.damage = streams.damage
                 return result
-        return _replayed(request, lambda: _whole(request, topics, recording.read_epochs(
+        return _replayed(request, lambda: _whole(request, topics, [
+            logged] if logged else recording.read_epochs(
             path, scene, topics, request.interpolation, progress('reading', size=len),
             time_source, start)), copied, output, keep)
 
