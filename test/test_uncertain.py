@@ -80,17 +80,18 @@ def fitted(seed):
                   np.array([0.5, -0.5, 0.5, 0.5]), factor @ factor.T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('case', ['all kinds', 'fitted'])
 def test_a_band_is_the_change_of_the_motion_with_each_number(tmp_path, case):
     ensemble = Ensemble(PROBLEM, 5 * SECOND, (), 0, fitted(2)) if case == 'fitted' else \
-        ensemble_of(tmp_path / 'vary.yaml', '''
+        ensemble_of(tmp_path / 'vary.yaml', """
             inertia: {relative: 1.0e-4}
             initial_attitude: {tilt: 1.0e-4}
             initial_angular_velocity.y: {uniform: [0.5999, 0.6003]}
             initial_rotor_momentum.z: {normal: 0.001, relative: true}
             damping.dyy: {normal: 1.0e-6}
             torque_gain: {uniform: [1.1999, 1.2001]}
-            torque_bias.x: {uniform: [0.002, 0.00201]}''')
+            torque_bias.x: {uniform: [0.002, 0.00201]}""")
     found = band.band_of(ensemble)
     times_ns = np.rint(found.seconds[[0, 700, 1999]] * 1e9).astype(np.int64)
     mean, factor = ensemble.moments
@@ -130,6 +131,7 @@ def test_a_spin_is_not_linear_when_its_angles_exceed_half_a_turn(tmp_path):
     assert angles[-1] == pytest.approx(2.5, abs=0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('scale', [1e-4, 1e-6])
 def test_a_warning_comes_before_motions_near_the_separatrix_part(tmp_path, scale):
     near = Problem(RigidBody.from_moments(1.0, 2.0, 3.0), State(
@@ -165,6 +167,7 @@ def replayed(capsys, *arguments, status=0):
     return capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_the_summary_and_the_page_show_the_band(tmp_path, capsys):
     page, plot = tmp_path / 'page.html', tmp_path / 'plot.png'
     text = replayed(capsys, '--uncertain', 'examples/vary.yaml', '--report', page, '--plot',
@@ -188,6 +191,7 @@ def test_the_summary_and_the_page_show_the_band(tmp_path, capsys):
     assert plot.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_quaternion_is_shaded_as_far_as_it_moves(tmp_path):
     found = band.band_of(ensemble_of(tmp_path / 'vary.yaml',
                                      'initial_attitude: {tilt: 1.0e-5}', PROBLEM, 1.0))
@@ -200,6 +204,7 @@ def test_the_quaternion_is_shaded_as_far_as_it_moves(tmp_path):
     np.testing.assert_allclose((quaternion.high + quaternion.low) / 2.0, found.motion[:, :4])
 
 
+@pytest.mark.slow
 def test_all_outputs_show_the_motion_with_the_mean_values(tmp_path, capsys):
     vary, motion, other = (tmp_path / name for name in ('vary.yaml', 'motion.mcap', 'scene.yaml'))
     vary.write_text('initial_angular_velocity.y: {uniform: [0.625, 0.6875]}\n'
@@ -218,6 +223,7 @@ def test_all_outputs_show_the_motion_with_the_mean_values(tmp_path, capsys):
     assert final(text) == final(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_gain_and_bias_act_with_their_mean_values(tmp_path, capsys):
     vary = tmp_path / 'vary.yaml'
     vary.write_text('torque_gain: {uniform: [0.9, 1.0]}\n'
@@ -256,6 +262,7 @@ def test_a_band_is_that_of_one_replay(tmp_path, capsys, arguments):
     assert '--uncertain' in line
 
 
+@pytest.mark.slow
 def test_without_uncertain_nothing_is_imported():
     code = ('import sys; from rigid_body_ros.commands import main; '
             f'main.attitude_replay({[RECORDING, "--scene", SCENE]!r}); '
