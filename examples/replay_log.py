@@ -51,9 +51,6 @@ def main():
     print('final attitude      ', *result.last.attitude, '(x y z w)')
     print('final angles        ', *angles, f'rad ({sequence})')
     print('interpolation       ', result.interpolation)
-    for name, angle in result.interpolation_differences.items():
-        print(f'  or {name:15}', 'would spin the body too fast' if angle is None
-              else f'would end {angle:.2g} rad away')
 
 
 if __name__ == '__main__':

@@ -207,7 +207,7 @@ def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path, output):
 def test_the_summary_tells_what_happened(output, capsys):
     assert main.attitude_replay([*ISS, '-o', str(output)]) == 0
     text = capsys.readouterr().out
-    for part in ('1441 on /torque, over 28800 s', 'hold (linear would end 0.0022 rad away',
+    for part in ('1441 on /torque, over 28800 s', 'hold (attitude_tradeoff shows',
                  'asymmetric top', 'taylor (auto: ', '28800 s after the start',
                  'work and energy differ by', ', checked over all 28800 s\n', 'times real time',
                  str(output)):
@@ -250,15 +250,6 @@ def test_the_effect_of_the_last_digits_covers_a_beginning(name, limit, output, m
 
 def test_a_motion_of_no_length_has_no_last_digits(output):
     assert replayed('constant_space_torque', output).last_digits is None
-
-
-def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path, output, capsys):
-    rows = [(EPOCH_NS, '', [1e-3, 0, 0]), (EPOCH_NS + SECOND, '', [1e100, 0, 0])]
-    torques = write_torques(tmp_path / 'last.mcap', rows)
-    with np.errstate(all='ignore'):
-        assert main.attitude_replay([torques, '--scene', str(CONFIG / 'tumbler.yaml'),
-                                    '-o', str(output)]) == 0
-    assert 'linear would spin the body too fast' in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -760,12 +751,11 @@ def test_a_torque_that_acts_for_ten_years_is_refused(tmp_path, capsys, scene_lin
 
 
 @pytest.mark.slow
-def test_a_body_without_torque_may_turn_for_ten_years(tmp_path, capsys):
+def test_a_body_without_torque_may_turn_for_ten_years(tmp_path):
     path = tmp_path / 'gap.csv'
     arguments = stopped_clock(path, 3.2e8, (0.0, 0.0, 0.0))
     path.write_text(path.read_text().replace('320001000.500,0.0,', '320001000.500,0.1,'))
     assert main.attitude_replay(arguments) == 0
-    assert 'linear would spin the body too fast' in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Thread
 import time
 from typing import NamedTuple, Protocol
 
@@ -29,8 +28,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
-from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
+from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Stream
 from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
@@ -138,24 +136,10 @@ class Batches:
         if problem.efforts:
             stamps.append(int(problem.efforts.times_ns[0]))
         self.first_ns = min(stamps, default=start.time_ns)
-        #: The motions computed so far. The key of a motion is the name of its interpolation, or
-        #: `IMU` for the motion that a delayed IMU measures. The dictionary is empty before the
-        #: first piece.
-        self._motions: dict[str, Integration[Problem]] = {}
-        #: The interpolations that were not requested. An interpolation is removed from the list if
-        #: the body spins too fast when that interpolation is used.
-        names = [name for name in INTERPOLATIONS if name != request.interpolation]
-        self._alternatives = names
-        #: The final attitude with each interpolation that was not requested; None if the body
-        #: spins too fast with that interpolation.
-        self._final_attitudes: dict[str, Floats | None] = {}
+        #: The motion computed so far; None before the first piece.
+        self._motion: Integration[Problem] | None = None
         #: For each stream, whether the torques read so far are in space axes: False, True or both.
         self._frames: list[set[bool]] = [set() for _ in streams]
-        #: The thread that computes the motions for the interpolations in `_alternatives`. As a
-        #: daemon thread, it does not delay the end of the program.
-        self._thread: Thread | None = None
-        #: The exception raised in the thread, if any.
-        self._failure: BaseException | None = None
         self._outputs = _OutputTimes(request, start.time_ns, is_epoch)
         self._end_ns = NEVER_NS if request.until is None else \
             end_of(request.path, 0, start.time_ns, request.until)
@@ -178,39 +162,25 @@ class Batches:
                 if stream.end_ns == until_ns:
                     stream.advance()
 
-    def differences(self, end: Floats) -> dict[str, float | None]:
-        """
-        Return how far the final attitude would be from `end` with other interpolations, rad.
-
-        The result contains one angle for each interpolation that was not requested. The angle is
-        None if the body spins too fast with that interpolation.
-        """
-        self._wait()
-        return {name: None if other is None else float(so3.angle_between(other, end))
-                for name, other in self._final_attitudes.items()}
-
     def _advance(self, until_ns: int | None) -> Iterator[Batch]:
         began = time.perf_counter()
-        self._wait()
         self._check_frames()
         begin_ns = self._outputs.done_ns
         try:
-            logs = self._logs(self._request.interpolation, begin_ns, until_ns)
+            logs = self._logs(begin_ns, until_ns)
             stamps_ns = stamps_of(logs)
             for others_ns in self._others:
                 stamps_ns = np.union1d(stamps_ns, others_ns)
             numbers, times_of = self._outputs.up_to(stamps_ns, until_ns)
             for gaps, log in zip(self.gaps, logs):
                 gaps.add(log)
-            limits = (begin_ns, self._outputs.done_ns), self._speed, self._request.scene
-            announce(self._where, _computing_time(logs, *limits))
-            motion = self._continued(self._request.interpolation, logs)
-            others = {name: self._logs(name, begin_ns, until_ns) for name in self._alternatives}
-            self._thread = Thread(target=self._advance_alternatives, daemon=True,
-                                  args=(others, until_ns, times_of(numbers[-1:]), limits))
-            self._thread.start()
+            span_ns = begin_ns, self._outputs.done_ns
+            announce(self._where, max((computing_time(log, span_ns, self._speed,
+                                                      self._request.scene) for log in logs),
+                                      default=0.0))
+            motion = self._motion = self._continued(self._motion, logs)
             # If the IMU has a delay, the torques are always a single piece.
-            earlier = self._continued(IMU, logs) if self._delay_ns else None
+            earlier = self._continued(None, logs) if self._delay_ns else None
             for first in range(0, max(len(numbers), 1), _LARGEST):
                 times_ns = times_of(numbers[first:first + _LARGEST])
                 trajectory = sensed = motion.advance(
@@ -230,16 +200,14 @@ class Batches:
             raise InputError(f'{self._where}: {error}') from error
 
     def _check_frames(self) -> None:
-        """If a log mixes body and space axes, drop all interpolations except the requested one."""
+        """If a log that is interpolated mixes body and space axes, raise NotInOrderError."""
         for stream, frames in zip(self.streams, self._frames):
             frames |= set(np.unique(stream.piece.in_space).tolist())
-        if any(len(frames) > 1 for frames in self._frames):
-            if self._request.interpolation != 'hold' and self._motions:
-                raise NotInOrderError  # the error is raised when the whole log is read
-            self._alternatives = []
-            self._final_attitudes.clear()
+        if any(len(frames) > 1 for frames in self._frames) and self._motion and (
+                self._request.interpolation != 'hold'):
+            raise NotInOrderError  # the error is raised when the whole log is read
 
-    def _logs(self, interpolation: str, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
+    def _logs(self, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
         """
         Return the torques from each stream for the next part of the motion.
 
@@ -249,7 +217,7 @@ class Batches:
         logs = []
         for stream in self.streams:
             try:
-                logs.append(stream.log(interpolation))
+                logs.append(stream.log(self._request.interpolation))
             except ValueError as error:
                 topic = stream.topic or self._topics
                 raise InputError(f'{self._request.path}: {topic}: {error}') from error
@@ -257,47 +225,16 @@ class Batches:
             return logs
         return [log.between(begin_ns, until_ns) for log in logs]
 
-    def _continued(self, interpolation: str, logs: Sequence[TorqueLog]) -> Integration[Problem]:
-        """Continue a motion with the next pieces of its torques."""
+    def _continued(self, motion: Integration[Problem] | None,
+                   logs: Sequence[TorqueLog]) -> Integration[Problem]:
+        """Continue a motion with the next pieces of its torques, or begin it."""
         body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
         wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
         problem = self._problem.replaced(log=body, wheels=next(iter(wheels), None))
-        motion = self._motions.get(interpolation)
-        if motion:
-            motion.extend(problem)
-        else:
-            motion = self._motions[interpolation] = Integration(problem)
+        if not motion:
+            return Integration(problem)
+        motion.extend(problem)
         return motion
-
-    def _wait(self) -> None:
-        if self._thread:
-            self._thread.join()
-        if self._failure:
-            raise self._failure
-
-    def _advance_alternatives(self, others: dict[str, list[TorqueLog]], until_ns: int | None,
-                              last_ns: NDArray[np.int64],
-                              limits: tuple[tuple[int, int], float, Scene]) -> None:
-        """Advance the motions for the other interpolations to the end of the piece."""
-        try:
-            for name, logs in others.items():
-                try:
-                    _computing_time(logs, *limits)
-                    motion = self._continued(name, logs).advance(last_ns, until_ns)
-                except ValueError:  # the body spins too fast, or for too long
-                    self._alternatives.remove(name)
-                    self._final_attitudes[name] = None
-                else:
-                    if last_ns.size:  # the last piece may have no output
-                        self._final_attitudes[name] = motion.attitude[-1]
-        except BaseException as error:  # `_wait` raises it in the main thread
-            self._failure = error
-
-
-def _computing_time(logs: Sequence[TorqueLog], span_ns: tuple[int, int], speed: float,
-                    scene: Scene) -> float:
-    """Return the largest `computing_time` of all logs; raise the errors of `computing_time`."""
-    return max((computing_time(log, span_ns, speed, scene) for log in logs), default=0.0)
 
 
 class _OutputTimes:

@@ -27,7 +27,7 @@ from rigid_body_ros.recording.gaps import Gaps
 from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.check import Check, LastDigits
 from rigid_body_ros.replay.saturation import Saturation
-from rigid_body_ros.report.text import interpolation_row, lines, numbers
+from rigid_body_ros.report.text import lines, numbers
 from rigid_body_ros.scene import fields, Scene
 from rigid_body_ros.scene.parameters import described_wheels
 
@@ -60,9 +60,6 @@ class Replay:
     solvers : dict
         For each solver, the length of the part of the motion that the solver computed, ns. A key
         consists of the name of the solver and, in parentheses, the reason why it was chosen.
-    interpolation_differences : dict
-        For each of the interpolations that were not used, how far the final attitude would move
-        with that interpolation, rad; None if the body would spin too fast.
     check : Check, optional
         How much the motion violates the conservation laws, and which part of the motion was
         checked.
@@ -100,7 +97,6 @@ class Replay:
     start: State = field(default_factory=State)
     last: State = field(default_factory=State)
     solvers: dict[str, int] = field(default_factory=dict)
-    interpolation_differences: dict[str, float | None] = field(default_factory=dict)
     check: Check | None = None
     last_digits: LastDigits | None = None
     gaps: tuple[Gaps, ...] = ()
@@ -142,8 +138,8 @@ class Replay:
             *(('note', text) for text in self.account.notes),
             *_longest_gap(self),
             *(('warning', text) for text in self.warnings),
-            ('interpolation', interpolation_row(self.interpolation,
-                                                self.interpolation_differences)),
+            ('interpolation', f'{self.interpolation} (attitude_tradeoff shows what another would '
+                              'change)'),
             ('body', self.scene.body.symmetry),
             *(('fields', text) for text in fields.described(self.scene.values)),
             *(('wheels', text) for text in described_wheels(self.scene.values)),

@@ -231,7 +231,6 @@ def _compute(request: Request, result: Replay, batches: Batches,
             result.collected.add(batch)
         if keep:
             kept.append(batch)
-    result.interpolation_differences = batches.differences(result.last.attitude)
     accounts = {stream.topic: stream.account for stream in batches.streams if stream.account}
     if accounts:
         result.account = merged(accounts)
