@@ -23,6 +23,7 @@ from rigid_body_ros import (
     EffortLog,
     GravityGradient,
     Problem,
+    propagate,
     RigidBody,
     State,
     TorqueLog,
@@ -227,3 +228,12 @@ def test_friction_has_no_derivatives_yet():
     with pytest.raises(ValueError, match='^derivatives: expected a problem without wheels with '
                                          'friction or a largest speed, which have no'):
         given.derivatives(['start'], at=[SECOND])
+
+
+def test_a_motion_has_the_derivatives_that_it_is_asked_for():
+    given, at = problem(kind='hold'), [5 * SECOND, 3 * SECOND]
+    motion = propagate(given.body, given.start, given.logs, at=at, derivatives=['inertia'])
+    assert np.array_equal(motion.attitude, given.propagate(at=at).attitude)
+    assert np.array_equal(motion.derivatives.attitude,
+                          given.derivatives(['inertia'], at=at).attitude)
+    assert given.propagate(at=at).derivatives is None

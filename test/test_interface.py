@@ -71,7 +71,7 @@ SIGNATURES = [
            "wheel_command=None, inertia=None, interpolation=None, time_source='header', "
            'columns=None'),
     (propagate, 'body, start, log=None, *, at, wheels=None, efforts=None, fields=(), '
-                f'changes=None, actuator=None, {OPTIONS}'),
+                f'changes=None, actuator=None, {OPTIONS}, derivatives=()'),
     (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, fields=(), torque_gains=None, '
                      f'{OPTIONS}'),
     (States, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '

@@ -41,26 +41,7 @@ from rigid_body_ros.propagation.inputs import MotionInputs
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.lags import terms_of
 from rigid_body_ros.propagation.options import checked_times
-
-
-class Derivatives(NamedTuple):
-    """
-    The derivatives of a motion with respect to parameters of its problem.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The components of the parameters, such as 'inertia.ixx', as `attitude_identify` names them.
-    attitude : array, shape (m, 3, p), rad per unit of the parameter
-        The derivatives of the attitude at m times, each as a rotation vector in body axes.
-    angular_velocity : array, shape (m, 3, p), rad/s per unit of the parameter
-        The derivatives of the angular velocity in body axes.
-
-    """
-
-    names: tuple[str, ...]
-    attitude: Floats
-    angular_velocity: Floats
+from rigid_body_ros.propagation.trajectory import Derivatives
 
 
 class _Component(NamedTuple):

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,12 +29,12 @@ from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import Logs
-from rigid_body_ros.propagation.derivatives import Derivatives, derivatives
+from rigid_body_ros.propagation.derivatives import derivatives as derivatives_of
 from rigid_body_ros.propagation.inputs import MotionInputs, Rotors
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
-from rigid_body_ros.propagation.trajectory import Trajectory
+from rigid_body_ros.propagation.trajectory import Derivatives, Trajectory
 from rigid_body_ros.propagation.wheels import joined_log
 
 
@@ -224,7 +225,7 @@ class Problem(MotionInputs):
             body turns too fast. Wheels with friction or a largest speed have no derivatives yet.
 
         """
-        return derivatives(self, names, at)
+        return derivatives_of(self, names, at)
 
 
 def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
@@ -233,7 +234,8 @@ def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
               actuator: Actuators = None,
               solver: str = Options.solver, tolerance: float = Options.tolerance,
               max_step: float | None = Options.max_step,
-              torque_timeout: float = Options.torque_timeout) -> Trajectory:
+              torque_timeout: float = Options.torque_timeout,
+              derivatives: Sequence[str] = ()) -> Trajectory:
     """
     Integrate Euler's equations under torque logs, and return the motion at given times.
 
@@ -245,6 +247,8 @@ def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
         See `Problem`.
     solver, tolerance, max_step, torque_timeout
         See `Problem`.
+    derivatives : sequence of str
+        Names for `Problem.derivatives`, whose result becomes an attribute of the motion.
 
     Returns
     -------
@@ -254,11 +258,14 @@ def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
     ------
     ValueError
         A time lies before the start or is not an integer that fits in int64, an option is out of
-        its range, torques are given to the solver 'exact', or the torques accelerate the body
-        beyond 1e9 rad/s.
+        its range, torques are given to the solver 'exact', the torques accelerate the body
+        beyond 1e9 rad/s, or `Problem.derivatives` raises it.
 
     """
-    return Problem(
+    problem = Problem(
         body, start, log, wheels=wheels, efforts=efforts, fields=fields, changes=changes,
         actuator=actuator, solver=solver, tolerance=tolerance, max_step=max_step,
-        torque_timeout=torque_timeout).propagate(at=at)
+        torque_timeout=torque_timeout)
+    motion = problem.propagate(at=at)
+    return replace(motion, derivatives=problem.derivatives(derivatives, at=at)) if derivatives \
+        else motion

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,26 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 
+class Derivatives(NamedTuple):
+    """
+    The derivatives of a motion with respect to parameters of its problem.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The components of the parameters, such as 'inertia.ixx', as `attitude_identify` names them.
+    attitude : array, shape (m, 3, p), rad per unit of the parameter
+        The derivatives of the attitude at m times, each as a rotation vector in body axes.
+    angular_velocity : array, shape (m, 3, p), rad/s per unit of the parameter
+        The derivatives of the angular velocity in body axes.
+
+    """
+
+    names: tuple[str, ...]
+    attitude: Floats
+    angular_velocity: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """
@@ -42,6 +62,8 @@ class Trajectory:
     Attributes
     ----------
     times_ns : array of int64, shape (m,)
+    derivatives : Derivatives, optional
+        Those that `propagate` was asked for.
 
     """
 
@@ -54,6 +76,7 @@ class Trajectory:
     #: The axial momenta of wheels with friction, N m s, with one row for each time. None if there
     #: are no such wheels.
     _momenta: Floats | None = None
+    derivatives: Derivatives | None = None
 
     def __repr__(self) -> str:
         if not self.times_ns.size:
