@@ -54,11 +54,16 @@ motion = propagate_many(bodies, starts, log, at=[50 * 10 ** 9])
 print(*(x.hex() for x in motion.attitude.ravel().tolist()))
 """
 TANGENTS = """
-from rigid_body_ros import Problem, RigidBody, State, TorqueLog
-problem = Problem(RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05), State(
+from rigid_body_ros import (
+    Actuator, BodyLog, GravityGradient, Problem, RigidBody, State, TorqueLog, UniformField)
+body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
+problem = Problem(body, State(
     0, angular_velocity=(0.5, -0.7, 0.9), rotor_momentum=(0.1, 0.0, 0.2)), TorqueLog(
-        [0, 10 ** 8], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]]))
-found = problem.derivatives(['inertia', 'torque_gains', 'start'], at=[3 * 10 ** 8])
+        [0, 10 ** 8], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]]), actuator=Actuator(time_constant=0.2),
+    fields=[UniformField((0.3, -0.2, 0.5), (0.2, 0.4, -0.9), 'weight'), GravityGradient(0.3)],
+    changes=BodyLog([2 * 10 ** 8], [RigidBody(0.7 * body.inertia)], 'momentum'))
+found = problem.derivatives(['inertia', 'torque_gains', 'torque_delay', 'torque_lag', 'start',
+                             'weight.moment'], at=[3 * 10 ** 8])
 print(*(x.hex() for each in found[1:] for x in each.ravel().tolist()))
 """
 #: The instruction levels of the module; tests skip levels that this processor does not support.

@@ -33,6 +33,7 @@ from rigid_body_ros.engine import (
 )
 from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import MOMENTUM
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.states import Poses
@@ -75,6 +76,8 @@ _PARAMETERS = {
     'start': [*_axes('initial_attitude', _START, tangents.ROTATION),
               *_axes('initial_angular_velocity', _START, tangents.RATE)],
 }
+#: The places of the entries of a tensor among its six entries.
+_FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 #: The names of the components of the start.
 START_NAMES = tuple(component.name for component in _PARAMETERS['start'])
 _NO_BIAS = np.zeros(3)
@@ -177,11 +180,11 @@ class _Tangents:
             self._change_constants()
         if problem.named_wheels:  # they turn with the body when the motion starts
             axial = problem.body_at(problem.start.time_ns).inertia - carrier.inertia
-            constants[:, tangents.MOMENTUM:tangents.DAMPING] += start[
-                :, tangents.RATE:tangents.ROTATION] @ axial
+            constants[:, tangents.MOMENTUM:tangents.DAMPING] += np.sum(
+                start[:, None, tangents.RATE:tangents.ROTATION] * axial, axis=2)
         if (delayed := seeds[_TORQUES][:, forcing.DELAY:].any(axis=1)).any():
-            start[delayed, tangents.RATE:tangents.ROTATION] += np.linalg.solve(
-                carrier.inertia, _impulse(problem) + bias)  # the bias is not delayed
+            start[delayed, tangents.RATE:tangents.ROTATION] += _quotient(
+                carrier, _impulse(problem) + bias)  # the bias is not delayed
         self._latest = _in_lanes(start)
 
     def advance(self, times_ns: NDArray[np.int64]) -> Iterator[tuple[Floats, Floats, Floats]]:
@@ -205,13 +208,12 @@ class _Tangents:
         assert changes
         before, rates = motion._carrier, motion._progress['latest'][0, :3].copy()
         motion._change(changes.bodies[changes.in_force(time_ns)])
+        turned = _rates(self._latest)
         if changes.keep == MOMENTUM:
-            groups = self._latest.reshape(-1, tangents.SIZE, LANES)
-            turned = groups[:, tangents.RATE:tangents.ROTATION]
-            dj = _in_lanes(self._seeds[_CONSTANTS][:, tangents.INERTIA:tangents.MOMENTUM])
-            change = _symmetric(dj.reshape(-1, 6, LANES), rates)
-            turned[:] = np.linalg.solve(motion._carrier.inertia,
-                                        before.inertia @ turned + change)
+            seeds = self._seeds[_CONSTANTS][:, tangents.INERTIA:tangents.MOMENTUM]
+            change = _in_lanes(np.sum(seeds[:, _FULL] * rates, axis=2)).reshape(-1, 3, LANES)
+            turned[:] = _quotient(motion._carrier, before.angular_momentum(turned)
+                                  + change.swapaxes(1, 2))
         self._change_constants()
 
     def _change_constants(self) -> None:
@@ -275,10 +277,15 @@ def _impulse(problem: MotionInputs) -> Floats:
     return total
 
 
-def _symmetric(tensors: Floats, vector: Floats) -> Floats:
-    """Multiply symmetric tensors, shape (g, 6, LANES), by a vector; return shape (g, 3, LANES)."""
-    full = tensors[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
-    return np.einsum('gijl,j->gil', full, vector)
+def _quotient(body: RigidBody, momenta: Floats) -> Floats:
+    """Return J^-1 times vectors, shape (..., 3), without BLAS, which depends on the processor."""
+    return body.angular_acceleration(np.zeros(3), momenta)
+
+
+def _rates(lanes: Floats) -> Floats:
+    """Return a view of the derivatives of the rates in tangents, shape (g, LANES, 3)."""
+    return lanes.reshape(-1, tangents.SIZE, LANES)[
+        :, tangents.RATE:tangents.ROTATION].swapaxes(1, 2)
 
 
 def _in_lanes(values: Floats) -> Floats:
