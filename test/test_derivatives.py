@@ -203,15 +203,19 @@ def test_wrong_names_are_named(names, expected):
         problem().derivatives(names, at=[5 * SECOND])
 
 
-def test_a_delay_of_what_begins_with_the_motion_is_one_that_grows():
+@pytest.mark.parametrize('changes', [
+    None, BodyLog([SECOND], [RigidBody(0.7 * FULL)]),
+    BodyLog([SECOND], [RigidBody(0.7 * FULL)], 'momentum')])
+def test_a_delay_of_a_torque_that_jumps_is_one_that_grows(changes):
     # Before its first sample, a log has no torque.
-    log, at = TorqueLog([0, SECOND], [[0.3, -0.2, 0.1], [0.0, 0.4, 0.1]]), [3 * SECOND]
+    torques, at = [[0.3, -0.2, 0.1], [0.0, 0.4, 0.1]], [3 * SECOND, 0, SECOND, SECOND]
 
     def motion(delay_ns):
-        return Problem(RigidBody(FULL), State(0), TorqueLog(log.times_ns + delay_ns, log.torques))
-    found = motion(0).derivatives(['torque_delay'], at=at).angular_velocity[0, :, 0]
-    one, two = ((motion(ns).propagate(at=at).angular_velocity[0]
-                 - motion(0).propagate(at=at).angular_velocity[0]) / (1e-9 * ns)
+        return Problem(RigidBody(FULL), State(0), TorqueLog([delay_ns, SECOND + delay_ns],
+                                                            torques), changes=changes)
+    found = motion(0).derivatives(['torque_delay'], at=at).angular_velocity[..., 0]
+    one, two = ((motion(ns).propagate(at=at).angular_velocity
+                 - motion(0).propagate(at=at).angular_velocity) / (1e-9 * ns)
                 for ns in (100_000, 200_000))
     np.testing.assert_allclose(found, 2.0 * one - two, rtol=1e-6)
 

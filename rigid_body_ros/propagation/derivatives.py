@@ -113,18 +113,15 @@ def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
     if lacks_derivatives(problem):
         raise ValueError('derivatives: expected a problem without wheels with friction or a '
                          'largest speed, which have no derivatives yet')
-    times_ns, ascends, _ = checked_times(at, problem.start.time_ns)
-    order = slice(None) if ascends else np.argsort(times_ns, kind='stable')
+    times_ns, places = np.unique(checked_times(at, problem.start.time_ns)[0], return_inverse=True)
     seeds = {part: np.zeros((len(components), size)) for part, size in _SIZES.items()}
     for k, component in enumerate(components):
         seeds[component.part][k, [*component.weights]] = [*component.weights.values()]
-    found = np.empty((len(times_ns), tangents.SIZE, len(components)))
-    poses = Poses(np.empty((len(times_ns), 4)), np.empty((len(times_ns), 3)))
-    parts = [*_Tangents(problem, seeds, bias).advance(times_ns[order])]
-    for whole, computed in zip((*poses, found), zip(*parts)):
-        whole[order] = np.concatenate(computed)
-    return poses, Derivatives(tuple(component.name for component in components),
-                              found[:, tangents.ROTATION:], found[:, :tangents.ROTATION])
+    parts = _Tangents(problem, seeds, bias).advance(times_ns)
+    attitude, rates, found = (np.concatenate(computed)[places] for computed in zip(*parts))
+    return Poses(attitude, rates), Derivatives(
+        tuple(component.name for component in components),
+        found[:, tangents.ROTATION:], found[:, :tangents.ROTATION])
 
 
 def _components(problem: MotionInputs, names: Sequence[str]) -> list[_Component]:
@@ -182,6 +179,8 @@ class _Tangents:
             axial = problem.body_at(problem.start.time_ns).inertia - carrier.inertia
             constants[:, tangents.MOMENTUM:tangents.DAMPING] += np.sum(
                 start[:, None, tangents.RATE:tangents.ROTATION] * axial, axis=2)
+        #: The tangents at the latest time, before and after a jump of the torque at this time.
+        self._arrived = _in_lanes(start)
         if (delayed := seeds[_TORQUES][:, forcing.DELAY:].any(axis=1)).any():
             start[delayed, tangents.RATE:tangents.ROTATION] += _quotient(
                 carrier, _impulse(problem) + bias)  # the bias is not delayed
@@ -208,12 +207,14 @@ class _Tangents:
         assert changes
         before, rates = motion._carrier, motion._progress['latest'][0, :3].copy()
         motion._change(changes.bodies[changes.in_force(time_ns)])
-        turned = _rates(self._latest)
+        latest, arrived = _rates(self._latest), _rates(self._arrived)
+        jump = before.angular_momentum(latest - arrived)
         if changes.keep == MOMENTUM:
             seeds = self._seeds[_CONSTANTS][:, tangents.INERTIA:tangents.MOMENTUM]
             change = _in_lanes(np.sum(seeds[:, _FULL] * rates, axis=2)).reshape(-1, 3, LANES)
-            turned[:] = _quotient(motion._carrier, before.angular_momentum(turned)
-                                  + change.swapaxes(1, 2))
+            arrived[:] = _quotient(motion._carrier, before.angular_momentum(arrived)
+                                   + change.swapaxes(1, 2))
+        latest[:] = arrived + _quotient(motion._carrier, jump)
         self._change_constants()
 
     def _change_constants(self) -> None:
@@ -243,6 +244,8 @@ class _Tangents:
                     raise motion.problem.options.too_fast(int(progress['grid_ns'][0]))
                 progress['budget'] = layout.BUDGET
             progress['row'] += first
+        requested[times_ns == motion._end_ns] = self._arrived
+        self._arrived = requested[-1:]
         groups = requested.reshape(len(times_ns), len(has_constants), tangents.SIZE, LANES)
         found = groups.swapaxes(1, 2).reshape(len(times_ns), tangents.SIZE,
                                               has_constants.size * LANES)
