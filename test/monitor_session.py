@@ -43,13 +43,13 @@ WITH_CLOCK = """
 from pathlib import Path
 from rclpy.clock import Clock
 from rclpy.duration import Duration
-from rigid_body_ros.node.drain import DrainCallback
-now, pass_on, shift = Clock.now, DrainCallback._pass_on, Path({!r})
+from rigid_body_ros.node.intake import DrainCallback
+now, pass_on, shift = Clock.now, DrainCallback.pass_on, Path({!r})
 def passed_on(drain, message, info):
     info['received_timestamp'] += int(shift.read_text())
     pass_on(drain, message, info)
 Clock.now = lambda clock: now(clock) + Duration(nanoseconds=int(shift.read_text()))
-DrainCallback._pass_on = passed_on
+DrainCallback.pass_on = passed_on
 """ + PROGRAM
 BEGIN_NS = 1000 * SECOND
 #: ns; simulated time per second. If it were ten times as fast as real time, it might count as a

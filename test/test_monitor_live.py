@@ -282,8 +282,9 @@ def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received
     while not publisher.get_subscription_count():
         assert time.monotonic() < until
         inputs.problems()
+        inputs.intake.listen()
     # No executor waits for these topics: the monitor polls them all at once.
-    polled = {subscription.topic_name for subscription in inputs.subscriptions}
+    polled = {subscription.topic_name for subscription in inputs.intake.subscriptions}
     assert polled == {'/torque', '/gyro'}
     assert not polled & {subscription.topic_name for subscription in monitor.subscriptions}
     inputs.now_ns()
@@ -300,6 +301,17 @@ def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received
     assert all(first <= stamp <= last
                for first, stamp, last in zip(times, stamps, times[1:]))
     monitor.destroy_node()
+
+
+def test_torques_of_another_type_are_received(tmp_path, domain):
+    with Session(tmp_path / 'scene.yaml', domain) as session:
+        session.node.destroy_publisher(session.publishers['/torque'])
+        other = session.node.create_publisher(Vector3Stamped, '/torque', 10)
+        session.wait(lambda: other.get_subscription_count() == 1)
+        applied = session.values('torques')['applied']
+        other.publish(messages.VECTOR3.encode(BEGIN_NS, 'base_link', np.full(3, 1e-3)))
+        session.wait(lambda: session.values('torques')['applied'] == applied + 1)
+        assert session.stop() == 0
 
 
 @pytest.mark.parametrize(('line', 'words'), [

@@ -74,6 +74,9 @@ class Events(Protocol):
     def ignore_mass(self) -> None:
         """Log once that the mass and the centre of mass of an inertia message are ignored."""
 
+    def count_lost(self, source: int, number: int, is_first: bool = False) -> None:
+        """Count the torques lost between two torques of a publisher, and log a warning."""
+
     def reject(self, rejected: RejectedError, source: int) -> None:
         """Count a torque that was rejected, and log the reason."""
 

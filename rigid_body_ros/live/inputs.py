@@ -93,10 +93,10 @@ class Inputs:
 
         """
         if source == BODY:
-            return self._body(_decoded(messages.INERTIA, data))
+            return self._body(decoded(messages.INERTIA, data))
         if source == COMMANDS:
-            return self._efforts(_decoded(self._commands, data))
-        wrench = _decoded(messages.WRENCH, data)
+            return self._efforts(decoded(self._commands, data))
+        wrench = decoded(messages.WRENCH, data)
         axes, frame = (self._only_body_axes(wrench, 'the torque on rotors'), None) \
             if source == WHEELS else self._frame(wrench)
         force, torque = wrench.values[:3], messages.torque(wrench)
@@ -156,7 +156,7 @@ class Inputs:
 
     def odometry(self, data: bytes) -> messages.Stamped:
         """Decode a serialized Odometry message (CDR); raise RejectedError if it is malformed."""
-        return _decoded(messages.ODOMETRY, data)
+        return decoded(messages.ODOMETRY, data)
 
     def state(self, odometry: messages.Stamped) -> State:
         """
@@ -211,7 +211,8 @@ def _source(wrench: messages.Stamped, frame: Frame | None) -> str:
     return found if frame else ''
 
 
-def _decoded(kind: messages.MessageType, data: bytes) -> messages.Stamped:
+def decoded(kind: messages.MessageType, data: bytes) -> messages.Stamped:
+    """Decode a serialized message (CDR); raise RejectedError if it is malformed."""
     try:
         return kind.decode(data)
     except ValueError as error:

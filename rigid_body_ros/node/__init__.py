@@ -19,10 +19,10 @@ There are two versions of the node: the plain node in `attitude_node`, and the m
 `lifecycle`. Both are built on `component`, which ties the other modules together. `process` and
 `spinning` run a node as a command.
 
-`parameters` reads the scene, and `drain` takes messages from subscriptions. `mode` applies the
-torques in short slices of work. Its subclasses in `realtime` and `lockstep` decide which torques
-to accept, and when to publish a state. `outputs` publishes the states and the log, and
-`diagnostics` reports problems. Work that does not need ROS is done in the package `live`.
+`parameters` reads the scene, and `intake` receives messages, for `monitor_inputs`, too. `mode`
+applies the torques in short slices of work. Its subclasses in `realtime` and `lockstep` decide
+which torques to accept, and when to publish a state. `outputs` publishes the states and the log,
+and `diagnostics` reports problems. Work that does not need ROS is done in the package `live`.
 
 `attitude_controller` is an example of a controller for lockstep mode. `recorded` provides the node
 that `attitude_regress` uses, which runs in lockstep and keeps its own log.

@@ -32,7 +32,7 @@ from rigid_body_ros.inference.alarms import ERROR, Judgement, WARN
 from rigid_body_ros.inference.monitor import first_suspect
 from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.node.clocks import ClockMonitor
-from rigid_body_ros.node.drain import PollingNode
+from rigid_body_ros.node.intake import PollingNode
 from rigid_body_ros.node.monitor_inputs import MonitorInputs
 from rigid_body_ros.node.parameters import NodeParameters, one_line_errors
 from rigid_body_ros.node.process import main as run
@@ -100,6 +100,7 @@ class AttitudeMonitor(PollingNode):
         Once a second, also look for topics and publish diagnostics.
         """
         inputs, now = self._inputs, time.monotonic()
+        inputs.intake.listen()
         inputs.now_ns()
         inputs.take()
         for judgement in inputs.monitor.judgements(inputs.complete_ns(now)):
@@ -135,7 +136,7 @@ class AttitudeMonitor(PollingNode):
         inputs, problems = self._inputs, self._inputs.problems()
         problems[next(iter(problems))] += self._clock_check.problems()
         found = inputs.diagnostics.connection_problems(
-            problems, inputs.drains, inputs.subscriptions,
+            problems, inputs.intake.drains, inputs.intake.subscriptions,
             [self._attitude, self._rate, self._torque], _SEVERAL)
         window = self._scene.values['monitor.window']
         inputs.diagnostics.publish(found, Counter(), inputs.ages(), 'checked in windows of '

@@ -20,7 +20,7 @@ from typing import Any
 
 from rigid_body_ros import scene
 from rigid_body_ros.node.component import AttitudeComponent
-from rigid_body_ros.node.drain import PollingNode
+from rigid_body_ros.node.intake import PollingNode
 from rigid_body_ros.node.outputs import OnLog
 from rigid_body_ros.node.parameters import one_line_errors
 

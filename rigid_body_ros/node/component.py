@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 import time
 from typing import Any
 
@@ -28,31 +27,21 @@ from rclpy.subscription import Subscription
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.checkpoint import Checkpoint
-from rigid_body_ros.live.events import RECEIVED, RejectedError, UNSAVED
-from rigid_body_ros.live.inputs import Inputs, Torque, wrench_of
-from rigid_body_ros.live.torque_queue import Sender
+from rigid_body_ros.live.events import RejectedError, UNSAVED
+from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.messages import BARE_WRENCH, MessageType, PX4_TYPES, TORQUE_VECTOR, WRENCH
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback, PollingNode, published, subscription
+from rigid_body_ros.node.intake import PollingNode, subscription
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import OnLog, Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters, one_line_errors
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.node.simulation import SimulatorMode
-from rigid_body_ros.node.sources import BODY, check_topics, COMMANDS, sources_of, TorqueTopic
+from rigid_body_ros.node.sources import check_topics, COMMANDS, sources_of
 from rigid_body_ros.node.timers import timer
 from rigid_body_ros.scene.parameters import CLOCK, LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
-#: Real time uses best-effort QoS, which is compatible with any publisher. Lockstep uses reliable
-#: QoS, because a lost torque would stop the loop.
-_REALTIME_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-_LOCKSTEP_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-#: The types that torques may have. In lockstep, a torque must have the stamp of the state to which
-#: it responds.
-_LOCKSTEP_TORQUES = WRENCH, TORQUE_VECTOR
-_TORQUES = WRENCH, BARE_WRENCH, TORQUE_VECTOR, PX4_TYPES['VehicleTorqueSetpoint']
 _MODES: dict[str, type[Lockstep | Realtime]] = {
     REALTIME: Realtime, LOCKSTEP: Lockstep, CLOCK: SimulatorMode}
 #: When a node ends, it may spend at most this many seconds on publishing the pending states.
@@ -107,12 +96,11 @@ class AttitudeComponent:
         with one_line_errors():
             self._diagnostics = Diagnostics(self._node, self._sources,
                                             self._scene.stamp_offset_warning)
-            self._inputs = Inputs(self._scene, self._diagnostics)
             self._outputs = Publishers(self._node, self._scene, self._sources, self._diagnostics,
                                        self._on_log)
-            self._mode = _MODES[self.mode](
-                self._node, self._parameters, self._inputs, self._outputs, self._diagnostics,
-                self._checkpoint)
+            self._mode = _MODES[self.mode](self._node, self._parameters, self._outputs,
+                                           self._diagnostics, self._checkpoint)
+            self._intake = self._mode.intake
         #: The sources that were silent at the last check.
         self._silent: set[int] = set()
         #: When the next diagnostics are due, in seconds on the monotonic clock.
@@ -152,9 +140,9 @@ class AttitudeComponent:
 
     def deactivate(self) -> None:
         """Unsubscribe and stop publishing, but keep the motion."""
-        self._mode.connect({})
+        self._active.update(self._intake.subscriptions)
+        self._intake.close()
         self._mode.deactivate()
-        self._node.polled = ()
         self._destroy(self._active)
 
     def finish(self) -> None:
@@ -216,82 +204,18 @@ class AttitudeComponent:
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE))
         check_topics(self._node, self._sources, [self._states.topic_name, *(
             publisher.topic_name for publisher in self._outputs.publishers)])
-        #: The type of the messages of each source and its class, by source number.
-        self._types = {source.number: (source.message, source.kind) for source in self._sources}
-        #: Why messages of a source cannot be received, by source number.
-        self._mismatches: dict[int, list[str]] = {}
-        #: The callback of each torque subscription, by source number.
-        self._drains: dict[int, DrainCallback] = {}
-        self._listen()
-
-    def _listen(self) -> None:
-        """Subscribe to the sources that have no subscription."""
-        if len(self._drains) < len(self._sources):
-            self._drains = {source.number: self._drains.get(source.number) or self._drain(source)
-                            for source in self._sources}
-            self._mode.connect(self._drains)
-            torques = {drain.subscription for drain in self._drains.values()}
-            self._active |= torques
-            self._node.polled = torques if self.mode != LOCKSTEP else ()
-
-    def _drain(self, source: TorqueTopic) -> DrainCallback:
-        kind, ros_type = self._types[source.number]
-        callback = DrainCallback(partial(self._on_torque, source, kind),
-                                 partial(self._diagnostics.count_lost, source.number),
-                                 self._mode.work)
-        callback.subscription = subscription(
-            self._node, ros_type, source.topic, callback,
-            # An inertia is sent only once, so the connection must not lose it.
-            _LOCKSTEP_QOS if self.mode == LOCKSTEP or source.number == BODY else _REALTIME_QOS)
-        return callback
-
-    def _follow_type(self, source: TorqueTopic) -> list[str]:
-        """
-        Unsubscribe from a topic of torques if its publishers have another type.
-
-        Return the reason if the type cannot be received. Otherwise, `_listen` then subscribes with
-        the new type. It cannot do so in the same callback, because the executor keeps the old
-        subscription until the callback returns, and Fast DDS allows a topic only one type in a
-        process.
-        """
-        number, topic = source.number, self._topic(source.number)
-        kinds = (source.message,) if source.message is not WRENCH else \
-            _LOCKSTEP_TORQUES if self.mode == LOCKSTEP else _TORQUES
-        try:
-            found = published(self._node, topic, kinds)
-        except InputError as error:
-            return [str(error)]
-        if found and found[0] is not self._types[number][0]:
-            self._types[number] = found
-            self._node.destroy_subscription(self._drains.pop(number).subscription)
-            name = found[0].name
-            note = '; they are normalized, not in N m' if name.startswith('px4_msgs') else ''
-            self._node.get_logger().warning(f'{topic}: torques are {name}{note}')
-        return []
+        self._intake.listen()
 
     @property
     def _listening(self) -> list[Subscription]:
-        return [*(drain.subscription for drain in self._drains.values()), self._states]
-
-    def _topic(self, source: int) -> str:
-        return self._drains[source].subscription.topic_name
-
-    def _on_torque(self, source: TorqueTopic, kind: MessageType, data: bytes, sender: Sender,
-                   received_ns: int) -> None:
-        self._diagnostics.count(RECEIVED, source.number)
-        try:
-            if kind is not source.message:
-                data = wrench_of(kind, data)
-            self._mode.enqueue(data, sender, source.number, received_ns)
-        except RejectedError as rejected:
-            self._diagnostics.reject(rejected, source.number)
+        return [*self._intake.subscriptions, self._states]
 
     def _on_state(self, data: bytes) -> None:
         stamp_ns = None
         try:
-            odometry = self._inputs.odometry(data)
+            odometry = self._intake.inputs.odometry(data)
             stamp_ns = odometry.stamp_ns
-            result = self._mode.set_state(self._inputs.state(odometry))
+            result = self._mode.set_state(self._intake.inputs.state(odometry))
             self._diagnostics.accept_state(result, stamp_ns)
         except RejectedError as rejected:
             self._diagnostics.reject_state(rejected, stamp_ns)
@@ -310,8 +234,7 @@ class AttitudeComponent:
 
         Diagnostics are also published as soon as a source falls silent or sends again.
         """
-        with one_line_errors():
-            self._listen()
+        self._intake.listen()
         now_ns = self._mode.now_ns()
         silent = {torque.source: torque for torque in self._mode.run.silent(now_ns)}
         for source in silent.keys() - self._silent:
@@ -323,23 +246,19 @@ class AttitudeComponent:
             self._report_at = max(self._report_at, now - 0.5 * _REPORT_PERIOD) + _REPORT_PERIOD
         if is_due or silent.keys() != self._silent:
             problems = self._mode.problems()
-            for source, mismatch in self._mismatches.items():
-                problems[source].extend(mismatch)
             for source, torque in silent.items():
                 problems[source].append(self._silence(torque, now_ns))
             self._report(self._diagnostics.connection_problems(
-                problems, self._drains, self._listening, self._outputs.publishers,
+                problems, self._intake.drains, self._listening, self._outputs.publishers,
                 self._mode.several_publishers), now_ns)
         self._silent = {*silent}
-        for source in self._sources:
-            if is_due or not self._drains[source.number].heard:
-                self._mismatches[source.number] = self._follow_type(source)
+        self._intake.follow_types(is_due)
         self._outputs.flush()  # for listeners that came later, and before a state is saved
         if is_due and self._checkpoint:
             self._save(self._checkpoint.save)
 
     def _silence(self, torque: Torque, now_ns: int) -> str:
-        topic = self._topic(torque.source)
+        topic = self._intake.topic(torque.source)
         axes = 'on the wheels' if torque.source == COMMANDS else f'in {torque.frame} axes'
         return (f'{topic}: no torque for {self._mode.run.age(torque.source, now_ns):.3g} s: the '
                 f'last one, {torque.values.tolist()} N m {axes}, still acts '

@@ -31,7 +31,7 @@ from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSCompatibility, 
 from rclpy.subscription import Subscription
 from rigid_body_ros.live import events
 from rigid_body_ros.live.torque_queue import Sender
-from rigid_body_ros.node.drain import DrainCallback, full_name
+from rigid_body_ros.node.intake import DrainCallback, full_name
 from rigid_body_ros.node.sources import BODY, COMMANDS, TorqueTopic
 
 if TYPE_CHECKING:  # moved to rclpy.endpoint_info in Lyrical

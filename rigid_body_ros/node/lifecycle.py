@@ -26,7 +26,7 @@ from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node import process
 from rigid_body_ros.node.component import AttitudeComponent
-from rigid_body_ros.node.drain import PollingNode
+from rigid_body_ros.node.intake import PollingNode
 from rigid_body_ros.node.parameters import declare, given_parameters, one_line_errors
 from rigid_body_ros.runtime.parameters import checked, Parameter
 

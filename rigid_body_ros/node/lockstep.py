@@ -39,7 +39,7 @@ from rigid_body_ros.live.run import Snapshot
 from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.clocks import ClockMonitor, ClockPublisher, message_of
-from rigid_body_ros.node.drain import DrainCallback, full_name
+from rigid_body_ros.node.intake import full_name, RELIABLE
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.node.sources import BODY, sources_of
 from rigid_body_ros.node.timers import timer
@@ -66,6 +66,8 @@ class Lockstep(Mode):
     The mode responds to a stamp as soon as all torques with this stamp have arrived.
     """
 
+    # A lost torque would stop the loop.
+    qos, is_polled = RELIABLE, False
     several_publishers = 'only the first torque for each state is used'
 
     def __init__(self, *arguments: Any) -> None:
@@ -136,7 +138,7 @@ class Lockstep(Mode):
         now, waits = time.monotonic(), self._unmet <= _TRIES or not self._unmet % _TRIES
         soon, last = now + waits * _SOON, now + BUDGET
         while now < min(soon, last) and self._worker.is_canceled() and not self.is_paused:
-            DrainCallback.poll(self._drains)
+            self.intake.poll()
             if has_arrived := bool(self._queue):
                 self._work()
                 self._unmet = 0
@@ -201,12 +203,12 @@ class Lockstep(Mode):
         if self._clock is not None and self._clock.has_rival:
             self._clock.destroy()
             self._clock = None
-        problems = {source: [] for source in self._torques}
-        problems[next(iter(problems))] = self._monitor.problems() + self._stalls()
+        problems = self.intake.problems()
+        problems[next(iter(problems))] += self._monitor.problems() + self._stalls()
         silence = time.monotonic() - self._since
         if not (self.is_paused or self.waiting.total()) and silence > _WARN_AFTER:
             for source in self._awaited():
-                problems[source].append(self._silence(self._torques[source].topic_name, silence))
+                problems[source].append(self._silence(self.intake.topic(source), silence))
         return problems
 
     def _silence(self, topic: str, seconds: float) -> str:
@@ -233,8 +235,9 @@ class Lockstep(Mode):
 
         If none is missing, return all sources except the inertia.
         """
-        return self._missing(self._latest.state.time_ns, self._torques) or [
-            source for source in self._torques if source != BODY]
+        sources = self.intake.drains
+        return self._missing(self._latest.state.time_ns, sources) or [
+            source for source in sources if source != BODY]
 
     def stamp(self) -> Time:
         """Return the current time, or the last published time if this node publishes /clock."""
@@ -256,7 +259,7 @@ class Lockstep(Mode):
         self._parameters.set_start(start)
 
     def _read(self, queued: Queued) -> Torque | None:
-        torque, sender = self._inputs.torque(queued.data, queued.source), queued.sender
+        torque, sender = self.intake.inputs.torque(queued.data, queued.source), queued.sender
         self._check_stamp(torque.stamp_ns)
         duplicates = self._duplicates[torque.source]
         if duplicates.is_duplicate(torque, sender) and not (
@@ -271,13 +274,13 @@ class Lockstep(Mode):
     def _is_due(self, torque: Torque) -> bool:
         # The response may have been waiting for a torque of a publisher that has ended since then.
         # In this case, a repeated torque triggers the response.
-        return not self._missing(torque.stamp_ns, self._torques.keys() - {torque.source})
+        return not self._missing(torque.stamp_ns, self.intake.drains.keys() - {torque.source})
 
     def _missing(self, stamp_ns: int, sources: Iterable[int]) -> list[int]:
         """Return the sources that have a publisher, but have not sent a torque with this stamp."""
         epoch = self.run.epoch
         return [source for source in sources
-                if source != BODY and self._torques[source].handle.get_publisher_count()
+                if source != BODY and self.intake.publisher_count(source)
                 and not (epoch and epoch.has_torque_at(stamp_ns, source))]
 
     def _check_stamp(self, stamp_ns: int) -> None:
@@ -354,6 +357,6 @@ class Lockstep(Mode):
             duplicates.clear()
 
     def _connected(self) -> tuple[int, int]:
-        publishers = sum(torques.handle.get_publisher_count()
-                         for source, torques in self._torques.items() if source != BODY)
+        publishers = sum(self.intake.publisher_count(source) for source in self.intake.drains
+                         if source != BODY)
         return publishers, self._outputs.subscription_count

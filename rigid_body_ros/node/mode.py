@@ -17,20 +17,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping
 import time
 
-from rclpy.node import Node
-from rclpy.subscription import Subscription
 from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.events import LATE, RejectedError
-from rigid_body_ros.live.inputs import Inputs, Torque
+from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import Run
-from rigid_body_ros.live.torque_queue import Queued, TorqueQueue
+from rigid_body_ros.live.torque_queue import Queued, Sender, TorqueQueue
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback
+from rigid_body_ros.node.intake import BEST_EFFORT, Intake, PollingNode
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import NodeParameters
+from rigid_body_ros.node.sources import sources_of
 from rigid_body_ros.propagation.segment import OutOfTimeError
 from rigid_body_ros.scene.parameters import LOCKSTEP
 from std_srvs.srv import SetBool
@@ -50,7 +48,6 @@ class Mode:
     ----------
     node : Node
     parameters : NodeParameters
-    inputs : Inputs
     outputs : Publishers
     diagnostics : Diagnostics
     checkpoint : Checkpoint, optional
@@ -58,18 +55,20 @@ class Mode:
 
     """
 
-    def __init__(self, node: Node, parameters: NodeParameters, inputs: Inputs, outputs: Publishers,
+    #: The QoS of the torques, and whether `take` polls them.
+    qos, is_polled = BEST_EFFORT, True
+
+    def __init__(self, node: PollingNode, parameters: NodeParameters, outputs: Publishers,
                  diagnostics: Diagnostics, checkpoint: Checkpoint | None) -> None:
         scene = parameters.scene
         self._node, self._parameters, self._outputs = node, parameters, outputs
         self._diagnostics, self._checkpoint = diagnostics, checkpoint
-        self._inputs, self._scene = inputs, scene
+        self._scene = scene
+        self.intake = Intake(node, scene, sources_of(scene), diagnostics, self.qos, self.is_polled,
+                             self.enqueue, self.work)
         self._given_start_ns = scene.start.time_ns
         self.run = Run(scene, outputs, diagnostics)
         self._queue = TorqueQueue(diagnostics, is_patient=self._scene.mode == LOCKSTEP)
-        #: The torque subscriptions by source number. They are used to count the publishers.
-        self._torques: Mapping[int, Subscription] = {}
-        self._drains: Collection[DrainCallback] = ()
         #: The torque that is being processed, followed by whether this torque has been applied,
         #: and whether the response to this torque has been published.
         self._current: tuple[Torque, Queued] | None = None
@@ -77,10 +76,17 @@ class Mode:
         #: Whether the motion is paused, so that torques wait.
         self.is_paused = False
 
-    def connect(self, drains: Mapping[int, DrainCallback]) -> None:
-        """Set the callbacks of the torque subscriptions, by source."""
-        self._torques = {source: drain.subscription for source, drain in drains.items()}
-        self._drains = drains.values()
+    def enqueue(self, data: bytes, sender: Sender, source: int, received_ns: int = 0) -> None:
+        """
+        Queue a torque message from a source, which the middleware received at `received_ns`.
+
+        Raises
+        ------
+        RejectedError
+            The torque cannot be queued.
+
+        """
+        raise NotImplementedError
 
     def take(self) -> None:
         """Take the torques that have arrived, if the mode polls its subscriptions."""

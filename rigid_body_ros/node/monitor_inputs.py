@@ -16,39 +16,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from contextlib import suppress
-from functools import partial
 import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.inference.monitor import Monitor, settings_of
 from rigid_body_ros.live import events
-from rigid_body_ros.live.inputs import Inputs, Torque
+from rigid_body_ros.live.inputs import decoded, Torque
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading, JumpDetector
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.drain import DrainCallback, PollingNode, published, subscription
-from rigid_body_ros.node.parameters import one_line_errors
+from rigid_body_ros.node.intake import BEST_EFFORT, Intake, PollingNode
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
 from rigid_body_ros.recording import measurements, Messages
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.quantities import KINDS, of_messages, QUANTITIES
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.scene.parameters import ARRIVAL, IGNORE
+from rigid_body_ros.scene.parameters import IGNORE
 
-#: Types of the functions that process messages. The first kind of function decodes one message.
-#: The second kind takes the stamps (in ns) and the contents of several messages.
-_Decode = Callable[[bytes], Any]
-_Put = Callable[..., None]
-_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: How long to wait for a topic that lags behind other topics by more than `history`, in seconds.
 #: We also assume that messages from before a clock jump may arrive for this long after the jump. A
 #: reliable connection may take three seconds to resend a lost message.
@@ -78,29 +70,27 @@ class MonitorInputs:
 
     Attributes
     ----------
-    sources : dict of int to TorqueTopic
     diagnostics : Diagnostics
-    drains : dict of int to DrainCallback
-        The callback of each source that has a subscription, by source number.
+    intake : Intake
     monitor : Monitor
         The monitor that checks the model. When the clock jumps, it is replaced by a new one.
 
     """
 
     def __init__(self, node: PollingNode, scene: Scene) -> None:
-        self._node, self._scene = node, scene
-        torques = sources_of(scene)
+        self._scene = scene
         parts = [measurements.parts_of('', name) for name in scene.values['monitor.measured']]
-        measured = [TorqueTopic(_FIRST_MEASURED + number, topic, '', f'measured {topic}',
-                                what='measurement')
+        kinds = tuple(kind for kind in KINDS if not kind.is_list)
+        measured = [TorqueTopic(_FIRST_MEASURED + number, topic, '', f'measured {topic}', None,
+                                'measurement', None, kinds)
                     for number, (_, topic, _) in enumerate(parts)]
         #: What is not used of each measured topic, and how its frames are interpreted.
         self._unused = {source.number: {*QUANTITIES} - {quantity} if quantity else ()
                         for source, (*_, quantity) in zip(measured, parts)}
         self._options = measurements.MeasuredOptions(None, scene.body_frame, scene.space_frame,
                                                      scene.links)
-        self.sources = {source.number: source for source in (*torques, *measured)}
-        self.diagnostics = Diagnostics(node, [*self.sources.values()])
+        sources = *sources_of(scene), *measured
+        self.diagnostics = Diagnostics(node, sources)
         self._history_ns = duration_ns(scene.history, 'history')
         self._is_simulated = node.get_parameter('use_sim_time').value
         self._arrivals = ArrivalStamps()
@@ -112,18 +102,13 @@ class MonitorInputs:
         #: times are in seconds on the monotonic clock.
         self._read_until = self._jumped_at = 0.0
         self._reading, self._jump_ns = ClockReading(0, 0), 0
-        #: For each source, the functions that decode and use its messages, and its waiting
-        #: messages. Each message is stored with the clock time at its arrival (in ns), its arrival
-        #: stamp (in ns), and whether messages were lost just before it.
-        self._takes: dict[int, tuple[_Decode, _Put]] = {}
-        self._waiting: dict[int, list[tuple[bytes, int, int, bool]]] = {}
-        self._has_gap: set[int] = set()
-        self.drains: dict[int, DrainCallback] = {}
+        #: For each source, the stamps of the messages that have arrived, ns, and their contents.
+        self._waiting: dict[int, tuple[list[int], list[Any]]] = defaultdict(lambda: ([], []))
+        # Otherwise, read the clock when a message arrives.
+        self.intake = Intake(node, scene, sources, self.diagnostics, BEST_EFFORT,
+                             not self._is_simulated, self._receive)
         self._begin()
-        inputs = Inputs(scene, self.diagnostics)
-        for source in torques:
-            self._subscribe(source, source.kind, partial(inputs.torque, source=source.number),
-                            self._apply)
+        self.intake.listen()
 
     def _begin(self) -> None:
         """Begin a new check, which contains no torques or measurements yet."""
@@ -142,15 +127,10 @@ class MonitorInputs:
         #: all sources.
         self._abreast_at: dict[int, float] = {}
 
-    @property
-    def subscriptions(self) -> list[Subscription]:
-        """Return all subscriptions to torques and measurements."""
-        return [drain.subscription for drain in self.drains.values()]
-
     def ages(self) -> dict[int, float | None]:
         """Return the age in s of each source's newest message, or None before the first one."""
         return {number: 1e-9 * (self._reading.now_ns - self._newest_ns[number])
-                if number in self._newest_ns else None for number in self.sources}
+                if number in self._newest_ns else None for number in self.intake.sources}
 
     def is_silent_since(self, time_ns: int) -> bool:
         """Return whether another window should have been completed in the time since `time_ns`."""
@@ -159,60 +139,45 @@ class MonitorInputs:
         return self._reading.now_ns > time_ns + patience_ns
 
     def problems(self) -> dict[int, list[str]]:
-        """
-        Return the current problems of each source.
-
-        The method also subscribes to topics whose type has become known.
-        """
-        ages, longest = self.ages(), self._scene.stale_after
-        problems: dict[int, list[str]] = {number: [] for number in self.sources}
-        for number, source in self.sources.items():
-            if number not in self.drains:
-                problems[number] = self._found(source)
-            age = ages[number]
+        """Return the current problems of each source, and look for the types of the topics."""
+        self.intake.follow_types()
+        problems, longest = self.intake.problems(), self._scene.stale_after
+        for number, age in self.ages().items():
+            topic = self.intake.sources[number].topic
             if age is not None and age > longest > 0.0:
-                problems[number].append(f'{source.topic}: nothing for {age:.3g} s')
+                problems[number].append(f'{topic}: nothing for {age:.3g} s')
             if number in self._accounts:
                 problems[number] += self._accounts[number].faults
         return problems
 
-    def _found(self, source: TorqueTopic) -> list[str]:
-        topic = self._node.resolve_topic_name(source.topic)
-        try:
-            found = published(self._node, topic, [kind for kind in KINDS if not kind.is_list])
-        except InputError as error:
-            return [str(error)]
-        if not found:
-            return [f'{topic}: no publisher']
-        kind, ros_type = found
-        self._subscribe(source, ros_type, partial(self._measurement, kind=kind),
-                        partial(self._measure, kind))
-        return []
+    def _receive(self, data: bytes, sender: Sender, source: int, received_ns: int) -> None:
+        """
+        Keep a message until `take`.
 
-    def _subscribe(self, source: TorqueTopic, kind: type, decode: _Decode, put: _Put) -> None:
-        number = source.number
-        drain = DrainCallback(partial(self._on_message, number), partial(self._on_gap, number))
-        with one_line_errors():
-            drain.subscription = subscription(self._node, kind, source.topic, drain, _QOS)
-        self.drains[number], self._waiting[number] = drain, []
-        if not self._is_simulated:  # otherwise, read the clock when a message arrives
-            self._node.polled = self.subscriptions
-        self._takes[number] = decode, partial(put, number, drain.subscription.topic_name)
+        Raises
+        ------
+        RejectedError
+            The message cannot be decoded, or its stamp is not acceptable.
 
-    def _on_gap(self, source: int, number: int, is_first: bool) -> None:
-        self.diagnostics.count_lost(source, number, is_first)
-        if not is_first:
-            self._has_gap.add(source)
-
-    def _on_message(self, source: int, data: bytes, sender: Sender, received_ns: int) -> None:
-        is_after_gap = source in self._has_gap
-        self._has_gap.discard(source)
+        """
         if self._is_simulated:
             received_ns, now_ns = 0, self.now_ns()
         else:
             now_ns = received_ns or self._reading.now_ns
-        self._waiting[source].append(
-            (data, now_ns, received_ns or self._arrivals.stamp(), is_after_gap))
+        if not now_ns:
+            raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
+        is_torque = source < _FIRST_MEASURED
+        decode = self.intake.inputs.torque if is_torque else self._measurement
+        message = self.intake.read(decode, data, source, received_ns or self._arrivals.stamp())
+        self._check_stamp(message.stamp_ns, now_ns)
+        stamps_ns, found = self._waiting[source]
+        drain = self.intake.drains[source]
+        if is_torque and drain.has_gap:
+            drain.has_gap = False
+            before_ns = stamps_ns[-1] if stamps_ns else self._newest_ns.get(source, 0)
+            self.monitor.skip(before_ns, message.stamp_ns, _LOST)
+        stamps_ns.append(message.stamp_ns)
+        found.append(message)
 
     def now_ns(self) -> int:
         """
@@ -252,42 +217,15 @@ class MonitorInputs:
         The messages of each topic are processed as one batch, because processing them one by one
         would take longer.
         """
-        is_stamped = self._scene.time_source != ARRIVAL
-        for source, arrived in self._waiting.items():
-            if not self._is_simulated:
-                DrainCallback.poll([self.drains[source]])
-            self.diagnostics.count(events.RECEIVED, source, len(arrived))
-            decode, put = self._takes[source]
-            stamps_ns, found = [], []
-            for data, now_ns, arrival_ns, is_after_gap in arrived:
-                try:
-                    if not now_ns:
-                        raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
-                    message = decode(data if is_stamped else messages.unstamped(data))
-                    stamp_ns = self._stamp(message.stamp_ns, now_ns, arrival_ns)
-                except events.RejectedError as rejected:
-                    self.diagnostics.reject(rejected, source)
-                    continue
-                if is_after_gap and source < _FIRST_MEASURED:
-                    before_ns = stamps_ns[-1] if stamps_ns else self._newest_ns.get(source, 0)
-                    self.monitor.skip(before_ns, stamp_ns, _LOST)
-                stamps_ns.append(stamp_ns)
-                found.append(message)
-            arrived.clear()
-            if found:
-                put(np.array(stamps_ns), found)
+        if not self._is_simulated:
+            self.intake.poll()
+        for source, (stamps_ns, found) in self._waiting.items():
+            put = self._apply if source < _FIRST_MEASURED else self._measure
+            put(source, np.array(stamps_ns), found)
+        self._waiting.clear()
 
-    def _stamp(self, stamp_ns: int, now_ns: int, arrival_ns: int) -> int:
-        """
-        Return the stamp to use for a message.
-
-        Raises
-        ------
-        RejectedError
-            The stamp is too far from the present time.
-
-        """
-        stamp_ns = stamp_ns or arrival_ns
+    def _check_stamp(self, stamp_ns: int, now_ns: int) -> None:
+        """Raise RejectedError if the stamp of a message is too far from the present time."""
         if self._is_simulated:  # a message may overtake a /clock message that was sent before it
             check_stamp(stamp_ns, now_ns, _OVERTAKING, 'a lead')
         else:
@@ -298,19 +236,18 @@ class MonitorInputs:
                 and time.monotonic() < self._jumped_at + _PATIENCE):
             raise events.RejectedError(events.STALE, f'stamped {stamp_ns} ns, before the clock '
                                        f'jumped by {1e-9 * self._jump_ns:.9g} s')
-        return stamp_ns
 
-    def _apply(self, source: int, topic: str, stamps_ns: NDArray[np.int64],
-               found: Sequence[Torque]) -> None:
+    def _apply(self, source: int, stamps_ns: NDArray[np.int64], found: Sequence[Torque]) -> None:
         """Pass torques to the monitor."""
         self.monitor.awaited.add(source)
         self._count(source, stamps_ns, self.monitor.apply(
             stamps_ns, np.array([torque.values for torque in found]),
             [torque.frame == 'space' for torque in found], source))
 
-    def _measure(self, kind: messages.MessageType, source: int, topic: str,
-                 stamps_ns: NDArray[np.int64], found: Sequence[messages.Stamped]) -> None:
+    def _measure(self, source: int, stamps_ns: NDArray[np.int64],
+                 found: Sequence[messages.Stamped]) -> None:
         """Pass measurements to the monitor, converted to body axes."""
+        topic, (kind, _) = self.intake.topic(source), self.intake.types[source]
         attitude, rates = np.full((len(found), 4), np.nan), np.full((len(found), 3), np.nan)
         pairs = [(message.frame_id, message.child_frame_id) for message in found]
         for pair in dict.fromkeys(pairs):
@@ -350,7 +287,7 @@ class MonitorInputs:
             self._heard_at[source] = time.monotonic()
             self.diagnostics.count(events.APPLIED, source, int(fits.sum()))
 
-    def _measurement(self, data: bytes, kind: messages.MessageType) -> messages.Stamped:
+    def _measurement(self, data: bytes, source: int) -> messages.Stamped:
         """
         Decode a measurement.
 
@@ -360,16 +297,11 @@ class MonitorInputs:
             The message is malformed, or is in another frame.
 
         """
-        try:
-            message = kind.decode(data)
-        except ValueError as error:
-            raise events.RejectedError(events.MALFORMED, str(error)) from error
-        self._check_frame(kind, message)
-        return message
-
-    def _check_frame(self, kind: messages.MessageType, message: messages.Stamped) -> None:
+        kind, _ = self.intake.types[source]
+        message = decoded(kind, data)
         if text := self._options.other_frames(kind, message.frame_id, message.child_frame_id):
             raise events.RejectedError(events.FRAME, text)
+        return message
 
     def complete_ns(self, now: float) -> int:
         """
@@ -379,7 +311,7 @@ class MonitorInputs:
         """
         newest_ns = self.monitor.newest_ns
         sending = []
-        for number in self.drains:
+        for number in self.intake.drains:
             found_ns = self._newest_ns.get(number, 0)
             if found_ns >= newest_ns - self._history_ns or number not in self._abreast_at:
                 self._abreast_at[number] = now

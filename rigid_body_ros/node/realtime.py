@@ -30,7 +30,6 @@ from builtin_interfaces.msg import Time
 from rclpy.clock import JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.timer import Timer
-from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live import events
@@ -38,12 +37,11 @@ from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node import clocks
-from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.node.outputs import APPLIED_TORQUE, IMU
 from rigid_body_ros.node.timers import timer
 from rigid_body_ros.propagation.segment import OutOfTimeError
-from rigid_body_ros.scene.parameters import ARRIVAL, REBASE, RESET
+from rigid_body_ros.scene.parameters import REBASE, RESET
 
 #: How often to take the torques that have arrived, in seconds. They are also taken before a state
 #: is published.
@@ -134,7 +132,7 @@ class Realtime(Mode):
         self._taken_at = time.monotonic()
         self.now_ns()
         self._queue.retry()
-        DrainCallback.poll(self._drains)
+        self.intake.poll()
 
     def work(self) -> None:
         """Take and apply torques, and publish a state that could not be computed in time."""
@@ -191,14 +189,14 @@ class Realtime(Mode):
     def problems(self) -> dict[int, list[str]]:
         """Return current problems by source. Problems of the clock belong to the first source."""
         now_ns, timeout = self.now_ns(), self._scene.torque_timeout
-        problems = {source: [] for source in self._torques}
-        problems[next(iter(problems))] = self._monitor.problems()
-        for source, subscription in self._torques.items() if now_ns else ():
+        problems = self.intake.problems()
+        problems[next(iter(problems))] += self._monitor.problems()
+        for source in problems if now_ns else ():
             newest = self.run.epoch.newest_of(source)
             silence = (now_ns - newest.stamp_ns) * 1e-9 if newest else 0.0
             if silence > timeout > 0.0:
                 problems[source].append(
-                    f'{subscription.topic_name}: no torque for {silence:.3g} s: the torque is '
+                    f'{self.intake.topic(source)}: no torque for {silence:.3g} s: the torque is '
                     f'zero, because torque_timeout ({timeout:g} s) has passed')
         return problems
 
@@ -212,13 +210,8 @@ class Realtime(Mode):
         super().end(until, kept)
 
     def _read(self, queued: Queued) -> Torque | None:
-        data = messages.unstamped(queued.data) if self._scene.time_source == ARRIVAL \
-            else queued.data
-        torque = self._inputs.torque(data, queued.source)
-        if not torque.stamp_ns:
-            torque = torque._replace(stamp_ns=queued.arrived_ns)
-            if self._scene.time_source != ARRIVAL:
-                self._diagnostics.count(events.UNSTAMPED, torque.source)
+        torque = self.intake.read(self.intake.inputs.torque, queued.data, queued.source,
+                                   queued.arrived_ns)
         now_ns = self._now_ns if self._is_simulated else queued.arrived_ns
         try:
             self._check_stamp(torque.stamp_ns, now_ns)

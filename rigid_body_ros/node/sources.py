@@ -27,6 +27,7 @@ from rigid_body_ros.propagation.segment import BODY as BODY
 from rigid_body_ros.propagation.segment import COMMANDS as COMMANDS
 from rigid_body_ros.propagation.segment import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.parameters import LOCKSTEP
 from sensor_msgs.msg import JointState
 
 #: The topic for the torque that the motors exert on the rotors.
@@ -35,6 +36,11 @@ _WHEEL_TORQUE = 'wheel_torque'
 _INERTIA = 'inertia'
 #: The topic for commands to named wheels.
 _WHEEL_COMMAND = 'wheel_command'
+#: The types that torques may have. In lockstep, a torque must have the stamp of the state to which
+#: it responds.
+_LOCKSTEP_TORQUES = messages.WRENCH, messages.TORQUE_VECTOR
+_TORQUES = (messages.WRENCH, messages.BARE_WRENCH, messages.TORQUE_VECTOR,
+            messages.PX4_TYPES['VehicleTorqueSetpoint'])
 
 
 class TorqueTopic(NamedTuple):
@@ -49,10 +55,12 @@ class TorqueTopic(NamedTuple):
     #: The name of the source in diagnostics.
     status: str
     #: The ROS type of the messages, followed by a word for the contents of a message.
-    kind: type = WrenchStamped
+    kind: type | None = WrenchStamped
     what: str = 'torque'
-    #: How the messages are encoded.
-    message: messages.MessageType = messages.WRENCH
+    #: How the messages are encoded, and the types that publishers may have, if there are several.
+    #: For a measurement, `kind` and `message` are None until a publisher has shown its type.
+    message: messages.MessageType | None = messages.WRENCH
+    kinds: tuple[messages.MessageType, ...] = ()
 
 
 def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
@@ -62,11 +70,13 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
     Torques are summed in the order of the sources.
     """
     suffixes = ['', *(f'_{number}' for number in range(1, len(scene.torque_topics)))]
-    sources = [TorqueTopic(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}')
+    kinds = _LOCKSTEP_TORQUES if scene.mode == LOCKSTEP else _TORQUES
+    sources = [TorqueTopic(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}',
+                           kinds=kinds)
                for number, (topic, suffix) in enumerate(zip(scene.torque_topics, suffixes))]
     if scene.wheels:
         sources.append(TorqueTopic(WHEELS, _WHEEL_TORQUE, '~/accepted_wheel_torque',
-                                   'wheel torques'))
+                                   'wheel torques', kinds=kinds))
     if scene.inertia_topic:
         sources.append(TorqueTopic(BODY, _INERTIA, '~/accepted_inertia', 'inertia',
                                    InertiaStamped, 'inertia', messages.INERTIA))
