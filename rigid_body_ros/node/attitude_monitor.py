@@ -34,7 +34,7 @@ from rigid_body_ros.inference.suspects import Suspect
 from rigid_body_ros.node.clocks import ClockMonitor
 from rigid_body_ros.node.intake import PollingNode
 from rigid_body_ros.node.monitor_inputs import MonitorInputs
-from rigid_body_ros.node.parameters import NodeParameters, one_line_errors
+from rigid_body_ros.node.parameters import NodeParameters
 from rigid_body_ros.node.process import main as run
 from rigid_body_ros.node.timers import timer
 from rigid_body_ros.scene import Scene
@@ -68,16 +68,10 @@ class AttitudeMonitor(PollingNode):
     """
 
     def __init__(self, node_name: str = NAME, **kwargs: Any) -> None:
-        with one_line_errors():
-            super().__init__(node_name, **kwargs)
-        try:
-            self._scene = NodeParameters(self, lambda rate: None).scene
-            self._configure()
-        except BaseException:  # otherwise the node would stay in the graph
-            self.destroy_node()
-            raise
+        super().__init__(node_name, **kwargs)
 
-    def _configure(self) -> None:
+    def _start(self) -> None:
+        self._scene = NodeParameters(self, lambda rate: None).scene
         _check(self._scene)
         self._inputs = MonitorInputs(self, self._scene)
         self._clock_check = ClockMonitor(self)

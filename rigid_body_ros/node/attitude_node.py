@@ -22,7 +22,6 @@ from rigid_body_ros import scene
 from rigid_body_ros.node.component import AttitudeComponent
 from rigid_body_ros.node.intake import PollingNode
 from rigid_body_ros.node.outputs import OnLog
-from rigid_body_ros.node.parameters import one_line_errors
 
 
 class AttitudeNode(PollingNode):
@@ -52,19 +51,18 @@ class AttitudeNode(PollingNode):
 
     """
 
+    #: The component, from its activation until it has published the pending states. None before
+    #: and after this time.
+    _component: AttitudeComponent | None = None
+
     def __init__(self, node_name: str = scene.NODE, on_log: OnLog | None = None,
                  **kwargs: Any) -> None:
-        with one_line_errors():
-            super().__init__(node_name, **kwargs)
-        #: The component, from its activation until it has published the pending states. None
-        #: before and after this time.
-        self._component: AttitudeComponent | None = None
-        try:
-            component = AttitudeComponent(self, on_log=on_log)
-            component.activate()
-        except BaseException:  # otherwise the node would stay in the graph
-            self.destroy_node()
-            raise
+        self._on_log = on_log
+        super().__init__(node_name, **kwargs)
+
+    def _start(self) -> None:
+        component = AttitudeComponent(self, on_log=self._on_log)
+        component.activate()
         self._component = component
 
     def destroy_node(self) -> None:

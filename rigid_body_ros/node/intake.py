@@ -100,9 +100,28 @@ class PollingNode(Node):
     A node that polls some of its subscriptions, for which an executor does not wait.
 
     Waking an executor for every message takes more time than all other work on the message.
+
+    Raises
+    ------
+    InputError
+        The node name is not valid, or `_start` raises the error.
+
     """
 
     polled: Collection[Subscription[Any]] = ()
+
+    def __init__(self, node_name: str, **kwargs: Any) -> None:
+        with one_line_errors():
+            super().__init__(node_name, **kwargs)
+        try:
+            self._start()
+        except BaseException:  # otherwise the node would stay in the graph
+            self.destroy_node()
+            raise
+
+    def _start(self) -> None:
+        """Read the parameters, and create what the node consists of."""
+        raise NotImplementedError
 
     @property
     def subscriptions(self) -> Iterator[Subscription[Any]]:

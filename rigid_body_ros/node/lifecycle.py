@@ -18,16 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import traceback
-from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node import process
+from rigid_body_ros.node.attitude_node import AttitudeNode
 from rigid_body_ros.node.component import AttitudeComponent
-from rigid_body_ros.node.intake import PollingNode
-from rigid_body_ros.node.parameters import declare, given_parameters, one_line_errors
+from rigid_body_ros.node.parameters import declare, given_parameters
 from rigid_body_ros.runtime.parameters import checked, Parameter
 
 _FAILURE = TransitionCallbackReturn.FAILURE
@@ -35,7 +33,7 @@ _AUTOSTART = Parameter('autostart', False, '', 'whether the node configures and 
                        'itself when it starts')
 
 
-class AttitudeLifecycleNode(PollingNode, LifecycleNode):
+class AttitudeLifecycleNode(AttitudeNode, LifecycleNode):
     """
     Compute the attitude of a rigid body in a node with a managed lifecycle.
 
@@ -58,21 +56,11 @@ class AttitudeLifecycleNode(PollingNode, LifecycleNode):
 
     """
 
-    def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
-        with one_line_errors():
-            super().__init__(node_name, **kwargs)
-        #: The component, or None while the node is not configured.
-        self._component: AttitudeComponent | None = None
-        #: The value that the parameter `mode` had when the node was first configured, or None if
-        #: the node has not been configured yet.
-        self._mode: str | None = None
-        #: The error in the last transition that failed.
-        self._error: InputError | None = None
-        try:
-            self._start()
-        except BaseException:  # otherwise the node would stay in the graph
-            self.destroy_node()
-            raise
+    #: The value that the parameter `mode` had when the node was first configured, or None if the
+    #: node has not been configured yet.
+    _mode: str | None = None
+    #: The error in the last transition that failed.
+    _error: InputError | None = None
 
     def _start(self) -> None:
         declare(self, given_parameters(self))
@@ -109,13 +97,6 @@ class AttitudeLifecycleNode(PollingNode, LifecycleNode):
         """Discard the motion, so that the node can be configured again."""
         return super().on_error(state) if self._attempt(self._forget) else _FAILURE
 
-    def destroy_node(self) -> None:
-        """Publish all pending states and the last diagnostics, and then destroy the node."""
-        if self._component:
-            self._component.finish()
-        self._component = None
-        super().destroy_node()
-
     def _attempt(self, work: Callable[[], None]) -> bool:
         """
         Do the work of a transition, and return whether it succeeded.
@@ -134,7 +115,7 @@ class AttitudeLifecycleNode(PollingNode, LifecycleNode):
         return True
 
     def _configure(self) -> None:
-        component = AttitudeComponent(self, is_managed=True)
+        component = AttitudeComponent(self, is_managed=True, on_log=self._on_log)
         if self._mode not in (None, component.mode):
             component.destroy()
             raise InputError(f'mode: expected {self._mode!r} as in the first configuration, '
