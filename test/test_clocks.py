@@ -26,7 +26,7 @@ from rclpy.parameter import Parameter
 from rclpy.time import Time
 from rigid_body_ros import messages, propagate, scene, State
 from rigid_body_ros.node import AttitudeNode, clocks
-from rigid_body_ros.node.clocks import ArrivalStamps, JumpDetector
+from rigid_body_ros.node.clocks import ArrivalStamps, WatchedClock
 from rigid_body_ros.node.diagnostics import OFFSETS
 
 pytestmark = pytest.mark.ros
@@ -441,7 +441,7 @@ class Fake:
 
     def jumps(self, readings, is_simulated, *limits):
         """Return the jump that is detected at each reading (clock, steady clock)."""
-        detector, found = JumpDetector(self, is_simulated, *(
+        detector, found = WatchedClock(self, is_simulated, *(
             round(limit * SECOND) for limit in limits)), []
         for self.time, self.steady in readings:
             found.append(detector.read().jump_ns / SECOND)

@@ -31,7 +31,6 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.alarms import ERROR, Judgement, WARN
 from rigid_body_ros.inference.monitor import first_suspect
 from rigid_body_ros.inference.suspects import Suspect
-from rigid_body_ros.node.clocks import ClockMonitor
 from rigid_body_ros.node.intake import PollingNode
 from rigid_body_ros.node.monitor_inputs import MonitorInputs
 from rigid_body_ros.node.parameters import NodeParameters
@@ -74,7 +73,6 @@ class AttitudeMonitor(PollingNode):
         self._scene = NodeParameters(self, lambda rate: None).scene
         _check(self._scene)
         self._inputs = MonitorInputs(self, self._scene)
-        self._clock_check = ClockMonitor(self)
         self._attitude, self._rate = (self.create_publisher(Vector3Stamped, f'~/{name}', 10)
                                       for name in ('attitude_error', 'rate_error'))
         self._torque = self.create_publisher(WrenchStamped, '~/residual_torque', 10)
@@ -128,7 +126,6 @@ class AttitudeMonitor(PollingNode):
 
     def _report(self) -> None:
         inputs, problems = self._inputs, self._inputs.problems()
-        problems[next(iter(problems))] += self._clock_check.problems()
         found = inputs.diagnostics.connection_problems(
             problems, inputs.intake.drains, inputs.intake.subscriptions,
             [self._attitude, self._rate, self._torque], _SEVERAL)

@@ -38,7 +38,7 @@ from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import Snapshot
 from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.node.clocks import ClockMonitor, ClockPublisher, message_of
+from rigid_body_ros.node.clocks import ClockPublisher, message_of, WatchedClock
 from rigid_body_ros.node.intake import full_name, RELIABLE
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.node.sources import BODY, sources_of
@@ -74,7 +74,8 @@ class Lockstep(Mode):
         super().__init__(*arguments)
         self._clock = ClockPublisher(self._node, 'publish_clock') if self._scene.publish_clock \
             else None
-        self._monitor = ClockMonitor(self._node)
+        self._time = WatchedClock(self._node.get_clock(),
+                                  self._node.get_parameter('use_sim_time').value)
         self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
         history_ns = duration_ns(self._scene.history, 'history')
         #: The duplicate filter of each source, by source number.
@@ -204,7 +205,8 @@ class Lockstep(Mode):
             self._clock.destroy()
             self._clock = None
         problems = self.intake.problems()
-        problems[next(iter(problems))] += self._monitor.problems() + self._stalls()
+        self._time.read()
+        problems[next(iter(problems))] += self._time.problems() + self._stalls()
         silence = time.monotonic() - self._since
         if not (self.is_paused or self.waiting.total()) and silence > _WARN_AFTER:
             for source in self._awaited():

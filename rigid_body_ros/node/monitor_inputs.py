@@ -31,7 +31,7 @@ from rigid_body_ros.inference.monitor import Monitor, settings_of
 from rigid_body_ros.live import events
 from rigid_body_ros.live.inputs import decoded, Torque
 from rigid_body_ros.live.torque_queue import Sender
-from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading, JumpDetector
+from rigid_body_ros.node.clocks import ArrivalStamps, check_stamp, ClockReading, WatchedClock
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.intake import BEST_EFFORT, Intake, PollingNode
 from rigid_body_ros.node.sources import sources_of, TorqueTopic
@@ -96,8 +96,8 @@ class MonitorInputs:
         self._arrivals = ArrivalStamps()
         # Even a small step of a wall clock counts as a jump, because it makes stamps from before
         # and after the step inconsistent.
-        self._jumps = JumpDetector(node.get_clock(), self._is_simulated, self._history_ns) \
-            if self._is_simulated else JumpDetector(node.get_clock(), False, _STEP_NS, _STEP_NS)
+        self._clock = WatchedClock(node.get_clock(), self._is_simulated, self._history_ns) \
+            if self._is_simulated else WatchedClock(node.get_clock(), False, _STEP_NS, _STEP_NS)
         #: The time until which to reuse `_reading`, and the time of the last clock jump. Both
         #: times are in seconds on the monotonic clock.
         self._read_until = self._jumped_at = 0.0
@@ -148,6 +148,7 @@ class MonitorInputs:
                 problems[number].append(f'{topic}: nothing for {age:.3g} s')
             if number in self._accounts:
                 problems[number] += self._accounts[number].faults
+        problems[next(iter(problems))] += self._clock.problems()
         return problems
 
     def _receive(self, data: bytes, sender: Sender, source: int, received_ns: int) -> None:
@@ -189,7 +190,7 @@ class MonitorInputs:
         now = time.monotonic()
         if self._reading.now_ns and now < self._read_until:
             return self._reading.now_ns
-        reading = self._reading = self._jumps.read()
+        reading = self._reading = self._clock.read()
         self._read_until = now + _CLOCK_PERIOD
         if reading.now_ns:
             self._arrivals.tick(reading.now_ns)

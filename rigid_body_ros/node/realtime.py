@@ -62,10 +62,9 @@ class Realtime(Mode):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._max_future_ns = duration_ns(self._scene.max_future, 'max_future')
-        self._monitor = clocks.ClockMonitor(self._node)
         self._is_simulated = self._node.get_parameter('use_sim_time').value
         self._arrivals = clocks.ArrivalStamps(self._is_simulated)
-        self._clock = clocks.JumpDetector(self._node.get_clock(), self._is_simulated,
+        self._clock = clocks.WatchedClock(self._node.get_clock(), self._is_simulated,
                                           duration_ns(self._scene.history, 'history'))
         self._rate = self._scene.publish_rate
         self._timer: Timer | None = None
@@ -190,7 +189,7 @@ class Realtime(Mode):
         """Return current problems by source. Problems of the clock belong to the first source."""
         now_ns, timeout = self.now_ns(), self._scene.torque_timeout
         problems = self.intake.problems()
-        problems[next(iter(problems))] += self._monitor.problems()
+        problems[next(iter(problems))] += self._clock.problems()
         for source in problems if now_ns else ():
             newest = self.run.epoch.newest_of(source)
             silence = (now_ns - newest.stamp_ns) * 1e-9 if newest else 0.0
