@@ -21,14 +21,12 @@ import signal
 import socket
 import subprocess
 import sys
-from tempfile import TemporaryDirectory
 import time
 
 from conftest import ROOT
 import psutil
 import pytest
 from rigid_body_ros.commands import main
-from rigid_body_ros.replay import many
 from rigid_body_ros.runtime import cluster
 from test_ensemble import arguments, COMMAND, contents, count, ENVIRONMENT, inputs, run
 
@@ -166,56 +164,6 @@ def test_a_worker_is_no_scheduler(inputs, scheduler, capsys):
         worker = next(iter(connection.client.nthreads()))
     assert f'{worker}: expected a Dask scheduler, found a worker' \
         in error_of(capsys, inputs, worker)
-
-
-@pytest.mark.slow
-def test_recordings_are_replayed_with_the_same_bytes(inputs, scheduler, capsys, monkeypatch):
-    monkeypatch.chdir(inputs)  # workers have another working directory
-    (inputs / 'second.csv').write_text('1,0,0,0\n2,0.1,0,0\n')
-    (inputs / 'third.csv').write_text('1,0,0,nothing\n')
-    for output, more in (('here', []), ('there', ['--scheduler', str(scheduler)])):
-        assert main.attitude_replay(['in.csv', 'second.csv', 'third.csv', '--scene', 'scene.yaml',
-                                    '-o', output, *more]) == 2
-        printed = capsys.readouterr()
-        assert printed.out.splitlines()[-1] == '2 of 3 written'
-        assert printed.err == 'attitude_replay: error: 1 of 3 recordings failed: third.csv\n'
-        assert sorted(path.name for path in (inputs / output).iterdir()) == [
-            'in.mcap', 'second.mcap']
-    for name in ('in.mcap', 'second.mcap'):
-        assert (inputs / 'there' / name).read_bytes() == (inputs / 'here' / name).read_bytes()
-    assert main.attitude_replay(['in.csv', 'second.csv', '--scene', 'scene.yaml', '-o', 'there',
-                                '--scheduler', str(scheduler)]) == 2
-    assert 'there/in.mcap: output exists' in capsys.readouterr().err
-
-
-@pytest.mark.slow
-class RelativeDirectory(TemporaryDirectory):
-    """Has the relative path that Python 3.11 gives it; that of Python 3.12 is absolute."""
-
-    def __enter__(self):
-        return os.path.relpath(super().__enter__())
-
-
-@pytest.mark.slow
-def test_recordings_need_a_shared_folder(inputs, scheduler, capsys, monkeypatch):
-    monkeypatch.setattr(many, '_absolute', lambda task: task)
-    monkeypatch.setattr(many, 'TemporaryDirectory', RelativeDirectory)
-    monkeypatch.chdir(inputs)  # for the workers, a folder on another machine
-    names = ['in.csv', 'copy.csv']
-    (inputs / names[1]).write_bytes((inputs / names[0]).read_bytes())
-    assert main.attitude_replay([*names, '--scene', 'scene.yaml', '-o', 'out', '--scheduler',
-                                str(scheduler)]) == 2
-    first, _, last = capsys.readouterr().out.splitlines()
-    assert f'failed: out/in.mcap: expected a folder that all workers share, not found on ' \
-           f'{socket.gethostname()}' in first
-    assert last == '0 of 2 written'
-    assert not [*(inputs / 'out').iterdir()]
-
-
-def test_one_recording_needs_no_scheduler(inputs, capsys):
-    assert main.attitude_replay([str(inputs / 'in.csv'), '--scene', str(inputs / 'scene.yaml'),
-                                '--scheduler', 'a:1']) == 2
-    assert '--scheduler: expected several recordings, found one' in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -235,13 +235,6 @@ def imported(command: str, module: str) -> ModuleType:
     return found
 
 
-def add_scheduler(parser: argparse._ActionsContainer) -> None:
-    """Add the option for a Dask scheduler."""
-    parser.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
-                        'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that the '
-                        'scheduler wrote; this does not change the results')
-
-
 def _columns(text: str) -> dict[str, str]:
     pairs = [part.rpartition('=') for part in text.split(',')]
     columns = {name.strip(): column.strip() for name, _, column in pairs}

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import load_scene, note, read_torques
-from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive, within
+from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.common.times import duration_ns
@@ -197,7 +197,9 @@ def _add_arguments(parser: Parser) -> None:
     pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
                       help='number of threads or, with --controller, of processes; the number '
                       'does not change the results (default: one per processor)')
-    add_scheduler(pool)
+    pool.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
+                      'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that the '
+                      'scheduler wrote; this does not change the results')
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: either a new one, or one that already '
                         'contains results of the same ensemble')

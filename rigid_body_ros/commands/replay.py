@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import length_of, load_scene, note, topics_of, warn_of_units
-from rigid_body_ros.commands.command import add_scheduler, Command, Parser, positive
+from rigid_body_ros.commands.command import Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime.terminal import show
@@ -30,7 +30,6 @@ from rigid_body_ros.runtime.terminal import show
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.band import Band
     from rigid_body_ros.recording import Logged
-    from rigid_body_ros.replay.many import Pool
     from rigid_body_ros.scene import Scene
 
 #: The exit statuses of the command, which are explained in docs/commands.md.
@@ -47,8 +46,6 @@ def _run(options: argparse.Namespace) -> int:
     warn_of_units(options, options.input)
     if count > 1:
         return _replay_many(options)
-    if options.scheduler:
-        raise InputError('--scheduler: expected several recordings, found one')
     return _replay_one(options)
 
 
@@ -117,7 +114,7 @@ def _replay_many(options: argparse.Namespace) -> int:
         raise InputError('-o: expected a folder for several recordings, found none')
     with checked(options) as outputs, outputs.writing():
         outputs_in(options.output, options.input)
-        outcomes = replay_many(options.input, load_scene(options), options.output, _pool(options),
+        outcomes = replay_many(options.input, load_scene(options), options.output,
                                **_replay_options(options))
     show(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]
@@ -127,17 +124,9 @@ def _replay_many(options: argparse.Namespace) -> int:
     return OK
 
 
-def _pool(options: argparse.Namespace) -> Pool | None:
-    if not options.scheduler:
-        return None
-    from rigid_body_ros.replay.many import on_cluster
-    return on_cluster(options.scheduler, partial(note, options))
-
-
 def _verify(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.verify import verify
-    unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'uncertain',
-                                'scheduler')
+    unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'uncertain')
               if getattr(options, name)]
     if unused:
         name = unused[0].replace('start', 'from')
@@ -185,7 +174,6 @@ def _add_arguments(parser: Parser) -> None:
                         'sampling')
     parser.add_time_source('when a torque takes effect: at the stamp in its header, or when its '
                            'message')
-    add_scheduler(parser)
     parser.add_outputs(
         plot='plot Euler angles, quaternion, angular velocity and torque over time',
         report='the moving body, the same plots as --plot, and the summary')

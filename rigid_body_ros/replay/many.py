@@ -16,16 +16,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, ExitStack, redirect_stderr
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, ExitStack, redirect_stderr
+from dataclasses import dataclass, field
 import io
 import os
 from pathlib import Path
 import re
-import socket
-from tempfile import TemporaryDirectory
 import threading
 from typing import Any
 
@@ -34,7 +31,6 @@ from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.replay.single import replay
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime import files, protection
-from rigid_body_ros.runtime.cluster import connected
 from rigid_body_ros.runtime.pool import Processes, WorkerError
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
@@ -42,8 +38,6 @@ from tqdm import tqdm
 
 #: Matches the file names of partial outputs.
 _PARTIAL = '*.partial*.mcap'
-#: The width and height of a picture, in SVG units, and the largest number of intervals in a curve.
-
 #: The path of a recording, and the path of the output for its motion.
 Task = tuple[str, str]
 
@@ -58,13 +52,12 @@ class Outcome:
     error: str = ''
 
 
-Pool = Callable[[Sequence[Task], '_Replay'], Generator[Outcome]]
-
-
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
-                pool: Pool | None = None, **options: Any) -> list[Outcome]:
+                **options: Any) -> list[Outcome]:
     """
     Replay recordings, and write each motion to a file in a folder; `outputs_in` names the files.
+
+    The replays run in one process per processor.
 
     Parameters
     ----------
@@ -74,8 +67,6 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         The scene that all recordings share.
     folder : str or Path
         The folder for the outputs, which is created if it does not exist.
-    pool : Pool, optional
-        The function that runs the replays. By default, they run in one process per processor.
     options
         Options for `replay`.
 
@@ -98,9 +89,9 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         outputs = outputs_in(folder, paths)
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)
-        with _partial_outputs_reported(Path(folder)), \
-                closing((pool or _in_processes)(
-                    [*zip(paths, outputs)], _Replay(paths, scene, options))) as outcomes:
+        with _partial_outputs_reported(Path(folder)), Processes() as processes:
+            outcomes = processes.results(_Replay(paths, scene, options), zip(paths, outputs),
+                                         _died)
             done = list(progress('recordings', ' files')(outcomes, len(paths)))
     return sorted(done, key=lambda outcome: outputs.index(outcome.output))
 
@@ -166,32 +157,6 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
         raise
 
 
-def _in_processes(tasks: Sequence[Task], replay: _Replay) -> Generator[Outcome]:
-    """Replay recordings in processes, and generate the outcomes in the order of completion."""
-    with Processes() as processes:
-        yield from processes.results(partial(_in_process, replay), tasks, _died)
-
-
-def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
-    """
-    Return a pool that runs tasks on a scheduler's workers.
-
-    See `connected` for the arguments and errors.
-    """
-    def outcomes(tasks: Sequence[Task], replay: _Replay) -> Generator[Outcome]:
-        given = {_absolute(task): task for task in tasks}
-        folder = os.path.dirname(next(iter(given))[1])
-        with files.reported(folder), \
-                TemporaryDirectory(prefix='.', dir=folder, ignore_cleanup_errors=True) as shared, \
-                connected(scheduler, note) as cluster:
-            inputs = [path for path, _ in given]
-            for outcome in cluster.results(replace(replay, inputs=inputs, shared=shared), given,
-                                           _died):
-                path, output = given[outcome.path, outcome.output]
-                yield replace(outcome, path=path, output=output)
-    return outcomes
-
-
 @dataclass(frozen=True)
 class _Replay:
     """
@@ -204,9 +169,6 @@ class _Replay:
     scene : Scene
     options : dict
         Options for `replay`.
-    shared : str
-        The path of a folder that a worker can find only if it shares a file system with the
-        command.
     overwrite : bool
         Whether outputs may replace existing files.
 
@@ -215,15 +177,15 @@ class _Replay:
     inputs: Sequence[str]
     scene: Scene
     options: dict[str, Any]
-    shared: str = os.sep
     overwrite: bool = field(default_factory=files.may_overwrite)
 
     def __call__(self, task: Task) -> Outcome:
         path, output = task
-        if not os.path.isdir(self.shared):
-            return Outcome(path, output, error=f'{output}: expected a folder that all workers '
-                           f'share, not found on {socket.gethostname()}')
-        with protection.reading(*self.inputs), files.overwriting(self.overwrite):
+        # tqdm's default lock has a semaphore that would outlive a killed process, so use another.
+        tqdm.set_lock(threading.RLock())
+        # Only the main process shows a progress bar.
+        with redirect_stderr(io.StringIO()), protection.reading(*self.inputs), \
+                files.overwriting(self.overwrite):
             try:
                 result = replay(path, self.scene, output, **self.options)
             except InputError as error:
@@ -231,20 +193,8 @@ class _Replay:
         return Outcome(path, output, _summary(result, output))
 
 
-def _in_process(replay: _Replay, task: Task) -> Outcome:
-    # tqdm's default lock has a semaphore that would outlive a killed process, so use another lock.
-    tqdm.set_lock(threading.RLock())
-    with redirect_stderr(io.StringIO()):  # only the main process shows a progress bar
-        return replay(task)
-
-
 def _died(task: Task, error: WorkerError) -> Outcome:
     return Outcome(*task, error=f'{task[0]}: {error}')
-
-
-def _absolute(task: Task) -> Task:
-    path, output = task
-    return os.path.abspath(path), os.path.abspath(output)
 
 
 def _summary(result: Replay, output: str) -> str:
