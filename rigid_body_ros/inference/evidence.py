@@ -30,7 +30,6 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.certainty import triangle
-from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import ahead_of, Residuals
 from rigid_body_ros.inference.fit import LeastSquares, Weights
 from rigid_body_ros.inference.growth import polished, states_at
@@ -149,7 +148,7 @@ def _basis(columns: Floats) -> Floats:
     return left[:, singular > _ROUNDING * singular.max(initial=0.0)]
 
 
-def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> LeastSquares:
+def widened(solution: Solution, names: Sequence[str] = (), pieces: int = 1) -> LeastSquares:
     """
     Return the problem of a fit with additional parameters and at least `pieces` windows.
 
@@ -157,8 +156,8 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     ----------
     solution : Solution
         The fit.
-    parameters : Parameters
-        The parameters that were estimated, plus the additional ones.
+    names : sequence of str
+        The names of the additional parameters.
     pieces : int
         Minimum number of windows, counted over all recordings.
 
@@ -169,7 +168,7 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     # The fitted motion jumps wherever a window of the solution begins. A window of the new problem
     # must therefore begin at each of these times, too.
     windows = old.setup.windows(solution.length_ns, solution.physics, parts)
-    setup = replace(old.setup, parameters=parameters)
+    setup = replace(old.setup, parameters=extended(old.setup, solution.physics, names))
     return LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
 
 
@@ -214,7 +213,7 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
 
 def own_noises(solution: Solution) -> list[list[Noise]]:
     """Estimate the noise of each channel of each recording from the errors of a fit."""
-    return noises(widened(solution, extended(solution.problem.setup, solution.physics, [])))
+    return noises(widened(solution))
 
 
 def with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
@@ -237,8 +236,7 @@ def weighted(solution: Solution, found: list[list[Noise]]) -> Solution:
             relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
             sizes = np.ones(3) if given else np.maximum(relative, LEAST)
             spreads[-1].append(sizes * noise.lasting)
-    weights = replace(solution.weights, spreads=spreads)
-    return replace(solution, weights=weights, problem=solution.problem.weighted(weights))
+    return solution.with_spreads(spreads)
 
 
 def foresight(solution: Solution, number: int, channels: Sequence[Measured],

@@ -47,7 +47,7 @@ from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.reasons import halves, MISFIT, probability, Reason, tests_of
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import candidates, extended, Suspect
+from rigid_body_ros.inference.suspects import candidates, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 
@@ -153,11 +153,11 @@ def examined(solution: Solution) -> Findings:
     if _is_rounding(solution):
         return Findings(solution, solution, [], [], {}, [])
     names, known = candidates(setup), setup.parameters.names
-    problem = widened(solution, extended(setup, solution.physics, names))
+    problem = widened(solution, names)
     found, before = noises(problem), solution
     solution = weighted(solution, found) if setup.most else with_noise(solution, found)
     problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
-        widened(solution, extended(setup, solution.physics, names))
+        widened(solution, names)
     suspects = [*faults_of_outliers(solution),
                 *_parameters(linear(problem), problem.parameters, known, names)]
     if not setup.is_computed:
@@ -256,11 +256,10 @@ def _largest(suspects: Sequence[Suspect]) -> list[Suspect]:
 
 def _changes(solution: Solution) -> Iterator[Suspect]:
     """Generate suspects for a change in the inertia at the start of each window but the first."""
-    setup = solution.problem.setup
-    names = [name for name in setup.parameters.names if name.startswith('inertia')]
+    names = [name for name in solution.problem.parameters.names if name.startswith('inertia')]
     if not names:
         return
-    problem = widened(solution, extended(setup, solution.physics, []), _PIECES)
+    problem = widened(solution, pieces=_PIECES)
     given = linear(problem)
     inertia, (base, errors) = given.columns(names), given.stacked()
     for k, window in enumerate(problem.windows):

@@ -22,7 +22,6 @@ certain than the number of samples suggests. Several recordings tell best how ce
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,6 @@ from rigid_body_ros.inference.guess import davenport
 from rigid_body_ros.inference.noise import batches_of, Noise, NORMAL_95
 from rigid_body_ros.inference.parameters import is_of_sensor
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import extended
 from rigid_body_ros.mechanics import so3
 
 #: At least one in so many independent errors counts as a degree of freedom that is left.
@@ -68,8 +66,7 @@ def with_persistence(solution: Solution, found: list[list[Noise]]) -> Solution:
     spreads = [[spread * max(np.sqrt(time * share) / noise.lasting, 1.0)
                 for spread, time, noise in zip(*every)]
                for every in zip(solution.weights.spreads, times, found)]
-    weights = replace(solution.weights, spreads=spreads)
-    return replace(solution, weights=weights, problem=solution.problem.weighted(weights))
+    return solution.with_spreads(spreads)
 
 
 def persistence(solution: Solution) -> list[list[float]]:
@@ -170,7 +167,7 @@ def scattered(solution: Solution) -> tuple[list[str], dict[str, float]]:
     count, size = len(setup.problems), setup.parameters.size
     if count < _RECORDINGS or not size:
         return [], {}
-    problem = widened(solution, extended(setup, solution.physics, []))
+    problem = widened(solution)
     given = linear(problem)
     matrices, gradients = np.zeros((count, size, size)), np.zeros((count, size, 1))
     for window, block in zip(problem.windows, given.blocks):

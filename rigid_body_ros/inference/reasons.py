@@ -26,7 +26,6 @@ from rigid_body_ros.inference.errors import of_training, rms
 from rigid_body_ros.inference.evidence import explained, linear, solved, split_channels, widened
 from rigid_body_ros.inference.noise import ALARM, batches_of, chance, come_together, FEWEST, Noise
 from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import extended
 
 #: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0
@@ -58,10 +57,9 @@ def halves(solution: Solution) -> tuple[list[Reason], dict[str, float], float]:
     Return a list of reasons, which is empty if the estimates agree, `Findings.drift` and
     `Findings.apart`.
     """
-    setup = solution.problem.setup
-    if not setup.parameters.size:
+    if not solution.problem.parameters.size:
         return [], {}, 1.0
-    problem = widened(solution, extended(setup, solution.physics, []), 2)
+    problem = widened(solution, pieces=2)
     given, scales = linear(problem), problem.parameters.scales
     matrix, errors = given.stacked()
     if len({*given.is_late}) < 2:

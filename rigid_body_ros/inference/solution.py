@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,11 @@ class Solution:
     inliers: list[list[NDArray[np.bool_]]]
     evaluations: int
     converged: bool
+
+    def with_spreads(self, spreads: list[list[Floats]]) -> Solution:
+        """Return the solution with other `Weights.spreads`."""
+        weights = replace(self.weights, spreads=spreads)
+        return replace(self, weights=weights, problem=self.problem.weighted(weights))
 
     @property
     def count(self) -> int:
