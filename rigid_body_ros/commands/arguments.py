@@ -108,7 +108,7 @@ def read_torques(options: argparse.Namespace, scene: Scene, skip: float = 0.0) -
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
     epochs = recording.read_epochs(path, scene, topics, track=progress('reading', size=len),
                                    skip=skip)
-    return recording.chosen(path, scene, epochs, may_command=True)
+    return recording.chosen(path, scene, epochs)
 
 
 def reading_of(options: argparse.Namespace) -> Reading:

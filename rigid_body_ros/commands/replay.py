@@ -84,7 +84,7 @@ def _uncertain(options: argparse.Namespace, path: str, scene: Scene) -> tuple[Lo
     from rigid_body_ros.replay.batches import end_of
     logged = recording.chosen(path, scene, recording.read_epochs(
         path, scene, topics_of(options).found_in(path, scene), options.interpolation,
-        time_source=options.time_source, skip=options.start), may_change=True, may_command=True)
+        time_source=options.time_source, skip=options.start), may_change=True)
     end_ns = end_of(path, int(logged.times_ns[-1]), logged.problem.start.time_ns,
                     _length(options))
     varied, estimates = load_varied(options.uncertain, scene.values['fields'])

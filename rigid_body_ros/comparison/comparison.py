@@ -223,7 +223,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     moved: Motion
     if motion is None:
         searched = LARGEST_OFFSET if moves_clocks else 0.0
-        stated, during = read_observed(path, scene, reading, searched, may_command=True)
+        stated, during = read_observed(path, scene, reading, searched)
         # Replace named wheels by rotors, because restarts set rotor momenta, not wheel speeds.
         try:
             moved = stated.carried()

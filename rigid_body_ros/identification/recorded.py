@@ -51,7 +51,7 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene,
     """
     experiments, known = [], dict[bytes, str]()
     for path in paths:
-        problem, measurements = read_observed(path, scene, reading, may_command=True)
+        problem, measurements = read_observed(path, scene, reading)
         measurements = replace(measurements, sensors=measurements.until_end())
         experiments.append((problem, measurements))
         for one in measurements.sensors:

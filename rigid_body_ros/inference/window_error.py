@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.guess import IDENTITY
-from rigid_body_ros.inference.motion import errors_of, poses_of
+from rigid_body_ros.inference.motion import errors_of
 from rigid_body_ros.inference.noise import NoiseLevel
 from rigid_body_ros.inference.parameters import START
 from rigid_body_ros.inference.residual_torque import measured_rates
@@ -40,7 +40,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.propagation.derivatives import lacks_derivatives, with_derivatives
+from rigid_body_ros.propagation.derivatives import with_derivatives
 from rigid_body_ros.recording.measured import Measured
 
 #: A state is estimated from one fifth of a window, which must contain at least `FEWEST` samples
@@ -54,8 +54,6 @@ _OUTLIER, _UNUSUAL = 6.0, 4.0
 _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
 #: Number of samples used to guess the rates.
 _GUESSED = 5
-#: Finite-difference step of an initial value, rad or rad/s.
-_CHANGE = 1e-6
 _BIAS = 'torque_bias'
 
 
@@ -222,26 +220,8 @@ def linear_motion(problem: Problem, times_ns: NDArray[np.int64],
         one column for each of the p components of the parameters.
 
     """
-    if lacks_derivatives(problem):
-        return _differences(problem, times_ns, names)
     states, found = with_derivatives(problem, names, times_ns)
     return states, np.concatenate([found.attitude, found.angular_velocity], axis=1)
-
-
-def _differences(problem: Problem, times_ns: NDArray[np.int64],
-                 names: Sequence[str]) -> tuple[Poses, Floats]:
-    """Return a motion and its derivatives as finite differences, for wheels with friction."""
-    others = [problem.replaced(start=_corrected(problem.start, step))
-              for step in _CHANGE * np.eye(6)]
-    sizes: Floats = np.full(6, _CHANGE)
-    if _BIAS in names:  # choose a torque that changes the angular velocity by about _CHANGE
-        end_ns = int(times_ns[-1])
-        size = _CHANGE * float(problem.body.principal_moments[-1]) / (
-            1e-9 * (end_ns - problem.start.time_ns))
-        others += [problem.biased(torque, end_ns) for torque in size * np.eye(3)]
-        sizes = np.append(sizes, np.full(3, size))
-    states, *moved = (poses_of(one.propagate(at=times_ns)) for one in (problem, *others))
-    return states, np.stack([_change(states, one) for one in moved], axis=-1) / sizes
 
 
 def _change(states: Poses, others: Poses) -> Floats:

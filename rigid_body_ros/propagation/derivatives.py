@@ -110,7 +110,8 @@ def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
     """
     # Tangents with torques come last, because others have no derivatives of the torques.
     components = sorted(_components(problem, names), key=lambda one: one.part == _TORQUES)
-    if lacks_derivatives(problem):
+    wheels = problem.named_wheels
+    if problem.has_friction or (wheels and wheels.is_limited):
         raise ValueError('derivatives: expected a problem without wheels with friction or a '
                          'largest speed, which have no derivatives yet')
     times_ns, places = np.unique(checked_times(at, problem.start.time_ns)[0], return_inverse=True)
@@ -145,12 +146,6 @@ def _moments(problem: MotionInputs) -> dict[str, list[_Component]]:
         _Component(f'{one.name}.moment.{axis}', _CONSTANTS, {
             tangents.MOMENTS + 3 * i + k: float(weight) for i, weight in enumerate(row)})
         for k, axis in enumerate('xyz')] for one, row in zip(uniform, weights) if one.name}
-
-
-def lacks_derivatives(problem: MotionInputs) -> bool:
-    """Return whether a problem has wheels with friction or a largest speed."""
-    wheels = problem.named_wheels
-    return problem.has_friction or (wheels is not None and wheels.is_limited)
 
 
 class _Tangents:

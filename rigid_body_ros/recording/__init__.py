@@ -16,14 +16,13 @@
 Read torques and other messages from recordings, and write motions.
 
 Reading: `opening` opens the files of a recording, whatever its format, and `source` reads one
-topic from them. `mcap_file`, `sqlite_file`, `csv_file` and `ulog_file` each read one file format,
-and all of them implement the interface in `file`. `csv_columns` interprets the first line of a CSV
-file, and `unpack` decompresses files and messages. `bulk` decodes messages, and `transforms`
+topic from them. `mcap_file`, `sqlite_file`, `text_files` and `ulog_file` each read some file
+formats, and all of them implement the interface in `file`. `headings` interprets the first line of
+a CSV file, and `unpack` decompresses files and messages. `bulk` decodes messages, and `transforms`
 decodes the transforms between one pair of frames. `torques` turns messages into a torque log and
 splits a node's log into epochs. `problem` combines torque logs with a scene. `measurements` reads
-attitudes and angular velocities from a recording, and `text_files` reads them from CSV files and
-TUM trajectories; the result is a `measured.Measured`. `observed` reads torques and measurements
-together.
+attitudes and angular velocities, and `quantities` extracts them from messages and tables; the
+result is a `measured.Measured`. `observed` reads torques and measurements together.
 
 Writing: `writer` writes MCAP files, using `container` for the individual records. `folder` adds
 the metadata.yaml file that makes the output a rosbag2 bag.

@@ -138,8 +138,8 @@ class Measurements:
                 for sensor, end_ns in zip(self.sensors, ends)]
 
 
-def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offset: float = 0.0,
-                  may_command: bool = False) -> tuple[Problem, Measurements]:
+def read_observed(path: str | Path, scene: Scene, reading: Reading,
+                  largest_offset: float = 0.0) -> tuple[Problem, Measurements]:
     """
     Read the torques of a recording, and the measurements taken during the motion.
 
@@ -160,8 +160,6 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
         if the log says when the vehicle was in the air.
     largest_offset : float, s
         Largest possible offset between the torque clock and the measurement clock.
-    may_command : bool
-        Whether to accept a scene with named wheels, as for `recording.chosen`.
 
     Raises
     ------
@@ -180,7 +178,7 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
         epochs = recording.read_epochs(path, scene, reading.topics.found_in(path, scene),
                                        reading.interpolation, reading.track, reading.time_source,
                                        reading.start)
-        logged = recording.chosen(path, scene, epochs, may_command=may_command)
+        logged = recording.chosen(path, scene, epochs)
         problem, account = logged.problem, logged.account
         begins_ns = [epoch.problem.start.time_ns for epoch in epochs]
         later_ns = [time_ns for time_ns in begins_ns if time_ns > problem.start.time_ns]
@@ -193,7 +191,7 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading, largest_offs
         start = max(0.0, 1e-9 * (flight_ns[0] - problem.start.time_ns))
         until = 1e-9 * (flight_ns[1] - flight_ns[0])
         problem, measurements = read_observed(path, scene, replace(
-            reading, start=start, until=until), largest_offset, may_command)
+            reading, start=start, until=until), largest_offset)
         measurements.sensors[0].account.notes.append(
             f'only the flight is used, from {start:.6g} s to {start + until:.6g} s after the '
             'first sample (vehicle_land_detected); --from and --until choose another part')

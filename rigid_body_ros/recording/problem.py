@@ -101,8 +101,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
     topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command,
                           columns).found_in(path, loaded)
     return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
-                                            time_source=time_source), may_change=True,
-                  may_command=True).problem
+                                            time_source=time_source), may_change=True).problem
 
 
 def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None,
@@ -157,20 +156,17 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
 
 
 def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
-           may_change: bool = False, may_command: bool = False) -> Logged:
+           may_change: bool = False) -> Logged:
     """
     Choose one epoch, for a command that works on a single motion.
 
-    If there are several epochs, return the last one that begins at the scene's `start_time`. By
-    default, this function raises an error if the body changes or if the scene has named wheels.
-    Commands that can handle a changing body set `may_change`, and commands that can handle named
-    wheels set `may_command`.
+    If there are several epochs, return the last one that begins at the scene's `start_time`.
+    Commands that can handle a changing body set `may_change`.
 
     Raises
     ------
     InputError
-        No epoch begins at `start_time`, the body changes but `may_change` is not set, or the scene
-        has named wheels but `may_command` is not set.
+        No epoch begins at `start_time`, or the body changes but `may_change` is not set.
 
     """
     stamps_ns = [each.problem.start.time_ns for each in found]
@@ -185,10 +181,6 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
         raise InputError(f'{path}: expected a body that does not change, found '
                          f'{len(one.problem.changes)} changes of its inertia, which only '
                          'attitude_replay computes; set inertia_topic: false in the scene')
-    if scene.named_wheels and not may_command:
-        raise InputError(f'{path}: expected wheels without names, found '
-                         f'{listed([wheel.name for wheel in scene.named_wheels])}, which '
-                         'this command does not compute; remove wheel_names from the scene')
     return one
 
 

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 import math
 
 from rigid_body_ros.common.arrays import Floats
@@ -62,21 +62,3 @@ def rounded(value: float, sigma: float) -> str:
 def lines(texts: Iterable[str]) -> str:
     """Join texts, one per line. A line break inside a text, for example in a name, is escaped."""
     return '\n'.join(map(printable, texts))
-
-
-def interpolation_row(interpolation: str, differences: Mapping[str, float | None]) -> str:
-    """
-    Describe the interpolation, and how far each alternative would move the final attitude.
-
-    Parameters
-    ----------
-    interpolation : str
-        The interpolation that was used.
-    differences : dict
-        For each other interpolation, the angle by which the final attitude would change, rad. The
-        value is None if the body would spin too fast for its motion to be computed.
-
-    """
-    others = [f'{name} would spin the body too fast' if angle is None else
-              f'{name} would end {angle:.2g} rad away' for name, angle in differences.items()]
-    return f'{interpolation} ({", ".join(others)})' if others else interpolation

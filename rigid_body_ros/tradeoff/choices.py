@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST
 
-#: An integration error up to this fraction of the spread of an ensemble is negligible.
 #: Time needed to compute a reference, divided by the time of one run of the Taylor series.
 _REFERENCE_COST = 14.0
 
@@ -51,7 +50,6 @@ class Setting(NamedTuple):
                 'max_step: 0.0')
 
 
-#: The setting that applies if a scene specifies neither a solver nor a tolerance.
 class Error(NamedTuple):
     """
     The errors of a motion, as deviations from the reference motion.

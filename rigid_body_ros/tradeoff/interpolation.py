@@ -62,8 +62,6 @@ def final_differences(case: Case) -> dict[str, float | None]:
     """
     Return how much the final attitude changes with interpolations other than the scene's.
 
-    These are the angles that `attitude_replay` prints.
-
     Returns
     -------
     dict

@@ -23,7 +23,7 @@ import math
 import platform
 from typing import Any
 
-from rigid_body_ros.report.text import interpolation_row, lines
+from rigid_body_ros.report.text import lines
 from rigid_body_ros.tradeoff.choices import Choice, Measurement, OnWhole, Setting
 from rigid_body_ros.tradeoff.interpolation import CLEARLY, InterpolationError
 from rigid_body_ros.tradeoff.problem import Case, Reference
@@ -316,9 +316,10 @@ def _facts(result: Tradeoff) -> list[tuple[str, str]]:
 
 def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
     rows = []
-    if result.interpolation_differences:
-        rows.append(('interpolation', interpolation_row(result.stretch.interpolation,
-                                                        result.interpolation_differences)))
+    if others := [f'{name} would spin the body too fast' if angle is None else
+                  f'{name} would end {angle:.2g} rad away'
+                  for name, angle in result.interpolation_differences.items()]:
+        rows.append(('interpolation', f'{result.stretch.interpolation} ({", ".join(others)})'))
     if result.interpolation_errors:
         estimates = ', '.join(f'{error.interpolation} {error.estimate:.1e} rad'
                               for error in result.interpolation_errors)
