@@ -321,16 +321,5 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
         names = [*(f'initial_attitude{end}' for end in ends), *names]
         values, guesses = np.append(turned, values), np.append(np.zeros(3), guesses)
         scales = np.append(np.ones(3), scales)
-        turn = block_diag(_change_of_vector(turned), turn)
+        turn = block_diag(np.linalg.inv(so3.right_jacobian(turned)), turn)
     return start, _Numbers(names, values, guesses, scales, turn)
-
-
-def _change_of_vector(vector: Floats) -> Floats:
-    """Return the derivative of a rotation vector with respect to a small body-axes rotation."""
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-3:
-        return np.eye(3) + 0.5 * cross + cross @ cross / 12.0
-    factor = 1.0 / angle ** 2 - 0.5 / (angle * np.tan(0.5 * angle))
-    return np.eye(3) + 0.5 * cross + factor * cross @ cross

@@ -306,12 +306,8 @@ class LeastSquares:
                     if window.is_first and len(self.unknowns[k])]
         shared = self.parameters.size
         width = shared + sum(len(self.unknowns[k]) for k in kept)
-        priors = self.parameters.own_priors
-        known = np.zeros((len(priors), width))
-        for row, (name, prior) in zip(known, priors.items()):
-            i = self.parameters.names.index(name)
-            row[i] = self.parameters.scales[i] / prior.sigma
-        blocks, column = [known], shared
+        known = self.parameters.known * self.parameters.scales
+        blocks, column = [np.pad(known, ((0, 0), (0, width - shared)))], shared
         for k in range(len(self.windows)):
             factor = triangle(self.derivatives(k, physics))
             own = len(self.unknowns[k])

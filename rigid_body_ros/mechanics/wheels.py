@@ -25,7 +25,7 @@ The momentum of its rotors is the sum of H a, and the torque on these rotors is 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, reduce
@@ -374,7 +374,7 @@ class Wheels:
         found = np.full(len(self), np.nan)
         for name, effort in efforts.items():
             if name not in self.names:
-                raise ValueError(f'efforts: expected names of wheels ({_listed(self.names)}), '
+                raise ValueError(f'efforts: expected names of wheels ({", ".join(self.names)}), '
                                  f'found {name!r}')
             if not math.isfinite(effort):
                 raise ValueError(f'effort of wheel {name!r}: expected a finite number, found '
@@ -400,7 +400,3 @@ def _pair(exact: Sequence[Fraction]) -> Floats:
                             for value, rounded in zip(exact, high)]])
     pair.flags.writeable = False
     return pair
-
-
-def _listed(names: Collection[str]) -> str:
-    return ', '.join(names)

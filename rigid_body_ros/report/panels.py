@@ -147,10 +147,9 @@ def limits(times_ns: NDArray[np.int64], sizes: Floats, name: str, start_ns: int)
     The shape of `sizes` is (n, k), or (2, k) if the limits are constant.
     """
     times_ns = times_ns[[0, -1]] if len(sizes) == 2 else times_ns
-    extremes = Extremes(sizes.shape[1])
-    extremes.add(times_ns, sizes)
-    found = Curves.of(extremes, [name, *[''] * (sizes.shape[1] - 1)], start_ns, style='limits')
-    return replace(found, low=-found.high)
+    found = Curves.thinned(times_ns, sizes, [name, *[''] * (sizes.shape[1] - 1)], start_ns,
+                           'limits')
+    return replace(found, low=-found.high, gap=None)
 
 
 def in_degrees(panel: Panel) -> Panel:

@@ -23,6 +23,7 @@ from pathlib import Path
 import re
 from typing import Any
 
+from rigid_body_ros.common.arrays import symmetric
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
@@ -432,16 +433,11 @@ def links_of(values: Mapping[str, Any]) -> Frames:
 def body_of(values: Mapping[str, Any]) -> RigidBody:
     """Return the body; raise InputError if no body can have its inertia and damping."""
     try:
-        return RigidBody(_tensor(values, 'inertia'), _tensor(values, 'damping'))
+        return RigidBody(*(symmetric([*group(values, name).values()])
+                           for name in ('inertia', 'damping')))
     except ValueError as error:
         keys = 'damping.dxx ... damping.dyz:'
         raise InputError(str(error).replace('damping:', keys, 1)) from error
-
-
-def _tensor(values: Mapping[str, Any], prefix: str) -> list[list[float]]:
-    """Build a symmetric tensor from the group of its entries xx, yy, zz, xy, xz and yz."""
-    xx, yy, zz, xy, xz, yz = group(values, prefix).values()
-    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
 
 
 def _other_node(node: str) -> list[str]:
