@@ -23,11 +23,11 @@ errors say nothing about the model. `result` is what a comparison found, with it
 
 from rigid_body_ros.comparison.comparison import compare
 from rigid_body_ros.comparison.result import Comparison, Errors
-from rigid_body_ros.inference.align import Alignment, ALIGNMENTS
+from rigid_body_ros.inference.align import Alignment
 from rigid_body_ros.inference.horizons import Horizon
 from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.measurements import read_measured
 
-__all__ = ['ALIGNMENTS', 'Alignment', 'Comparison', 'Errors', 'Horizon',
-           'Measured', 'ResidualTorque', 'compare', 'read_measured']
+__all__ = ['Alignment', 'Comparison', 'Errors', 'Horizon', 'Measured', 'ResidualTorque',
+           'compare', 'read_measured']

@@ -32,29 +32,13 @@ from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of
 from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, started
 from rigid_body_ros.recording.problem import read as read_problem
 from rigid_body_ros.recording.selection import Topics
-from rigid_body_ros.recording.source import (
-    joined,
-    Messages,
-    read,
-    Source,
-    TIME_SOURCES,
-    topics,
-    TORQUES,
-)
+from rigid_body_ros.recording.source import joined, Messages, read, Source, topics, TORQUES
 from rigid_body_ros.recording.streams import Stream, Streams, whole
-from rigid_body_ros.recording.torques import (
-    epochs,
-    first_epoch,
-    NotInOrderError,
-    Piece,
-    torque_log,
-    torque_pieces,
-)
+from rigid_body_ros.recording.torques import epochs, NotInOrderError, torque_log, torque_pieces
 from rigid_body_ros.recording.ulog_file import is_ulog
 from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
 
-__all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter',
-           'Logged', 'Messages', 'NotInOrderError', 'Piece', 'Source', 'Stream', 'Streams',
-           'Topics', 'Writer', 'chosen', 'epochs', 'first_epoch', 'is_ulog', 'joined', 'read',
-           'read_epochs', 'read_problem', 'started', 'suffix_of', 'topics', 'torque_log',
-           'torque_pieces', 'whole', 'writer_of']
+__all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TORQUES', 'Column', 'FolderWriter', 'Logged',
+           'Messages', 'NotInOrderError', 'Source', 'Stream', 'Streams', 'Topics', 'Writer',
+           'chosen', 'epochs', 'is_ulog', 'joined', 'read', 'read_epochs', 'read_problem',
+           'started', 'suffix_of', 'topics', 'torque_log', 'torque_pieces', 'whole', 'writer_of']

@@ -36,8 +36,6 @@ from rigid_body_ros.recording.unpack import unpack_each
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.terminal import no_progress, Track
 
-#: The possible sources of a message's stamp.
-TIME_SOURCES = ('header', 'log', 'publish')
 #: The message types that carry a torque.
 TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
 
