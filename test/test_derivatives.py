@@ -226,6 +226,21 @@ def test_without_a_lag_a_lag_acts_like_a_delay():
     assert np.array_equal(delay.attitude, lag.attitude)
 
 
+def test_a_lag_of_all_logs_delays_those_without_one():
+    torques, at = np.random.default_rng(3).normal(size=(2, 4, 3)), [4 * SECOND]
+
+    def motion(lag):
+        logs = [TorqueLog(np.arange(4) * SECOND + first_ns, rows)
+                for first_ns, rows in zip((0, SECOND // 3), torques)]
+        return Problem(RigidBody(FULL), State(0, angular_velocity=(0.5, -0.7, 0.9)), logs,
+                       actuator=[Actuator(time_constant=0.3 + lag), Actuator(time_constant=lag)])
+    found = motion(0.0).derivatives(['torque_lag'], at=at).angular_velocity[0, :, 0]
+    one, two = ((motion(lag).propagate(at=at).angular_velocity[0]
+                 - motion(0.0).propagate(at=at).angular_velocity[0]) / lag
+                for lag in (1e-4, 2e-4))
+    np.testing.assert_allclose(found, 2.0 * one - two, rtol=1e-5)
+
+
 def test_friction_has_no_derivatives_yet():
     given = Problem(RigidBody(FULL), State(),
                     wheels=[Wheel('a', (1.0, 0.0, 0.0), 0.1, friction=0.1)])

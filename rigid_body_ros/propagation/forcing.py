@@ -37,7 +37,7 @@ def forcing(rows: Rows, lagging: LaggingSources | None, bias: Floats,
     rows : Rows
         The n rows, with torques on rotors and in space axes, and with lags.
     lagging : LaggingSources or None
-        The sources that lag. If there are none, a lag acts like a delay.
+        The sources that lag. For all others, a lag acts like a delay.
     bias : array, shape (3,), N m, body axes
         The part of the torque that belongs to no log.
     seeds : array, shape (p, SIZE)
@@ -55,18 +55,19 @@ def forcing(rows: Rows, lagging: LaggingSources | None, bias: Floats,
     torques, constants = _polynomials(rows, bias), rows.terms.lags.time_constants
     excess, impulses = np.moveaxis(rows.terms.lags.excess, 2, 1), np.empty((0, len(torques), 2, 3))
     axes = 1 + int(torques[:, 1].any() or excess[:, 1].any())
-    delays = seeds[:, DELAY] + (0.0 if lagging else seeds[:, LAG])
     vectors = seeds[:, None, None, GAINS:DELAY] * _joined(axes, torques, excess)
-    if delays.any():
+    if seeds[:, DELAY:].any():
         delayed = np.zeros_like(torques)
         delayed[:, :, :-1] = -torques[:, :, 1:]
-        moving = np.moveaxis(lagging.moving_excess(rows.times_ns), 2, 1) if lagging else excess
-        vectors += np.multiply.outer(delays, _joined(axes, delayed, moving / constants[:, None]))
-        impulses = np.multiply.outer(delays, _jumps(rows, torques, excess, constants))
-    if lagging and seeds[:, LAG].any():
-        slopes = np.moveaxis(lagging.slopes(rows.times_ns), 2, 1)
-        vectors += np.multiply.outer(seeds[:, LAG], _joined(
-            axes, np.zeros_like(torques), slopes, excess))
+        moving = slopes = excess
+        if lagging:
+            moving, slopes = (np.moveaxis(found, 2, 1) for found in (
+                lagging.moving_excess(rows.times_ns), lagging.slopes(rows.times_ns)))
+        vectors += np.multiply.outer(seeds[:, DELAY], _joined(
+            axes, delayed, moving / constants[:, None]))
+        vectors += np.multiply.outer(seeds[:, LAG], _joined(axes, delayed, slopes, excess))
+        impulses = np.multiply.outer(seeds[:, DELAY:].sum(axis=1), _jumps(
+            rows, torques, excess, constants))
     return vectors, impulses, _links(axes, torques.shape[2], 1.0 / constants)
 
 

@@ -206,9 +206,9 @@ class Problem(MotionInputs):
             angular velocity), 'torque_gain', 'torque_gains', 'torque_bias', 'torque_delay',
             'torque_lag', 'damping', 'rotor_momentum', and 'NAME.moment' of a uniform field with a
             name, as in `attitude_identify --estimate`. The torques of the logs are multiplied by
-            the gains, in their own axes. A delay and a lag add to those of the actuators; without
-            any lag, a small lag acts like a delay. The bias acts from the start. The inertia and
-            the damping are those of `body`, until it changes.
+            the gains, in their own axes. A delay and a lag add to those of the actuators; for a
+            log without a lag, a small lag acts like a delay. The bias acts from the start. The
+            inertia and the damping are those of `body`, until it changes.
         at : array of int, shape (m,), ns
             Times, in any order, none before the start.
 
