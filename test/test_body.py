@@ -221,3 +221,17 @@ def test_a_start_is_normalised_but_one_of_unit_length_is_left_alone():
     unit = so3.normalize(np.array([0.1, -0.3, 0.2, 0.9]))
     np.testing.assert_array_equal(State(0, unit).attitude, unit)
     np.testing.assert_array_equal(State(0, (3e-310, 0, 0, 0)).attitude, [1, 0, 0, 0])
+    for q in RANDOM.normal(size=(300, 4)) * 10.0 ** RANDOM.uniform(-250, 250, (300, 1)):
+        np.testing.assert_array_equal(State(0, q).attitude, so3.normalize(q))
+
+
+def test_the_arrays_of_a_state_are_read_only_copies():
+    given = np.array([0.0, 0.6, 0.0, 0.8]), np.ones(3), np.ones(3), np.ones(2)
+    state = State(0, *given)
+    found = [state.attitude, state.angular_velocity, state.rotor_momentum, state.wheel_speeds]
+    for mine, its in zip(given, found):
+        before = its.tolist()
+        mine += 1.0
+        assert its.tolist() == before
+        with pytest.raises(ValueError, match='read-only'):
+            its[0] = 0.0

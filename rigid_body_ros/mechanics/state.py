@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
+import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,13 +28,17 @@ from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.common.times import instant
 from rigid_body_ros.engine import state_layout
-from rigid_body_ros.mechanics import so3
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 #: A quaternion is normalized if its norm differs from 1 by at most this.
 _NORMALIZED = 4.0 * float(np.finfo(float).eps)
+#: The angular velocity, a zero, the attitude, and the zeros that follow; see `state_layout`.
+_PACKED = struct.Struct(f'8d{8 * (state_layout.WITH_WHEELS - 8)}x')
+#: The rotor momentum, with zeros as its low-order part.
+_ROTORS = struct.Struct('3d24x')
+_ZERO = 0.0, 0.0, 0.0
 _NO_ROTORS, _NO_WHEELS = np.zeros((2, 3)), np.empty(0)
 _NO_ROTORS.flags.writeable = _NO_WHEELS.flags.writeable = False
 
@@ -90,34 +95,35 @@ class State:
                      rotors: Floats = _NO_ROTORS) -> State:
         """Return a state with exactly the given numbers; do not normalise the quaternion."""
         state = object.__new__(cls)
+        packed.setflags(write=False)
         state._fill(time_ns, packed, origin, rotors)
         return state
 
     def _fill(self, time_ns: int, packed: Floats, origin: object, rotors: Floats) -> None:
-        packed.flags.writeable = False
         self.__dict__.update(
             time_ns=time_ns, attitude=state_layout.attitude(packed),
-            angular_velocity=state_layout.angular_velocity(packed), rotor_momentum=rotors[0],
-            _rotors=rotors, _packed=packed, _origin=origin)
+            angular_velocity=state_layout.angular_velocity(packed), _packed=packed,
+            _origin=origin)
+        if rotors is not _NO_ROTORS:
+            self.__dict__.update(rotor_momentum=rotors[0], _rotors=rotors)
 
     def __init__(self, time_ns: int = 0,
                  attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-                 rotor_momentum: ArrayLike = (0.0, 0.0, 0.0),
+                 rotor_momentum: ArrayLike = _ZERO,
                  wheel_speeds: ArrayLike = ()) -> None:
         if hasattr(attitude, 'as_quat'):  # a Rotation; checking the type would import SciPy
             attitude = attitude.as_quat()
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
-        if not any(q):
-            raise ValueError('attitude quaternion (x, y, z, w): expected a non-zero quaternion, '
-                             f'found {q}')
-        x, y, z, scalar = q  # as `is_normalized` does for many, without its arrays
-        norm = math.sqrt(x * x + y * y + z * z + scalar * scalar)
-        if abs(norm - 1.0) > _NORMALIZED:
-            q = so3.normalize(q).tolist()
+        if abs(_norm(*q) - 1.0) > _NORMALIZED:
+            if not any(q):
+                raise ValueError('attitude quaternion (x, y, z, w): expected a non-zero '
+                                 f'quaternion, found {q}')
+            q = _normalized(q)
         w = _checked_vector(angular_velocity, 3, 'angular velocity')
-        self._fill(instant(time_ns), state_layout.pack(w, q), None,
-                   _checked_rotors(rotor_momentum))
+        packed = np.frombuffer(_PACKED.pack(*w, 0.0, *q))
+        self._fill(instant(time_ns), packed, None, _NO_ROTORS if rotor_momentum is _ZERO
+                   else _checked_rotors(rotor_momentum))
         if not isinstance(wheel_speeds, tuple) or wheel_speeds:
             speeds = np.array(_checked_vector(wheel_speeds, np.size(wheel_speeds),
                                               'wheel speeds'))
@@ -139,8 +145,9 @@ class State:
 
 # These defaults are class attributes, because storing them in every state would take a tenth of
 # the time needed to construct a state.
-for _name in ('wheel_speeds', 'wheel_efforts'):
-    type.__setattr__(State, _name, _NO_WHEELS)
+for _name, _default in (('wheel_speeds', _NO_WHEELS), ('wheel_efforts', _NO_WHEELS),
+                        ('rotor_momentum', _NO_ROTORS[0]), ('_rotors', _NO_ROTORS)):
+    type.__setattr__(State, _name, _default)
 
 
 def is_normalized(q: Floats) -> NDArray[np.bool_]:
@@ -148,19 +155,30 @@ def is_normalized(q: Floats) -> NDArray[np.bool_]:
     return np.asarray(abs(np.sqrt(np.sum(q * q, axis=-1)) - 1.0) <= _NORMALIZED)
 
 
+# Plain numbers take a fraction of the time of `is_normalized` and `so3.normalize`, which are for
+# many quaternions, and give the same bits.
+def _norm(x: float, y: float, z: float, w: float) -> float:
+    return math.sqrt(x * x + y * y + z * z + w * w)
+
+
+def _normalized(q: list[float]) -> list[float]:
+    x, y, z, w = q
+    largest = max(abs(x), abs(y), abs(z), abs(w))
+    x, y, z, w = x / largest, y / largest, z / largest, w / largest
+    norm = _norm(x, y, z, w)
+    return [x / norm, y / norm, z / norm, w / norm]
+
+
 def _checked_rotors(momentum: ArrayLike) -> Floats:
     high = _checked_vector(momentum, 3, 'rotor momentum')
-    if not any(high):
-        return _NO_ROTORS
-    rotors = np.array([high, [0.0] * 3])
-    rotors.flags.writeable = False
-    return rotors
+    return np.frombuffer(_ROTORS.pack(*high)).reshape(2, 3) if any(high) else _NO_ROTORS
 
 
 def _checked_vector(values: ArrayLike, size: int, what: str) -> list[float]:
     # Three or four numbers are checked faster in a list than in an array.
     vector = np.asarray(values, float)
     numbers: list[float] = vector.tolist()
-    if vector.shape != (size,) or not all(map(math.isfinite, numbers)):
+    if vector.shape != (size,) or not (  # a sum is finite, unless it overflows
+            math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
         raise ValueError(f'{what}: expected {size} finite numbers, found {quoted(numbers)}')
     return numbers
