@@ -79,22 +79,22 @@ class TorqueLog:
         if interpolation not in INTERPOLATIONS:
             raise ValueError(f'interpolation: expected one of {", ".join(INTERPOLATIONS)}, '
                              f'found {interpolation!r}')
-        if interpolation != 'hold' and np.unique(in_space).size > 1:
+        if interpolation != 'hold' and in_space.any() and not in_space.all():
             raise ValueError(f'interpolation {interpolation}: expected torques in one frame, '
                              'found torques in body axes and in space axes')
-        if len(times) > 1 and not (times[1:] > times[:-1]).all():
+        if np.count_nonzero(times[1:] > times[:-1]) < len(times) - 1:
             order = np.argsort(times, kind='stable')
             chosen = order[np.append(np.diff(times[order]) != 0, True)]
             times, values, in_space = times[chosen], values[chosen], in_space[chosen]
-        if len(times) > 1 and int(times[-1]) - int(times[0]) >= NEVER_NS:
+        if len(times) > 1 and times.item(-1) - times.item(0) >= NEVER_NS:
             raise ValueError('times_ns: expected times within 292 years of each other, '
                              f'found {times[0]} ns and {times[-1]} ns')
         self.times_ns: NDArray[np.int64] = times
         self.torques: Floats = values
         self.in_space: NDArray[np.bool_] = in_space
         self.interpolation = interpolation
-        for array in (self.times_ns, self.torques, self.in_space):
-            array.flags.writeable = False
+        for array in (times, values, in_space):
+            array.setflags(write=False)
 
     @classmethod
     def from_momentum(cls, times_ns: ArrayLike, momenta: ArrayLike) -> TorqueLog:
@@ -317,7 +317,8 @@ def _checked_samples(times_ns: ArrayLike, samples: ArrayLike, name: str = 'torqu
         values = values.reshape(-1, 3)
     if values.shape != (times.size, 3):
         raise ValueError(f'{plural}: expected shape ({times.size}, 3), found {values.shape}')
-    if not np.isfinite(values).all():  # checking row by row would take ten times as long
+    # Checking row by row would take ten times as long. Counting takes half as long as `all` does.
+    if np.count_nonzero(np.isfinite(values)) < values.size:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         raise ValueError(f'{name} {bad[0]} at {times[bad[0]]} ns: expected finite numbers, '
                          f'found {values[bad[0]].tolist()}')
@@ -327,17 +328,18 @@ def _checked_samples(times_ns: ArrayLike, samples: ArrayLike, name: str = 'torqu
 def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
                     count: int) -> NDArray[np.bool_]:
     if isinstance(frame, str) and frame in FRAMES:
-        return np.full(count, frame == 'space')
+        return (np.ones if frame == 'space' else np.zeros)(count, np.bool_)
     names = np.asarray(frame)
     if names.shape not in ((), (count,)):
         raise ValueError(f'frame: expected one name or {count}, found {names.size}')
     if names.shape and names.dtype == np.bool_:
         return names.copy()
     names = names.astype(str)
-    unknown = names[~np.isin(names, FRAMES)]
+    in_space = names == 'space'
+    unknown = names[~in_space & (names != 'body')]
     if unknown.size:
         raise ValueError(f"frame: expected 'body' or 'space', found {str(unknown[0])!r}")
-    return np.array(np.broadcast_to(names == 'space', count))
+    return np.array(np.broadcast_to(in_space, count))
 
 
 #: The torques on a body: one log, several logs whose torques add up, or None.
