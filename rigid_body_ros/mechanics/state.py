@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 import math
 import struct
 from typing import TYPE_CHECKING
@@ -100,12 +99,12 @@ class State:
         return state
 
     def _fill(self, time_ns: int, packed: Floats, origin: object, rotors: Floats) -> None:
-        self.__dict__.update(
-            time_ns=time_ns, attitude=state_layout.attitude(packed),
-            angular_velocity=state_layout.angular_velocity(packed), _packed=packed,
-            _origin=origin)
+        own = self.__dict__
+        own['time_ns'], own['_packed'], own['_origin'] = time_ns, packed, origin
+        own['attitude'] = state_layout.attitude(packed)
+        own['angular_velocity'] = state_layout.angular_velocity(packed)
         if rotors is not _NO_ROTORS:
-            self.__dict__.update(rotor_momentum=rotors[0], _rotors=rotors)
+            own['rotor_momentum'], own['_rotors'] = rotors[0], rotors
 
     def __init__(self, time_ns: int = 0,
                  attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
@@ -130,7 +129,7 @@ class State:
             speeds.flags.writeable = False
             self.__dict__['wheel_speeds'] = speeds
 
-    @cached_property
+    @property
     def _has_rotors(self) -> bool:
         # The first test saves the call of `any` in most states. This call would take a tenth of
         # the time of a short run.
@@ -174,11 +173,15 @@ def _checked_rotors(momentum: ArrayLike) -> Floats:
     return np.frombuffer(_ROTORS.pack(*high)).reshape(2, 3) if any(high) else _NO_ROTORS
 
 
+def all_finite(numbers: list[float]) -> bool:
+    """Return whether all numbers are finite. Their sum is, too, unless it overflows."""
+    return math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))
+
+
 def _checked_vector(values: ArrayLike, size: int, what: str) -> list[float]:
     # Three or four numbers are checked faster in a list than in an array.
     vector = np.asarray(values, float)
     numbers: list[float] = vector.tolist()
-    if vector.shape != (size,) or not (  # a sum is finite, unless it overflows
-            math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
+    if vector.shape != (size,) or not all_finite(numbers):
         raise ValueError(f'{what}: expected {size} finite numbers, found {quoted(numbers)}')
     return numbers

@@ -177,7 +177,7 @@ class Options:
                 self.solver, float(self.tolerance), self.max_step_ns,
                 tuple(torque.ravel().tolist()), in_space and bool(torque.any()),
                 tuple(tuple(other.ravel().tolist()) for other in others)
-                if any(other.any() for other in others) else None)
+                if others and any(other.any() for other in others) else None)
 
     def too_fast(self, time_ns: int) -> ValueError:
         """Return the error to raise if the body is too fast even for steps of a nanosecond."""

@@ -29,7 +29,7 @@ from rigid_body_ros.mechanics.actuator import Actuators
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
-from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.state import all_finite, State
 from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation.acting import ActingSamples
@@ -382,12 +382,13 @@ class Propagator:
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
-        if values.shape != (1, 3) or not all(map(math.isfinite, values[0].tolist())):
+        numbers, = values.tolist()
+        if len(numbers) != 3 or not all_finite(numbers):
             raise ValueError(f'torque at {time_ns} ns: expected 3 finite numbers, '
-                             f'found {values[0].tolist()}')
+                             f'found {numbers}')
         if not self._options.record.takes_torque and values.any():
             raise ValueError(f'solver {self._options.solver!r} handles torque-free motion only, '
-                             f'found a torque of {values[0].tolist()} N m at {time_ns} ns')
+                             f'found a torque of {numbers} N m at {time_ns} ns')
         return values
 
     def _checked_time(self, time_ns: int) -> int:

@@ -100,7 +100,8 @@ def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
 
     `of_named` is the total motor torque on the named wheels, N m, shape (1, 3).
     """
-    body, space, motors = list[Floats](), list[Floats](), list[Floats]()
+    groups: tuple[list[Floats], ...] = [], [], []
+    body, space, motors = groups
     if of_named is not None:
         motors.append(of_named)
     for source in sorted(samples):
@@ -133,8 +134,9 @@ class Segment:
                  friction: Friction | None = None) -> None:
         #: The sources that lag.
         self.lagging, lags = total.lagging, total.lags
-        self.coasts = total.is_zero() and fields is None and friction is None and not (
+        has_terms = fields is not None or friction is not None or (
             body.is_damped or start._has_rotors)
+        self.coasts = total.is_zero() and not has_terms
         self.body, self._options, self._history_ns = body, options, history_ns
         key = [np.concatenate([each.key for each in self.lagging.values()])] \
             if lags is not None and lags.excess.any() else []
@@ -144,8 +146,10 @@ class Segment:
         self._rule = options.rule(body, fields, total.torque, total.in_space, *others, *key)
         origin = origin_of(start, self._rule)
         self._rotors = origin.rotors
-        self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
-        self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
+        self._grid_ns, self._states = [origin.begin_ns], [origin.begin]
+        if origin.grid_ns != origin.begin_ns:
+            self._grid_ns.append(origin.grid_ns)
+            self._states.append(origin.grid)
         #: Four values: the time and the state that were computed last, then the time and the state
         #: of the last grid point before that time.
         self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
@@ -153,7 +157,7 @@ class Segment:
         if friction is not None or lags is not None or fields is not None:
             terms = terms_of(origin.rotors[None], total.motors[None], total.space[None], fields,
                              lags, friction)
-        elif body.is_damped or start._has_rotors or others:
+        elif has_terms or others:
             terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
         self._rows = held_row(origin.begin_ns, total.torque, total.in_space, terms)
 
@@ -180,8 +184,7 @@ class Segment:
         progress = layout.begun(self._states[nearest], self._grid_ns[nearest], begin, begin_ns, 0,
                                 1)
         self._run(progress, time_ns, until)
-        grid, latest = progress['grid'][0], progress['latest'][0]
-        grid_ns, done = int(progress['grid_ns'][0]), int(progress['done'][0])
+        grid, _, latest, grid_ns, _, _, done, _, _ = progress.item()
         if grid_ns > self._grid_ns[-1]:
             self._grid_ns.append(grid_ns)
             self._states.append(grid)

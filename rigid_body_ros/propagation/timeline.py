@@ -328,10 +328,12 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
 def held_row(time_ns: int, torque: Floats, in_space: bool,
              terms: Terms | None = None) -> Rows:
     """Return a row with a torque, N m, shape (1, 3), that is held from a given time onward."""
-    return Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms)
+    return Rows(np.array([time_ns]), torque[None], _IN_SPACE if in_space else _IN_BODY, _NO_SPANS,
+                terms)
 
 
 _NO_LOG = TorqueLog([], [])
 _NO_SPANS, _NO_MOMENTUM = np.empty(0), np.zeros((2, 3))
-for _constant in (_NO_SPANS, _NO_MOMENTUM):
-    _constant.flags.writeable = False
+_IN_BODY, _IN_SPACE = np.array([False]), np.array([True])
+for _constant in (_NO_SPANS, _NO_MOMENTUM, _IN_BODY, _IN_SPACE):
+    _constant.setflags(write=False)
