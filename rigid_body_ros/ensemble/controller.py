@@ -22,8 +22,9 @@ the motion that `propagate` computes from the same torques.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 import hashlib
@@ -44,7 +45,7 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.ensemble.applied import Actuated
 from rigid_body_ros.ensemble.reach import FARTHEST
 from rigid_body_ros.mechanics.actuator import Actuator
-from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.state import all_finite, State
 from rigid_body_ros.mechanics.torque import FRAMES, TorqueLog
 from rigid_body_ros.propagation import Problem, Propagator
 from rigid_body_ros.runtime import interrupts
@@ -138,10 +139,12 @@ class Controller:
 
         """
         returned = self._called(law, seconds, state, seconds)
-        with suppress(TypeError, ValueError):
+        try:
             torque = np.array(returned, float)
-            if torque.shape == (3,) and all(map(math.isfinite, torque.tolist())):
+            if torque.shape == (3,) and all_finite(torque.tolist()):
                 return torque
+        except (TypeError, ValueError):  # the error below says what was returned
+            pass
         raise ControllerError(f'{seconds:.9g} s: controller {self.name}: expected a torque of '
                               f'three finite numbers (N m), found {quoted(returned)}')
 
@@ -204,7 +207,8 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
     """
     start_ns, step_ns = problem.start.time_ns, controller.step_ns
     motion, turned = _Motion(problem, controller), _Turned(problem, step_ns)
-    stamps = range(start_ns, int(times_ns[-1]), step_ns)
+    wanted_ns: list[int] = times_ns.tolist()
+    stamps = range(start_ns, wanted_ns[-1], step_ns)
     torques, states = list[Floats](), list[State]()
     with redirect_stdout(sys.stderr):  # standard output is reserved for results
         law = controller.begin()
@@ -215,10 +219,10 @@ def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.i
             turned.check(state, torque, seconds)
             torques.append(torque)
             motion.apply(stamp_ns, torque)
-            begin, end = times_ns.searchsorted([stamp_ns, stamp_ns + step_ns]).tolist()
-            states += map(motion.at, times_ns[begin:end].tolist())
-    if len(states) < len(times_ns):
-        states.append(motion.at(int(times_ns[-1])))
+            end = bisect_left(wanted_ns, stamp_ns + step_ns)
+            states += map(motion.at, wanted_ns[len(states):end])
+    if len(states) < len(wanted_ns):
+        states.append(motion.at(wanted_ns[-1]))
     return (np.array([[*state.attitude, *state.angular_velocity] for state in states]),
             TorqueLog(np.array(stamps, np.int64), np.reshape(torques, (-1, 3))))
 
