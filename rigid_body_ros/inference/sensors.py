@@ -39,7 +39,7 @@ from rigid_body_ros.recording.measured import Measured
 CLOCKS = 'clock_offset', 'clock_drift'
 
 
-class Change(NamedTuple):
+class MotionSlopes(NamedTuple):
     """
     How a motion changes with p numbers, in body axes.
 
@@ -49,9 +49,9 @@ class Change(NamedTuple):
     attitude: Floats
     angular_velocity: Floats
 
-    def rows(self, chosen: NDArray[np.intp]) -> Change:
+    def rows(self, chosen: NDArray[np.intp]) -> MotionSlopes:
         """Return the changes at the chosen times."""
-        return Change(self.attitude[chosen], self.angular_velocity[chosen])
+        return MotionSlopes(self.attitude[chosen], self.angular_velocity[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +90,14 @@ class Sensor:
             return so3.multiply(attitude, self._axes) if self.mount.any() else attitude
         return self._value('gyro_scale') * self._rates(poses) + self._value('gyro_bias')
 
-    def felt(self, motion: Change) -> Floats:
+    def felt(self, motion: MotionSlopes) -> Floats:
         """Return how a measurement changes with the motion, shape (p, n, 3)."""
         change = np.moveaxis(motion[0 if self.channel.is_attitude else 1], 2, 0)
         if self.mount.any():
             change = change @ so3.matrix(self._axes)
         return change if self.channel.is_attitude else self._value('gyro_scale') * change
 
-    def slopes(self, kind: str, poses: Poses, flow: Change | None) -> Floats:
+    def slopes(self, kind: str, poses: Poses, flow: MotionSlopes | None) -> Floats:
         """
         Return how a measurement changes with a parameter of the sensor.
 
@@ -107,7 +107,7 @@ class Sensor:
             The name of the parameter, without a topic.
         poses : Poses
             The n states at the stamps.
-        flow : Change, optional
+        flow : MotionSlopes, optional
             How the motion changes with time, for a clock.
 
         Returns

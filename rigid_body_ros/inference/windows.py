@@ -31,7 +31,7 @@ from rigid_body_ros.inference.parameters import (
     START,
     WEIGHT,
 )
-from rigid_body_ros.inference.sensors import applies, Change, CLOCKS, Sensor, sensors_of
+from rigid_body_ros.inference.sensors import applies, CLOCKS, MotionSlopes, Sensor, sensors_of
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
@@ -221,11 +221,11 @@ class Window:
         return poses_of(self._moved(physics, state, int(times_ns[-1])).propagate(at=times_ns))
 
     def _derivatives(self, physics: Physics, state: Poses, groups: Sequence[str],
-                     times_ns: NDArray[np.int64]) -> tuple[Poses, dict[str, Change]]:
+                     times_ns: NDArray[np.int64]) -> tuple[Poses, dict[str, MotionSlopes]]:
         """Return the motion and its derivatives with respect to the start and parameters."""
         if isinstance(self.problem, Recorded):
             none: Floats = np.zeros((len(times_ns), 3, 6))
-            return self._poses(physics, state, times_ns), {START: Change(none, none)}
+            return self._poses(physics, state, times_ns), {START: MotionSlopes(none, none)}
         times_ns = np.clip(times_ns, *span_of(self.problem))
         own = [group for group in groups if not is_of_sensor(group)]
         needed = [START, *own, *['rotor_momentum'] * (self.axial is not None)]
@@ -238,18 +238,19 @@ class Window:
             components = START_NAMES if name == START else components_of(
                 f'{WEIGHT}.{MOMENT}' if name == WEIGHT else name)
             columns = [found.names.index(each) for each in components]
-            changes[name] = Change(found.attitude[..., columns],
-                                   found.angular_velocity[..., columns])
+            changes[name] = MotionSlopes(found.attitude[..., columns],
+                                         found.angular_velocity[..., columns])
         if self.axial is not None:  # the rotors turn with the body at the start
             for whole, rotors in zip(changes[START], changes['rotor_momentum']):
                 whole[..., 3:] += rotors @ self.axial.T
         for name in ('torque_gain', 'torque_gains'):  # the torques are already multiplied
             if name in changes:
-                changes[name] = Change(*(each / physics.value(name) for each in changes[name]))
+                changes[name] = MotionSlopes(*(
+                    each / physics.value(name) for each in changes[name]))
         return poses, changes
 
     def _flow(self, physics: Physics, state: Poses, poses: Poses,
-              times_ns: NDArray[np.int64]) -> Change:
+              times_ns: NDArray[np.int64]) -> MotionSlopes:
         """Return how the motion changes with time, or zeros where it is not known."""
         first_ns, last_ns = span_of(self.problem)
         inside = ((times_ns >= first_ns) & (times_ns <= last_ns))[:, None]
@@ -258,8 +259,8 @@ class Window:
         else:
             acceleration = self._moved(physics, state, int(times_ns[-1])).angular_acceleration(
                 np.clip(times_ns, first_ns, last_ns), *poses)
-        return Change(*((each * inside)[..., None]
-                        for each in (poses.angular_velocity, acceleration)))
+        return MotionSlopes(*((each * inside)[..., None]
+                              for each in (poses.angular_velocity, acceleration)))
 
     def _instants(self, sensors: Sequence[Sensor]
                   ) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
