@@ -19,27 +19,58 @@ import json
 from pathlib import Path
 
 import numpy as np
-from rigid_body_ros import Problem, RigidBody, State, TorqueLog
+from rigid_body_ros import (
+    Actuator,
+    BodyLog,
+    EffortLog,
+    GravityGradient,
+    Problem,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+    Wheel,
+)
 
 SECOND = 10 ** 9
 FULL = np.array([[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]])
 ATTITUDE = np.array([2.0, -4.0, 5.0, 6.0]) / 9.0
 WHEEL = np.array([0.4, -0.3, 0.2])
+#: The body after a change.
+NEXT = RigidBody(0.5 * FULL + np.diag([0.25, 0.125, 0.0]), np.diag([0.02, 0.03, 0.04]))
 
 
 @dataclass(frozen=True)
 class Case:
-    """A motion under a number of torques of equal duration."""
+    """A motion under a number of torques of equal duration, N m."""
 
     inertia: np.ndarray
     rates: tuple[float, float, float]
     seconds: float
-    #: How many torques there are, and their size, N m.
+    #: How many torques there are, and their size.
     count: int = 0
     size: float = 0.2
     in_space: bool = False
+    interpolation: str = 'hold'
+    #: The fraction of the first torque that is over when the motion starts.
+    begun: float = 0.0
+    attitude: np.ndarray = field(default_factory=ATTITUDE.copy)
     momentum: np.ndarray = field(default_factory=lambda: np.zeros(3))
     damping: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    #: Torque on the rotors; and named wheels, and the efforts of their motors.
+    motor: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    wheels: tuple[Wheel, ...] = ()
+    efforts: tuple[float, ...] = ()
+    #: The moment, kg m, of a body under gravity, m/s^2.
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: tuple[float, float, float] = (2.0, 4.0, -9.0)
+    #: Mean motion of the orbit, rad/s, and time constant of the actuator, s.
+    mean_motion: float = 0.0
+    lag: float = 0.0
+    #: What stays the same when the body changes, after half of the motion.
+    keep: str = ''
+    #: Parameters with derivatives, apart from those that every motion has.
+    more: tuple[str, ...] = ()
     #: Whether the truth is that of the closed form.
     is_free: bool = False
 
@@ -50,22 +81,33 @@ class Case:
 
     @property
     def torques(self):
-        """Return the duration of each torque, ns, and the torque, N m."""
-        random = np.random.default_rng(self.count)
-        rows = random.normal(size=(self.count, 3)) * self.size if self.count else np.zeros((1, 3))
-        return [(self.end_ns // len(rows), row) for row in rows]
+        """Return the torques, in order."""
+        return np.random.default_rng(self.count).normal(size=(self.count, 3)) * self.size
+
+    @property
+    def span_ns(self):
+        """Return the duration of each torque, ns."""
+        return round(self.end_ns / max(self.count - self.begun, 1))
+
+    @property
+    def times_ns(self):
+        """Return the times at which the torques begin, ns."""
+        return np.arange(self.count) * self.span_ns - round(self.begun * self.span_ns)
 
     def parameters(self):
         """Return the values of all parameters, and the attitude at the start."""
-        return {'inertia': self.inertia.copy(), 'damping': self.damping.copy(),
-                'initial_rotor_momentum': self.momentum.copy(), 'attitude': ATTITUDE.copy(),
-                'initial_angular_velocity': np.array(self.rates), 'torque_gains': np.ones(3),
-                'torque_bias': np.zeros(3)}
+        return {'inertia': self.inertia, 'damping': self.damping,
+                'initial_rotor_momentum': self.momentum, 'attitude': self.attitude,
+                'initial_angular_velocity': self.rates, 'torque_gains': np.ones(3),
+                'torque_bias': np.zeros(3), 'torque_delay': [0.0], 'torque_lag': [self.lag],
+                'weight.moment': self.moment}
 
     def names(self):
         """Return the names of the parameters with derivatives."""
         return ['inertia', 'start', 'rotor_momentum', 'damping'][:2 if self.is_free else 4] + (
-            ['torque_gains', 'torque_bias'] if self.count and not self.in_space else [])
+            ['torque_gains'] * bool(self.count)
+            + ['torque_bias'] * bool(self.count and not (self.in_space or self.lag))
+            + [*self.more])
 
     def components(self):
         """Return the components of these parameters."""
@@ -73,12 +115,19 @@ class Case:
 
     def problem(self):
         """Return the problem in doubles."""
-        log = TorqueLog(np.arange(self.count) * (self.end_ns // max(self.count, 1)),
-                        np.array([row for _, row in self.torques])[:self.count],
-                        'space' if self.in_space else 'body') if self.count else None
-        damping = self.damping if self.damping.any() else None
-        return Problem(RigidBody(self.inertia, damping),
-                       State(0, ATTITUDE, self.rates, self.momentum), log)
+        fields = [UniformField(self.moment, self.gravity, 'weight')] if any(self.moment) else []
+        if self.mean_motion:
+            fields.append(GravityGradient(self.mean_motion))
+        return Problem(
+            RigidBody(self.inertia, self.damping if self.damping.any() else None),
+            State(0, self.attitude, self.rates, self.momentum),
+            TorqueLog(self.times_ns, self.torques, 'space' if self.in_space else 'body',
+                      self.interpolation),
+            wheels=self.wheels or (TorqueLog([0], [self.motor]) if any(self.motor) else None),
+            fields=fields,
+            efforts=EffortLog([0], [self.efforts]) if self.efforts else None,
+            actuator=Actuator(time_constant=self.lag) if self.lag else None,
+            changes=BodyLog([self.end_ns // 2], [NEXT], self.keep) if self.keep else None)
 
 
 CASES = {
@@ -93,6 +142,38 @@ CASES = {
                                damping=np.diag([0.05, 0.02, 0.1]) + 0.01),
     'rotors of a body at rest': Case(FULL, (0.0, 0.0, 0.0), 5.0, momentum=WHEEL),
     'from rest': Case(FULL, (0.0, 0.0, 0.0), 5.0, 1, 0.4),
+    'log at 1 kHz': Case(FULL, (0.5, -0.7, 0.9), 1.0, 1000, 0.3),
+    'top': Case(FULL, (0.5, -0.7, 3.0), 5.0, momentum=WHEEL, moment=(0.1, -0.05, 0.2),
+                damping=np.diag([0.05, 0.02, 0.1]) + 0.01, more=('weight.moment',)),
+    'hanging': Case(FULL, (0.0, 0.0, 0.0), 5.0, moment=(0.0, 0.0, -0.5),
+                    gravity=(0.0, 0.0, -9.0), attitude=np.array([0.0, 0.0, 0.0, 1.0]),
+                    more=('weight.moment',)),
+    'rod under gravity': Case(np.diag([1e-4, 1.0, 1.00005]), (3.0, 0.02, -0.03), 1.0,
+                              moment=(0.25, 1e-4, -5e-5), more=('weight.moment',)),
+    'orbit': Case(FULL, (0.05, -0.07, 0.3), 5.0, mean_motion=0.3),
+    'orbit at rest': Case(FULL, (0.0, 0.0, 0.0), 5.0, mean_motion=0.3),
+    'lag': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, begun=0.25, lag=0.6,
+                more=('torque_lag', 'torque_delay')),
+    'lag in space axes': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, True, lag=0.6,
+                              more=('torque_lag', 'torque_delay')),
+    'cubic': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, interpolation='cubic',
+                  more=('torque_delay',)),
+    'linear in space axes': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, True, 'linear',
+                                 more=('torque_delay',)),
+    'delay': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, more=('torque_delay',)),
+    'delay in space axes': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, True, begun=0.25,
+                                more=('torque_delay',)),
+    'motor': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, momentum=WHEEL, motor=0.25 * WHEEL[::-1]),
+    'wheels': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, wheels=(
+        Wheel('a', (1.0, 0.0, 0.0), 0.125, 20.0), Wheel('b', (0.6, 0.0, 0.8), 0.0625)),
+        efforts=(0.25, -0.125)),
+    'change that keeps the rate': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, momentum=WHEEL,
+                                       keep='rate', more=('torque_delay',)),
+    'change that keeps the momentum': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, momentum=WHEEL,
+                                           damping=np.diag([0.05, 0.02, 0.1]) + 0.01,
+                                           keep='momentum', more=('torque_delay',)),
+    'change at the stamp of a torque': Case(FULL, (0.5, -0.7, 0.9), 4.0, 4, 0.4, keep='rate',
+                                            more=('torque_delay',)),
     'ten thousand turns': Case(FULL, (0.5, -0.7, 0.9), 50_000.0, is_free=True),
     'ten thousand turns of a near-sphere': Case(
         np.diag([1.0, 1.0 + 1e-6, 1.0 + 3e-6]), (0.5, -0.7, 0.9), 50_000.0, is_free=True),

@@ -22,6 +22,8 @@ numbers: the attitude (x, y, z, w; body to space; continuous from the start, wit
 sign) and the body rates.
 """
 
+from typing import NamedTuple
+
 from mpmath import mp
 import numpy as np
 
@@ -34,7 +36,8 @@ ZERO = np.zeros((3, 3))
 exact = np.vectorize(mp.mpf, otypes=[object])
 
 
-def series(tensor, attitude, rates, torques, digits=50, momentum=(0, 0, 0), damping=ZERO):
+def series(tensor, attitude, rates, torques, digits=50, momentum=(0, 0, 0), damping=ZERO,
+           motor=(0, 0, 0), fields=(), orbit=(0, (1, 0, 0), (0, 1, 0)), lag=0):
     """
     Return the motion under torques as [(attitude, rates)], one pair for the end of each torque.
 
@@ -50,36 +53,89 @@ def series(tensor, attitude, rates, torques, digits=50, momentum=(0, 0, 0), damp
         Rates at the start.
     torques : [(duration_ns, torque, in_space)]
         Consecutive torques, N m, in body or space axes. A torque of shape (3,) is held; one of
-        shape (degree + 1, 3) is a polynomial in the fraction of the duration.
+        shape (degree + 1, 3) is a polynomial in the fraction of the duration. A negative duration
+        continues the motion backwards.
     digits : int
         Digits of the result; the computation uses `GUARD` more.
     momentum : array, shape (3,), N m s, body axes
-        Constant momentum of rotors.
+        Momentum of rotors at the start.
     damping : array, shape (3, 3), N m s/rad
         Damping tensor; the torque is `-damping @ rates`.
+    motor : array, shape (3,), N m, body axes
+        Constant torque on the rotors.
+    fields : [(moment, field)]
+        Uniform fields, in space axes, and the moments, in body axes, on which they act.
+    orbit : (mean motion, position, along)
+        The mean motion of a circular orbit, rad/s, and two unit vectors at the start, in space
+        axes: that from the planet to the body, and the direction of motion.
+    lag : float, s
+        Time constant with which an actuator, at rest at the start, follows the torques; 0 if none
+        does. The torques must be held, and in the same axes.
 
     """
     with mp.workdps(digits + GUARD):
         tensor, q, w = exact(tensor), _unit(exact(attitude)), exact(rates)
-        others = exact(momentum), exact(damping)
+        others = _Others(*map(exact, (momentum, damping, motor)),
+                         exact(np.reshape([m for m, _ in fields], (-1, 3))),
+                         exact(np.reshape([f for _, f in fields], (-1, 3))), *map(exact, orbit),
+                         exact(np.zeros(3)), 1 / mp.mpf(lag) if lag else mp.zero)
         inverse = _array(mp.inverse(mp.matrix(tensor.tolist())))
         size = mp.mnorm(mp.matrix(inverse.tolist()), 'f')
-        states = []
+        states, before = [], 0
         for duration_ns, torque, in_space in torques:
             seconds, torque = _seconds(duration_ns), np.atleast_2d(exact(torque))
-            push = sum(size * _length(row) if in_space else _length(inverse @ row)
-                       for row in torque)
+            if lag:
+                others = others._replace(excess=others.excess + before - torque[0])
+                before = torque[0]
+            push = size * others.torque(tensor) + sum(
+                size * _length(row) if in_space else _length(inverse @ row) for row in torque)
             fraction = mp.zero
             while fraction < 1:
                 # The inverse of this rate bounds the radius of convergence from below.
-                rate = _length(w) + mp.sqrt(push) + size * (
-                    _length(others[0]) + abs(others[1]).sum())
-                part = min(1 - fraction, STEP_ANGLE / rate / seconds) if rate else mp.one
+                rate = _length(w) + mp.sqrt(push) + others.decay + others.mean_motion + size * (
+                    _length(others.momentum) + abs(others.damping).sum())
+                part = min(1 - fraction, STEP_ANGLE / rate / abs(seconds)) if rate else mp.one
                 q, w = _step(q, w, part * seconds, tensor, inverse,
                              _shifted(torque, fraction, part), in_space, others)
+                others = others.after(part * seconds)
                 fraction += part
             states.append((q, w))
         return states
+
+
+class _Others(NamedTuple):
+    """What acts on a body besides torques; see `series`."""
+
+    momentum: np.ndarray
+    damping: np.ndarray
+    motor: np.ndarray
+    moments: np.ndarray
+    fields: np.ndarray
+    mean_motion: mp.mpf
+    position: np.ndarray
+    along: np.ndarray
+    #: A torque, in the axes of the torques, that decays, and the rate at which it does.
+    excess: np.ndarray
+    decay: mp.mpf
+
+    def torque(self, tensor):
+        """Return a bound on the torques, N m."""
+        return (_length(self.motor) + _length(self.excess)
+                + sum(_length(m) * _length(f) for m, f in zip(self.moments, self.fields))
+                + 3 * self.mean_motion ** 2 * abs(tensor).sum())
+
+    def after(self, seconds):
+        """Return what acts some seconds later."""
+        sine, cosine = mp.sin(self.mean_motion * seconds), mp.cos(self.mean_motion * seconds)
+        return self._replace(momentum=self.momentum + seconds * self.motor,
+                             position=cosine * self.position + sine * self.along,
+                             along=cosine * self.along - sine * self.position,
+                             excess=self.excess * mp.exp(-self.decay * seconds))
+
+    def vectors(self, q):
+        """Return the fields, and the directions of the orbit if there is one, in body axes."""
+        directions = [self.position, self.along] if self.mean_motion else []
+        return [rotate(_conjugate(q), one) for one in [*self.fields, *directions]]
 
 
 def polynomials(times_ns, torques, interpolation):
@@ -162,35 +218,53 @@ def _step(q, w, h, tensor, inverse, torque, in_space, others):
     size = abs(tensor).max()
     bits = mp.prec + 16 + 2 * mp.mag(abs(inverse).max() * size)  # the inverse magnifies rounding
     fixed = np.vectorize(lambda x: int(mp.nint(mp.ldexp(x, bits))), otypes=[object])
+    torque = np.array([*torque, others.excess])
     if in_space:
         torque = np.array([rotate(_conjugate(q), row) for row in torque])
-    sums = _sums(fixed(q), fixed(w * h), fixed(tensor @ w * h / size),
-                 fixed(torque * h * h / size), in_space, fixed(inverse * size), bits,
-                 *(fixed(other * h / size) for other in others))
+    unit = h / size
+    vectors = np.array([*(torque * h * unit), *others.vectors(q)])
+    sums = _sums(*map(fixed, (q, w * h, tensor @ w * unit, vectors, tensor / size, inverse * size,
+                              others.momentum * unit, others.damping * unit,
+                              others.motor * h * unit, others.moments * h * unit,
+                              others.mean_motion * h, others.decay * h)),
+                 len(torque) - 1, in_space, bits)
     q, w = (exact(s) * mp.ldexp(1, -bits) for s in sums)
     return _unit(q), w / h
 
 
-def _sums(q, w, m, torque, in_space, inverse, bits, momentum, damping):
+def _sums(q, w, m, vectors, tensor, inverse, momentum, damping, motor, moments, mean_motion,
+          decay, count, in_space, bits):
     # The sums of the series of q and w after one unit of time.
     orders, negligible = 4 * mp.dps, 1 << bits - mp.prec
     qs, ws, ms = (np.full((orders + 1, n), 0, dtype=object) for n in (4, 3, 3))
     qs[0], ws[0], ms[0] = q, w, m
-    # In body axes each coefficient of the torque is constant, or rotates with the space axes.
-    ts = np.full((len(torque), orders + 1, 3), 0, dtype=object)
-    ts[:, 0] = torque
+    # The coefficients of the torque and its excess, in body axes or fixed in space, and then other
+    # vectors that are fixed in space.
+    vs = np.full((len(vectors), orders + 1, 3), 0, dtype=object)
+    vs[:, 0] = vectors
+    uniform = slice(count + 1, count + 1 + len(moments))
+    turning = slice(0 if in_space else count + 1, None)
     for k in range(orders):
         past = ws[k::-1]
-        push = sum(ts[i, k - i] for i in range(min(k + 1, len(ts))))
-        push = push + (_cross(momentum, ws[k]) - damping @ ws[k] >> bits)
+        push = sum(vs[i, k - i] for i in range(min(k + 1, count))) + vs[count, k]
+        if k == 0:
+            push = push - motor
+        push = push + (_cross(momentum, ws[k]) + _cross(motor, ws[k - 1]) - damping @ ws[k]
+                       + _cross(moments, vs[uniform, k]).sum(axis=0) >> bits)
+        if mean_motion:
+            push += _cross(vs[-2, :k + 1], (vs[-2, k::-1] @ tensor) * 3 * mean_motion ** 2
+                           >> 3 * bits).sum(axis=0) >> bits
         ms[k + 1] = ((_cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
         ws[k + 1] = inverse @ ms[k + 1] >> bits
         qs[k + 1] = (times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
-        if in_space:
-            ts[:, k + 1] = (_cross(ts[:, :k + 1], past).sum(axis=1) >> bits) // (k + 1)
+        change = _cross(vs[turning, :k + 1], past).sum(axis=1)
+        if mean_motion:
+            change[-2:] += mean_motion * vs[[-1, -2], k] * [[1], [-1]]
+        vs[turning, k + 1] = (change >> bits) // (k + 1)
+        vs[count, k + 1] -= (decay * vs[count, k] >> bits) // (k + 1)
         # If the body starts at rest, only every (degree + 2)nd term is nonzero.
-        last = slice(max(0, k + 1 - len(ts)), k + 2)
-        if k >= len(ts) and max(abs(qs[last]).max(), abs(ws[last]).max()) < negligible:
+        last = slice(max(0, k + 1 - count), k + 2)
+        if k >= count and max(abs(qs[last]).max(), abs(ws[last]).max()) < negligible:
             return qs.sum(axis=0), ws.sum(axis=0)
     raise ArithmeticError('the series does not converge: is the inertia that of a body?')
 
@@ -295,4 +369,4 @@ def _array(matrix):
 
 
 def _seconds(time_ns):
-    return mp.mpf(int(time_ns)) / 10 ** 9
+    return mp.mpf(time_ns) / 10 ** 9
