@@ -40,11 +40,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, symmetric
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation import Derivatives, Problem, Trajectory
+from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.options import checked_times
 
 #: The parameters of `Problem.derivatives` that give the gradient by an input, and the prefix of
@@ -55,7 +55,7 @@ _PARAMETERS = {'inertia': ('inertia', 'inertia.'), 'damping': ('damping', 'dampi
                'rotor_momentum': ('rotor_momentum', 'initial_rotor_momentum.')}
 #: The places of the six entries of a symmetric tensor. An entry off the diagonal has two places,
 #: each of which gets half of the derivative.
-_PLACES = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+_PLACES = symmetric(np.arange(6)).astype(int)
 _SHARES = 0.5 + 0.5 * np.eye(3)
 #: The flow from the start is inverted only up to this condition number, because the inverse loses
 #: as many digits as that has.
@@ -237,7 +237,7 @@ def _gradients(problem: Problem, motion: Trajectory, inputs: Mapping[str, Floats
     found = problem.derivatives(
         sorted({'start', *(_PARAMETERS[name][0] for name in inputs if name in _PARAMETERS)}),
         at=motion.times_ns)
-    by_component = np.einsum('mip,...mi->...p', _tangents(found), pulls)
+    by_component = np.einsum('mip,...mi->...p', found.both, pulls)
     gradients = {}
     for name in inputs:
         if name == 'torques':
@@ -251,11 +251,6 @@ def _gradients(problem: Problem, motion: Trajectory, inputs: Mapping[str, Floats
             gradients[name] = 2.0 / np.linalg.norm(inputs[name]) * (
                 gradients[name] @ _turns(problem.start.attitude))
     return gradients
-
-
-def _tangents(found: Derivatives) -> Floats:
-    """Return the derivatives of the attitude and the angular velocity, shape (m, 6, p)."""
-    return np.concatenate([found.attitude, found.angular_velocity], axis=1)
 
 
 def _by_torques(problem: Problem, times_ns: NDArray[np.int64], pulls: Floats) -> Floats:
@@ -302,8 +297,8 @@ def _by_intervals(problem: Problem, times_ns: NDArray[np.int64], pulls: Floats
     by_start : array, shape (..., 6)
 
     """
-    flow, bias = np.split(_tangents(
-        problem.derivatives(['start', 'torque_bias'], at=times_ns)), [6], axis=2)
+    flow, bias = np.split(problem.derivatives(
+        ['start', 'torque_bias'], at=times_ns).both, [6], axis=2)
     if np.linalg.cond(flow[-2:][0]) > _INVERTED:
         return _in_halves(problem, times_ns, pulls)
     at_start = np.einsum('kij,...ki->...kj', flow, pulls)

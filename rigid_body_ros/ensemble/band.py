@@ -191,9 +191,8 @@ def _linear(ensemble: Ensemble, numbers: Floats, times_ns: NDArray[np.int64]) ->
     columns = {**applied.columns(), **components(ATTITUDE, so3.log(turned)), 'torque_gain': gain,
                **components('torque_bias', bias - gain[:, None] * bias[0])}
     above, below = np.split(np.stack([columns[name] for name in found.names])[:, 1:], 2, axis=1)
-    slopes = np.concatenate([found.attitude, found.angular_velocity], axis=1)
     return Band(problem, (times_ns - times_ns[0]) * 1e-9, np.hstack([
-        motion.attitude, motion.angular_velocity]), 0.5 * slopes @ (above - below))
+        motion.attitude, motion.angular_velocity]), 0.5 * found.both @ (above - below))
 
 
 def _main_axes(slopes: Floats) -> Floats:

@@ -123,7 +123,7 @@ class Physics:
         return float(self.value(name, topic)[0])
 
     def acting(self, fields: Sequence[Field], groups: Sequence[str] = ()) -> list[Field]:
-        """Return `fields` with fitted moments, followed by the weight if it acts or in groups."""
+        """Return `fields` with fitted moments, and the weight if it acts or is in `groups`."""
         acting: list[Field] = [
             replace(one, moment=self.values[f'{one.name}.{MOMENT}'])
             if isinstance(one, UniformField) and f'{one.name}.{MOMENT}' in self.values else one

@@ -227,8 +227,8 @@ class LeastSquares:
 
     def _state(self, k: int, change: Floats) -> Poses:
         """Apply a scaled change, shape (6,), to reference state `k`."""
-        return Poses(so3.multiply(self.reference.attitude[k], so3.exp(change[..., :3])),
-                     self.reference.angular_velocity[k] + self.setup.rate * change[..., 3:])
+        return Poses(so3.multiply(self.reference.attitude[k], so3.exp(change[:3])),
+                     self.reference.angular_velocity[k] + self.setup.rate * change[3:])
 
     def _triangle(self, k: int, physics: Physics, slopes: Floats, change: Floats) -> Floats:
         """

@@ -90,7 +90,7 @@ class Sensor:
             return so3.multiply(attitude, self._axes) if self.mount.any() else attitude
         return self._value('gyro_scale') * self._rates(poses) + self._value('gyro_bias')
 
-    def felt(self, motion: MotionSlopes) -> Floats:
+    def by_motion(self, motion: MotionSlopes) -> Floats:
         """Return how a measurement changes with the motion, shape (p, n, 3)."""
         change = np.moveaxis(motion[0 if self.channel.is_attitude else 1], 2, 0)
         if self.mount.any():
@@ -118,7 +118,7 @@ class Sensor:
         """
         if kind in CLOCKS:
             assert flow is not None
-            found = self.felt(flow)
+            found = self.by_motion(flow)
             since = 1e-9 * (self.channel.stamps_ns - self.origin_ns)
             return found * since[:, None] if kind == 'clock_drift' else found
         count, turn = len(self.channel), so3.right_jacobian(self.mount).T

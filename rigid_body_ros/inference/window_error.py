@@ -221,7 +221,7 @@ def linear_motion(problem: Problem, times_ns: NDArray[np.int64],
 
     """
     states, found = with_derivatives(problem, names, times_ns)
-    return states, np.concatenate([found.attitude, found.angular_velocity], axis=1)
+    return states, found.both
 
 
 def _change(states: Poses, others: Poses) -> Floats:

@@ -181,10 +181,10 @@ class Window:
         for sensor, here in zip(sensors, rows):
             at = poses.rows(here)
             changes = {name: each.rows(here) for name, each in of_motion.items()}
-            blocks = [sensor.felt(changes[START])]
+            blocks = [sensor.by_motion(changes[START])]
             for group in groups:
                 if not is_of_sensor(group):
-                    blocks.append(sensor.felt(changes[group]))
+                    blocks.append(sensor.by_motion(changes[group]))
                 elif applies(group, sensor.channel, physics, self.channels):
                     blocks.append(sensor.slopes(split_topic(group)[0], at,
                                                 changes.get(CLOCKS[0])))

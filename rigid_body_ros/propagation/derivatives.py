@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.common.arrays import ENTRIES, Floats
+from rigid_body_ros.common.arrays import ENTRIES, Floats, symmetric
 from rigid_body_ros.engine import (
     kernels,
     layout,
@@ -40,7 +40,7 @@ from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import forcing
 from rigid_body_ros.propagation.inputs import MotionInputs
 from rigid_body_ros.propagation.integration import Integration
-from rigid_body_ros.propagation.lags import terms_of
+from rigid_body_ros.propagation.lags import no_lags, terms_of
 from rigid_body_ros.propagation.options import checked_times
 from rigid_body_ros.propagation.trajectory import Derivatives
 
@@ -77,7 +77,7 @@ _PARAMETERS = {
               *_axes('initial_angular_velocity', _START, tangents.RATE)],
 }
 #: The places of the entries of a tensor among its six entries.
-_FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+_FULL = symmetric(np.arange(6)).astype(int)
 #: The names of the components of the start.
 START_NAMES = tuple(component.name for component in _PARAMETERS['start'])
 _NO_BIAS = np.zeros(3)
@@ -169,7 +169,7 @@ class _Tangents:
         start, constants = seeds[_START], seeds[_CONSTANTS]
         carrier = motion._carrier
         if problem.changes and problem.changes.in_force(problem.start.time_ns) >= 0:
-            self._change_constants()
+            self._forget_body()
         if problem.named_wheels:  # they turn with the body when the motion starts
             axial = problem.body_at(problem.start.time_ns).inertia - carrier.inertia
             constants[:, tangents.MOMENTUM:tangents.DAMPING] += np.sum(
@@ -210,9 +210,9 @@ class _Tangents:
             arrived[:] = _quotient(motion._carrier, before.angular_momentum(arrived)
                                    + change.swapaxes(1, 2))
         latest[:] = arrived + _quotient(motion._carrier, jump)
-        self._change_constants()
+        self._forget_body()
 
-    def _change_constants(self) -> None:
+    def _forget_body(self) -> None:
         """Forget the derivatives of constants of the first body."""
         self._seeds[_CONSTANTS][:, tangents.INERTIA:tangents.MOMENTUM] = 0.0
         self._seeds[_CONSTANTS][:, tangents.DAMPING:tangents.TORQUE] = 0.0
@@ -302,7 +302,7 @@ def _with_terms(rows: Rows) -> Rows:
     return rows._replace(terms=found._replace(
         motors=none if found.motors is None else found.motors,
         space=none if found.space is None else found.space,
-        lags=found.lags or forcing.no_lags(len(none))))
+        lags=found.lags or no_lags(len(none))))
 
 
 def _packed(rows: Rows) -> Rows:

@@ -20,7 +20,7 @@ from math import factorial
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import Lags, Rows
+from rigid_body_ros.engine import Rows
 from rigid_body_ros.propagation.lags import LaggingSources
 
 #: What a torque of a log depends on: a gain for each axis, a delay, and a lag.
@@ -110,8 +110,3 @@ def _jumps(rows: Rows, torques: Floats, excess: Floats, constants: Floats) -> Fl
     for k in range(torques.shape[2]):
         result[1:] += torques[:-1, :, k] * (seconds ** k / factorial(k))[:, None, None]
     return result
-
-
-def no_lags(count: int) -> Lags:
-    """Return the lags of a number of rows in which nothing lags."""
-    return Lags(np.zeros((count, 0, 2, 3)), np.empty(0))

@@ -227,10 +227,15 @@ def terms_of(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[An
              lags: Lags | None, friction: Friction | None) -> Terms:
     """Return the terms for rows with fields, lags or friction; see `layout.Terms`."""
     if friction is not None and lags is None:
-        lags = Lags(np.zeros((len(friction.efforts), 0, 2, 3)), np.empty(0))
+        lags = no_lags(len(friction.efforts))
     if lags is not None and fields is None:
         fields = _NO_FIELDS
     return Terms(momentum, motors, space, fields, lags, friction)
+
+
+def no_lags(count: int) -> Lags:
+    """Return the lags of a number of rows in which nothing lags."""
+    return Lags(np.zeros((count, 0, 2, 3)), np.empty(0))
 
 
 def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:

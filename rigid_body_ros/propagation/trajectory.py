@@ -53,6 +53,11 @@ class Derivatives(NamedTuple):
     attitude: Floats
     angular_velocity: Floats
 
+    @property
+    def both(self) -> Floats:
+        """Return the derivatives of the attitude and the angular velocity, shape (m, 6, p)."""
+        return np.concatenate([self.attitude, self.angular_velocity], axis=1)
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
