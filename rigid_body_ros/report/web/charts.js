@@ -60,7 +60,9 @@ class Panel {
     this.height = this.tall ? 2 * HEIGHT : HEIGHT;
     this.lines = this.bands = 0;
     this.isDense = data.curves.some((curves) => curves.style === 'limits');
-    this.isNoisy = data.kind === 'log' || data.curves.some((curves) => curves.style !== 'line');
+    // Several bands leave the dashes of their lines visible.
+    this.isNoisy = data.kind === 'log' || data.curves.some(({style, names}) =>
+      style !== 'line' && !(style === 'band' && names.length > 1));
     this.series = data.curves.flatMap((curves) => this.read(curves));
     this.unit = this.withPrefix();
     const box = html('div', group.box);
@@ -144,7 +146,7 @@ class Panel {
       else element('path', {d: 'M 0 5 L 30 5', class: `curve swatch ${one.style} ${one.style ===
         'limits' ? 'c3' : one.colour}`, 'stroke-dasharray': one.dashes}, line);
       html('span', item, `${one.name} `);
-      if (one.style !== 'marks' && (one.style !== 'limits' || one.isAlone))
+      if (one.style !== 'marks' && (!['limits', 'band'].includes(one.style) || one.isAlone))
         one.reading = html('output', item);
     });
   }
