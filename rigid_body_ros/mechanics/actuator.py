@@ -153,9 +153,9 @@ def time_constants(actuators: Sequence[Actuator | None]) -> list[float]:
         There are more than `MOST_LAGS` distinct time constants.
 
     """
-    found = [*dict.fromkeys(each.time_constant for each in actuators
-                            if each and each.time_constant)]
-    if len(found) > MOST_LAGS:
+    constants = [*dict.fromkeys(actuator.time_constant for actuator in actuators
+                                if actuator and actuator.time_constant)]
+    if len(constants) > MOST_LAGS:
         raise ValueError(f'actuator: expected at most {MOST_LAGS} different time constants, found '
-                         f'{len(found)}')
-    return found
+                         f'{len(constants)}')
+    return constants

@@ -85,12 +85,12 @@ class RigidBodies:
         certain[certain] = _is_possible(constants, certain)
         rows = np.flatnonzero(certain & self.is_damped)
         certain[rows] = _is_semidefinite(damping[rows])
-        messages, known = [''] * len(self), dict[bytes, tuple[Floats | float, str]]()
+        messages, computed = [''] * len(self), dict[bytes, tuple[Floats | float, str]]()
         for row in np.flatnonzero(~certain).tolist():
             key = self.inertia[row].tobytes() + self.damping[row].tobytes()
-            if key not in known:
-                known[key] = self._computed_alone(row)
-            constants[row], messages[row] = known[key]
+            if key not in computed:
+                computed[key] = self._computed_alone(row)
+            constants[row], messages[row] = computed[key]
         return constants, tuple(messages)
 
     def _computed_alone(self, row: int) -> tuple[Floats | float, str]:

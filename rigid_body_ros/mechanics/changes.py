@@ -72,10 +72,10 @@ class BodyLog:
             raise ValueError(f'bodies: expected {stamps_ns.size}, one for each stamp, '
                              f'found {len(bodies)}')
         self.keep = checked_keep(keep)
-        found = dict(zip(stamps_ns.tolist(), bodies))
-        self.times_ns: NDArray[np.int64] = np.array(sorted(found), np.int64)
+        body_at = dict(zip(stamps_ns.tolist(), bodies))
+        self.times_ns: NDArray[np.int64] = np.array(sorted(body_at), np.int64)
         self.times_ns.flags.writeable = False
-        self.bodies = tuple(found[stamp_ns] for stamp_ns in self.times_ns.tolist())
+        self.bodies = tuple(body_at[stamp_ns] for stamp_ns in self.times_ns.tolist())
 
     def __len__(self) -> int:
         return len(self.bodies)

@@ -208,12 +208,12 @@ def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
         There is more than one gravity gradient.
 
     """
-    orbits = [one for one in fields if isinstance(one, GravityGradient)]
+    orbits = [field for field in fields if isinstance(field, GravityGradient)]
     if len(orbits) > 1:
         raise ValueError(f'fields: expected at most one gravity gradient, found {len(orbits)}')
-    return tuple(replace(one, time_ns=time_ns)
-                 if isinstance(one, GravityGradient) and one.time_ns is None else one
-                 for one in fields)
+    return tuple(replace(field, time_ns=time_ns)
+                 if isinstance(field, GravityGradient) and field.time_ns is None else field
+                 for field in fields)
 
 
 def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
@@ -225,9 +225,9 @@ def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
     if not fields:
         return None
     result = np.zeros(1, FIELDS)
-    uniform = [one for one in fields if isinstance(one, UniformField)]
-    moments = np.array([one.moment for one in uniform]).reshape(-1, 3)
-    directions = np.array([one.field for one in uniform]).reshape(-1, 3)
+    uniform = [field for field in fields if isinstance(field, UniformField)]
+    moments = np.array([field.moment for field in uniform]).reshape(-1, 3)
+    directions = np.array([field.field for field in uniform]).reshape(-1, 3)
     if len(uniform) > MOST_FIELDS:  # use one field per space axis, summed in order
         total = np.zeros((3, 3))
         for moment, direction in zip(moments, directions):
@@ -236,10 +236,10 @@ def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
     result['count'] = len(moments)
     result['moments'][0, :moments.size] = moments.ravel()
     result['fields'][0, :moments.size] = directions.ravel()
-    for one in fields:
-        if isinstance(one, GravityGradient):
+    for field in fields:
+        if isinstance(field, GravityGradient):
             for name in ('mean_motion', 'position', 'along', 'time_ns'):
-                result[name] = getattr(one, name)
+                result[name] = getattr(field, name)
     result.flags.writeable = False
     return result
 

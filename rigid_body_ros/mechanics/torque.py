@@ -290,12 +290,12 @@ class TorqueLog:
         times = instants(times_ns)
         torques, in_space = np.zeros((times.size, 3)), np.zeros(times.size, np.bool_)
         samples = np.searchsorted(self.times_ns, times, 'right') - 1
-        given = samples >= 0
+        acts = samples >= 0
         if timeout_ns > 0 and len(self):
-            given &= times - self.times_ns[samples] < timeout_ns
-        if not given.any():
+            acts &= times - self.times_ns[samples] < timeout_ns
+        if not acts.any():
             return torques, in_space
-        samples, times = samples[given], times[given]
+        samples, times = samples[acts], times[acts]
         first, stop = int(samples.min()), int(samples.max()) + 1
         stamps = self.times_ns[first:stop + 1]
         spans = np.append(np.diff(stamps), 10 ** 9)[samples - first]
@@ -305,7 +305,7 @@ class TorqueLog:
         value = coefficients[:, degree]
         for k in range(degree - 1, -1, -1):
             value = coefficients[:, k] + fraction * value
-        torques[given], in_space[given] = value, self.in_space[samples]
+        torques[acts], in_space[acts] = value, self.in_space[samples]
         return torques, in_space
 
 

@@ -300,10 +300,10 @@ class Wheels:
             of wheels.
 
         """
-        found = start._axial
-        if isinstance(found, Axial) and len(found.acting) == len(self) and (
-                (found.momenta is None) == self.has_friction):
-            return start, found
+        of_start = start._axial
+        if isinstance(of_start, Axial) and len(of_start.acting) == len(self) and (
+                (of_start.momenta is None) == self.has_friction):
+            return start, of_start
         speeds = start.wheel_speeds if len(start.wheel_speeds) else self._column('initial_speed')
         if len(speeds) != len(self):
             raise ValueError(f'start: expected the speeds of {len(self)} wheels, found '
@@ -371,7 +371,7 @@ class Wheels:
             A name belongs to no wheel, or an effort is not finite.
 
         """
-        found = np.full(len(self), np.nan)
+        commands = np.full(len(self), np.nan)
         for name, effort in efforts.items():
             if name not in self.names:
                 raise ValueError(f'efforts: expected names of wheels ({", ".join(self.names)}), '
@@ -379,8 +379,8 @@ class Wheels:
             if not math.isfinite(effort):
                 raise ValueError(f'effort of wheel {name!r}: expected a finite number, found '
                                  f'{effort}')
-            found[self.names.index(name)] = effort
-        return found
+            commands[self.names.index(name)] = effort
+        return commands
 
 
 def _sum_along(amounts: Floats, axes: Floats) -> Floats:

@@ -109,7 +109,7 @@ def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
     delay and lag do not change.
     """
     # Tangents with torques come last, because others have no derivatives of the torques.
-    components = sorted(_components(problem, names), key=lambda one: one.part == _TORQUES)
+    components = sorted(_components(problem, names), key=lambda component: component.part == _TORQUES)
     wheels = problem.named_wheels
     if problem.has_friction or (wheels and wheels.is_limited):
         raise ValueError('derivatives: expected a problem without wheels with friction or a '
@@ -119,33 +119,33 @@ def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
     for k, component in enumerate(components):
         seeds[component.part][k, [*component.weights]] = [*component.weights.values()]
     parts = _Tangents(problem, seeds, bias).advance(times_ns)
-    attitude, rates, found = (np.concatenate(computed)[places] for computed in zip(*parts))
+    attitude, rates, by_names = (np.concatenate(each)[places] for each in zip(*parts))
     return Poses(attitude, rates), Derivatives(
         tuple(component.name for component in components),
-        found[:, tangents.ROTATION:], found[:, :tangents.ROTATION])
+        by_names[:, tangents.ROTATION:], by_names[:, :tangents.ROTATION])
 
 
 def _components(problem: MotionInputs, names: Sequence[str]) -> list[_Component]:
-    known = {**_PARAMETERS, **_moments(problem)}
+    components = {**_PARAMETERS, **_moments(problem)}
     for name in names:
-        if name not in known:
-            raise ValueError(f'derivatives: expected names among {", ".join(known)}, found '
+        if name not in components:
+            raise ValueError(f'derivatives: expected names among {", ".join(components)}, found '
                              f'{name!r}')
         if list(names).count(name) > 1:
             raise ValueError(f'derivatives: expected each name once, found {name!r} twice')
-    return [component for name in names for component in known[name]]
+    return [component for name in names for component in components[name]]
 
 
 def _moments(problem: MotionInputs) -> dict[str, list[_Component]]:
     """Return the components of the moments of the named uniform fields; see `fields.packed`."""
-    uniform = [one for one in problem.fields if isinstance(one, UniformField)]
+    uniform = [field for field in problem.fields if isinstance(field, UniformField)]
     # With many fields, each acts by its components along three fields.
     weights = np.eye(len(uniform)) if len(uniform) <= MOST_FIELDS else \
-        np.array([one.field for one in uniform])
-    return {f'{one.name}.moment': [
-        _Component(f'{one.name}.moment.{axis}', _CONSTANTS, {
+        np.array([field.field for field in uniform])
+    return {f'{field.name}.moment': [
+        _Component(f'{field.name}.moment.{axis}', _CONSTANTS, {
             tangents.MOMENTS + 3 * i + k: float(weight) for i, weight in enumerate(row)})
-        for k, axis in enumerate('xyz')] for one, row in zip(uniform, weights) if one.name}
+        for k, axis in enumerate('xyz')] for field, row in zip(uniform, weights) if field.name}
 
 
 class _Tangents:
@@ -242,10 +242,10 @@ class _Tangents:
         requested[times_ns == motion._end_ns] = self._arrived
         self._arrived = requested[-1:]
         groups = requested.reshape(len(times_ns), len(has_constants), tangents.SIZE, LANES)
-        found = groups.swapaxes(1, 2).reshape(len(times_ns), tangents.SIZE,
-                                              has_constants.size * LANES)
+        columns = groups.swapaxes(1, 2).reshape(len(times_ns), tangents.SIZE,
+                                                has_constants.size * LANES)
         return (motion_layout.attitude(states), motion_layout.angular_velocity(states),
-                found[..., :len(seeds[_START])])
+                columns[..., :len(seeds[_START])])
 
     def _forcing(self, rows: Rows) -> tangents.Forcing:
         """Return the derivatives of the torques of rows, from the first group that has any."""
@@ -298,11 +298,11 @@ def _in_lanes(values: Floats) -> Floats:
 def _with_terms(rows: Rows) -> Rows:
     """Return the rows with torques on rotors and in space axes, and with lags."""
     none = np.zeros((len(rows.times_ns), rows.torques.shape[1] // 2 + 1, 3))
-    found = rows.terms or Terms(np.zeros((1, 2, 3)))
-    return rows._replace(terms=found._replace(
-        motors=none if found.motors is None else found.motors,
-        space=none if found.space is None else found.space,
-        lags=found.lags or no_lags(len(none))))
+    terms = rows.terms or Terms(np.zeros((1, 2, 3)))
+    return rows._replace(terms=terms._replace(
+        motors=none if terms.motors is None else terms.motors,
+        space=none if terms.space is None else terms.space,
+        lags=terms.lags or no_lags(len(none))))
 
 
 def _packed(rows: Rows) -> Rows:

@@ -61,7 +61,7 @@ def forcing(rows: Rows, lagging: LaggingSources | None, bias: Floats,
         delayed[:, :, :-1] = -torques[:, :, 1:]
         moving = slopes = excess
         if lagging:
-            moving, slopes = (np.moveaxis(found, 2, 1) for found in (
+            moving, slopes = (np.moveaxis(torque, 2, 1) for torque in (
                 lagging.moving_excess(rows.times_ns), lagging.slopes(rows.times_ns)))
         vectors += np.multiply.outer(seeds[:, DELAY], _joined(
             axes, delayed, moving / constants[:, None]))
@@ -74,8 +74,8 @@ def forcing(rows: Rows, lagging: LaggingSources | None, bias: Floats,
 def _joined(axes: int, torques: Floats, first: Floats, second: Floats | None = None) -> Floats:
     """Return polynomials and decaying torques as vectors in some axes, shape (n, v, 3)."""
     pairs = np.stack([first, np.zeros_like(first) if second is None else second], axis=3)
-    found = np.concatenate([torques, pairs.reshape(*pairs.shape[:2], -1, 3)], axis=2)[:, :axes]
-    return found.reshape(len(found), -1, 3)
+    series = np.concatenate([torques, pairs.reshape(*pairs.shape[:2], -1, 3)], axis=2)[:, :axes]
+    return series.reshape(len(series), -1, 3)
 
 
 def _links(axes: int, count: int, rates: Floats) -> Floats:

@@ -73,10 +73,10 @@ class MotionInputs:
         self.body, self.start, self.options = body, start, options
         self.wheels: TorqueLog | None = None
         self.actuators: tuple[Actuator | None, ...] = ()
-        given = torque_logs(log)
-        self.logs = self.acting_logs = tuple([each for each in given if len(each)])
-        if self._actuator and given:
-            self._set_actuators(given)
+        sources = torque_logs(log)
+        self.logs = self.acting_logs = tuple([source for source in sources if len(source)])
+        if self._actuator and sources:
+            self._set_actuators(sources)
         if isinstance(wheels, TorqueLog):
             self.wheels = wheels if len(wheels) else None
             if wheels.in_space.any():
@@ -89,21 +89,21 @@ class MotionInputs:
         if self.named_wheels or self.efforts:
             check_named(self.named_wheels, self.efforts, self.fields)
         is_damped = body.is_damped or (
-            self.changes is not None and any(each.is_damped for each in self.changes.bodies))
+            self.changes is not None and any(after.is_damped for after in self.changes.bodies))
         options.check_terms(is_damped, self.has_rotors, bool(self.fields), self.has_friction)
         if not options.record.takes_torque:
-            for each in self.sources:
-                options.check_torque_free(each)
+            for source in self.sources:
+                options.check_torque_free(source)
 
-    def _set_actuators(self, given: Sequence[TorqueLog]) -> None:
-        found = actuators_of(self._actuator, len(given))
-        kept = tuple([each for each, log in zip(found, given) if len(log)])
+    def _set_actuators(self, sources: Sequence[TorqueLog]) -> None:
+        actuators = actuators_of(self._actuator, len(sources))
+        kept = tuple([actuator for actuator, log in zip(actuators, sources) if len(log)])
         if not isinstance(self._actuator, Actuator):
             self._actuator = kept
         if any(kept):
             self.actuators = kept
-            self.acting_logs = tuple([each.acting(log) if each else log
-                                      for each, log in zip(kept, self.logs)])
+            self.acting_logs = tuple([actuator.acting(log) if actuator else log
+                                      for actuator, log in zip(kept, self.logs)])
 
     def lagging(self) -> LaggingSources | None:
         """Return the sources that lag; None if no source lags."""
@@ -197,8 +197,8 @@ class MotionInputs:
 
         """
         begin_ns = start.time_ns - memory_ns
-        reach_ns = [one.delay_ns + one.expiry_ns if one else 0 for one in self.actuators] \
-            or [0] * len(self.logs)
+        reach_ns = [actuator.delay_ns + actuator.expiry_ns if actuator else 0
+                    for actuator in self.actuators] or [0] * len(self.logs)
         return self.replaced(start=start,
                              log=[log.between(begin_ns - before_ns, end_ns)
                                   for log, before_ns in zip(self.logs, reach_ns)],
@@ -258,8 +258,8 @@ class MotionInputs:
             else np.zeros(len(times_ns), int)
         for k, body in enumerate(bodies):
             rows = np.flatnonzero(in_force == k)
-            for one in self.fields:
-                total[rows] += one.torque(body, times_ns[rows], attitude[rows])
+            for field in self.fields:
+                total[rows] += field.torque(body, times_ns[rows], attitude[rows])
         return total
 
     def biased(self: Same, torque: Floats, end_ns: int) -> Same:

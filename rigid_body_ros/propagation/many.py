@@ -140,7 +140,7 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
 
     """
     options = validated(solver, tolerance, max_step, torque_timeout)
-    if not isinstance(wheels, TorqueLog) and any(isinstance(one, Wheel) for one in wheels or ()):
+    if not isinstance(wheels, TorqueLog) and any(isinstance(wheel, Wheel) for wheel in wheels or ()):
         raise ValueError('wheels: expected torques on the rotors, found named wheels, which '
                          'only propagate computes')
     runs = _Runs(bodies, starts, at, options, _of_runs(fields, starts))
@@ -154,7 +154,7 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
             runs.advance(problem, which, gains)
             continue
         for row in which.tolist():
-            scaled = [one.with_torques(gains[row] * one.torques) for one in problem.logs]
+            scaled = [each.with_torques(gains[row] * each.torques) for each in problem.logs]
             runs.advance(problem.replaced(log=scaled), np.array([row]))
     return runs.trajectories()
 
@@ -175,14 +175,14 @@ def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
                          f'found {len(fields)}')
     else:
         of_each = list(fields)
-    rows = [packed(beginning_at(each, begin_ns)) for each, begin_ns in zip(of_each, begins_ns)]
+    rows = [packed(beginning_at(of_run, begin_ns)) for of_run, begin_ns in zip(of_each, begins_ns)]
     if all(row is None for row in rows):
         return None
-    found = [row for row in rows if row is not None]
-    if len(found) < len(rows):
+    filled = [row for row in rows if row is not None]
+    if len(filled) < len(rows):
         raise ValueError('fields: expected fields for each run or for none, found '
-                         f'{len(rows) - len(found)} runs without')
-    result = np.concatenate(found)
+                         f'{len(rows) - len(filled)} runs without')
+    result = np.concatenate(filled)
     result.flags.writeable = False
     return result
 
@@ -203,10 +203,10 @@ def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
 
 def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
     """Return the indices of each key, ordered by the first appearance of the keys."""
-    found: dict[Hashable, list[int]] = {}
+    groups: dict[Hashable, list[int]] = {}
     for row, key in enumerate(keys):
-        found.setdefault(key, []).append(row)
-    return [np.array(rows) for rows in found.values()]
+        groups.setdefault(key, []).append(row)
+    return [np.array(rows) for rows in groups.values()]
 
 
 def _can_scale(problem: Problem, gains: Floats) -> bool:
@@ -248,7 +248,8 @@ class _Runs:
                             fields is not None)
         self._bodies, self._options, self._fields = bodies, options, fields
         self._order = layout.IN_ORDER if ascends else np.argsort(self._times_ns, kind='stable')
-        self._messages = [one or other for one, other in zip(bodies.messages, starts.messages)]
+        self._messages = [of_body or of_start for of_body, of_start in zip(bodies.messages,
+                                                                     starts.messages)]
         count = len(bodies)
         self._progress = np.zeros(count, layout.PROGRESS)
         self._progress['grid'] = self._progress['begin'] = starts._packed

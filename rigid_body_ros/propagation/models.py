@@ -77,9 +77,9 @@ class SolverUsage(NamedTuple):
                 return Model(EXACT.name, start_ns, end_ns,
                              f'auto: coast of a body that is {_with_article(body.symmetry)}, '
                              'in closed form from its beginning')
-            terms = [name for name, found in (('rotors', self.timeline.has_rotors),
-                                              ('damping', body.is_damped),
-                                              ('fields', self.timeline.has_fields)) if found]
+            terms = [name for name, acts in (('rotors', self.timeline.has_rotors),
+                                             ('damping', body.is_damped),
+                                             ('fields', self.timeline.has_fields)) if acts]
             if terms:
                 return Model(TAYLOR.name, start_ns, end_ns,
                              f'auto: no closed form with {" and ".join(terms)}, truncated below '

@@ -52,16 +52,16 @@ def origin_of(start: State, rule: Hashable) -> Origin:
     If the state was computed under the same rule, the function returns the grid from which the
     state was computed. Otherwise it returns a new grid that begins at the state.
     """
-    found = start._origin
-    if isinstance(found, Origin) and found.rule == rule:
-        return found
+    origin = start._origin
+    if isinstance(origin, Origin) and origin.rule == rule:
+        return origin
     return Origin(rule, start.time_ns, start._packed, start.time_ns, start._packed, start._rotors)
 
 
 def rest_ns_of(start: State) -> int:
     """Return the time, ns, at which lagging torques are zero in a motion from `start`."""
-    found = start._origin
-    rest_ns = found.rest_ns if isinstance(found, Origin) else None
+    origin = start._origin
+    rest_ns = origin.rest_ns if isinstance(origin, Origin) else None
     return start.time_ns if rest_ns is None else rest_ns
 
 

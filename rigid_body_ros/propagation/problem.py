@@ -133,7 +133,7 @@ class Problem(MotionInputs):
         if not self.named_wheels:
             return self
         if self.has_friction:
-            found = ', '.join(one.name for one in self.named_wheels.wheels if one.friction)
+            found = ', '.join(wheel.name for wheel in self.named_wheels.wheels if wheel.friction)
             raise ValueError('wheels: expected none with friction, which only a propagation '
                              f'computes, found {found}')
         carrier, changes = self.named_wheels.carrier, self.changes

@@ -117,8 +117,8 @@ class Propagator:
     def bodies_since(self, time_ns: int) -> list[NewBody]:
         """Return the body at a time and all later bodies, except the first body of the motion."""
         index = max(self._history.index_of(time_ns), 0)
-        found = dict.fromkeys(change.body for change in self._history.changes[index:])
-        return [body for body in found if body.stamp_ns != -NEVER_NS]
+        bodies = dict.fromkeys(change.body for change in self._history.changes[index:])
+        return [body for body in bodies if body.stamp_ns != -NEVER_NS]
 
     def stamps(self, after_ns: int, until_ns: int) -> list[int]:
         """
@@ -130,8 +130,8 @@ class Propagator:
         changes = self._history.between(after_ns, until_ns + delay_ns)
         if not delay_ns:
             return [change.time_ns for change in changes]
-        found = {stamp_ns for change in changes for stamp_ns in change.stamps_ns}
-        return sorted(stamp_ns for stamp_ns in found if after_ns < stamp_ns <= until_ns)
+        stamps_ns = {stamp_ns for change in changes for stamp_ns in change.stamps_ns}
+        return sorted(stamp_ns for stamp_ns in stamps_ns if after_ns < stamp_ns <= until_ns)
 
     def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
         """Return all torques in force at a given time or later, as pairs of source and sample."""
@@ -156,13 +156,13 @@ class Propagator:
         The result is sorted by stamp, ns. Each stamp comes with a mapping of wheel names to
         efforts, N m, in the form that `apply_efforts` accepts.
         """
-        index, found = max(self._history.index_of(time_ns), 0), dict[int, dict[str, float]]()
+        index, commands = max(self._history.index_of(time_ns), 0), dict[int, dict[str, float]]()
         for change in self._history.changes[index:]:
             for name, stamp_ns, effort in zip(self._wheels.names if self._wheels else (),
                                               *change.commands):
                 if stamp_ns != -NEVER_NS:
-                    found.setdefault(stamp_ns, {})[name] = effort
-        return sorted(found.items())
+                    commands.setdefault(stamp_ns, {})[name] = effort
+        return sorted(commands.items())
 
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body',
               source: int = 0) -> bool:
@@ -392,11 +392,11 @@ class Propagator:
         return values
 
     def _checked_time(self, time_ns: int) -> int:
-        found = instant(time_ns)
-        if abs(found - self._start_ns) >= NEVER_NS:
+        checked_ns = instant(time_ns)
+        if abs(checked_ns - self._start_ns) >= NEVER_NS:
             raise ValueError('time_ns: expected a time within 292 years of the start '
-                             f'({self._start_ns} ns), found {found} ns')
-        return found
+                             f'({self._start_ns} ns), found {checked_ns} ns')
+        return checked_ns
 
     def _apply(self, time_ns: int, source: int, torque: Floats, in_space: bool) -> bool:
         index = self._history.inserted(time_ns, self._acting.delay_ns(source))

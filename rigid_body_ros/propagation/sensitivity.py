@@ -68,14 +68,14 @@ def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     kinds = [{'tensors'}, {'tensors', 'start'}]
     if problem.has_torque:
         kinds = [{'tensors'}, {'torques'}, {'tensors', 'start', 'torques'}]
-    found = []
+    errors = []
     for kind in kinds * _ROUNDS:
         try:
             motion = _changed_problem(problem, kind, random).propagate(at=at)
         except ValueError:
             continue
-        found.append(float(so3.angle_between(motion.attitude, attitude).max()))
-    return max(found, default=0.0)
+        errors.append(float(so3.angle_between(motion.attitude, attitude).max()))
+    return max(errors, default=0.0)
 
 
 def _changed_problem(problem: Problem, kinds: Collection[str],

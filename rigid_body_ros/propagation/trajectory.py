@@ -156,13 +156,13 @@ class Trajectory:
     @cached_property
     def models(self) -> tuple[Model, ...]:
         """Return which solver computed each span of the motion, and why."""
-        found = list[Model]()
+        spans = list[Model]()
         for before, part in zip((None, *self._parts), self._parts):
             models = part.models()
-            if before and before.body is part.body and found[-1][::3] == models[0][::3]:
-                models = (found.pop()._replace(end_ns=models[0].end_ns), *models[1:])
-            found.extend(models)
-        return tuple(found)
+            if before and before.body is part.body and spans[-1][::3] == models[0][::3]:
+                models = (spans.pop()._replace(end_ns=models[0].end_ns), *models[1:])
+            spans.extend(models)
+        return tuple(spans)
 
     @cached_property
     def rotor_momentum(self) -> Floats:
@@ -190,8 +190,8 @@ class Trajectory:
     def _axial(self, wheels: WheelTimeline, rows: Any) -> Floats:
         """Return the axial momenta of the wheels of a part, N m s, shape (n, wheels)."""
         if wheels.wheels.has_friction:
-            found = np.empty((0, len(wheels.wheels))) if self._momenta is None else self._momenta
-            return found[:self.times_ns.size][rows]
+            momenta = np.empty((0, len(wheels.wheels))) if self._momenta is None else self._momenta
+            return momenta[:self.times_ns.size][rows]
         return wheels.momenta(self.times_ns[rows])[:, 0]
 
     @cached_property
@@ -225,9 +225,9 @@ class Trajectory:
             return value(self._parts[0], slice(None))
         begins_ns = [part.start_ns for part in self._parts[1:]]
         of_row = np.searchsorted(begins_ns, self.times_ns, 'right')
-        found = [value(part, of_row == k) for k, part in enumerate(self._parts)]
-        result = np.empty((self.times_ns.size, *found[0].shape[1:]))
-        for k, rows in enumerate(found):
+        values = [value(part, of_row == k) for k, part in enumerate(self._parts)]
+        result = np.empty((self.times_ns.size, *values[0].shape[1:]))
+        for k, rows in enumerate(values):
             result[of_row == k] = rows
         return result
 
