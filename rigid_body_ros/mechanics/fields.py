@@ -236,10 +236,9 @@ def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
     result['count'] = len(moments)
     result['moments'][0, :moments.size] = moments.ravel()
     result['fields'][0, :moments.size] = directions.ravel()
-    for field in fields:
-        if isinstance(field, GravityGradient):
-            for name in ('mean_motion', 'position', 'along', 'time_ns'):
-                result[name] = getattr(field, name)
+    for orbit in (each for each in fields if isinstance(each, GravityGradient)):
+        for name in ('mean_motion', 'position', 'along', 'time_ns'):
+            result[name] = getattr(orbit, name)
     result.flags.writeable = False
     return result
 

@@ -109,7 +109,7 @@ def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
     delay and lag do not change.
     """
     # Tangents with torques come last, because others have no derivatives of the torques.
-    components = sorted(_components(problem, names), key=lambda component: component.part == _TORQUES)
+    components = sorted(_components(problem, names), key=lambda each: each.part == _TORQUES)
     wheels = problem.named_wheels
     if problem.has_friction or (wheels and wheels.is_limited):
         raise ValueError('derivatives: expected a problem without wheels with friction or a '

@@ -140,7 +140,8 @@ def propagate_many(bodies: RigidBodies, starts: States, log: LogsOfRuns = None, 
 
     """
     options = validated(solver, tolerance, max_step, torque_timeout)
-    if not isinstance(wheels, TorqueLog) and any(isinstance(wheel, Wheel) for wheel in wheels or ()):
+    if not isinstance(wheels, TorqueLog) and any(
+            isinstance(wheel, Wheel) for wheel in wheels or ()):
         raise ValueError('wheels: expected torques on the rotors, found named wheels, which '
                          'only propagate computes')
     runs = _Runs(bodies, starts, at, options, _of_runs(fields, starts))
