@@ -31,8 +31,11 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np  # noqa: E402
 from rigid_body_ros import Problem, RigidBody, so3, State, TorqueLog  # noqa: E402
-from rigid_body_ros.inference.alarms import ERROR  # noqa: E402
-from rigid_body_ros.inference.monitor import Monitor, Settings  # noqa: E402
+from rigid_body_ros.inference.monitor import (  # noqa: E402
+    ERROR,  # noqa: E402
+    Monitor,
+    Settings,
+)
 from scipy.signal import lfilter  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 

@@ -35,8 +35,7 @@ from rigid_body_ros import (
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.comparison import compare_motion
-from rigid_body_ros.inference.alarms import ERROR
-from rigid_body_ros.inference.monitor import first_suspect, Monitor, Settings
+from rigid_body_ros.inference.monitor import ERROR, first_suspect, Monitor, Settings
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.observed import Measurements

@@ -33,10 +33,9 @@ from rigid_body_ros import (
     Wheel,
 )
 from rigid_body_ros.identification import Experiment, Identification, identify
-from rigid_body_ros.inference.certainty import triangle
-from rigid_body_ros.inference.fit import errors_of
-from rigid_body_ros.inference.inputs import channels_of, setup_of
+from rigid_body_ros.inference.fit import errors_of, triangle
 from rigid_body_ros.inference.parameters import components_of
+from rigid_body_ros.inference.setup import channels_of, setup_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured

@@ -20,8 +20,7 @@ from conftest import at_night, EPOCH_NS, ROOT, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import Actuator, Problem, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.inference.alarms import ERROR
-from rigid_body_ros.inference.monitor import Monitor, monitored, Settings
+from rigid_body_ros.inference.monitor import ERROR, Monitor, monitored, Settings
 from rigid_body_ros.inference.noise import NoiseLevel
 from rigid_body_ros.recording.measured import Measured
 from scipy.signal import lfilter

@@ -18,8 +18,7 @@
 import numpy as np
 import pytest
 from rigid_body_ros import Measured, Problem, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.inference.residual_torque import residual_torque, with_attitude
-from rigid_body_ros.inference.torque_panels import spectrum
+from rigid_body_ros.inference.residual_torque import residual_torque, spectrum, with_attitude
 
 SECOND = 10 ** 9
 BODY = RigidBody.from_moments(0.02, 0.03, 0.04)

@@ -35,7 +35,7 @@ from rigid_body_ros import (
 )
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Estimate, too_wide
-from rigid_body_ros.inference import misfit
+from rigid_body_ros.inference import reasons
 from rigid_body_ros.inference.noise import noise_of, NORMAL_95
 from rigid_body_ros.recording.observed import Measurements
 from scipy.signal import lfilter
@@ -201,7 +201,7 @@ def test_correlated_errors_tell_as_much_as_fewer_independent_ones(coefficient, c
     # The mean of n errors of an autoregression varies as that of n (1 - c) / (1 + c) errors.
     white = np.random.default_rng(0).normal(size=(200_000, 3))
     errors = lfilter([1.0], [1.0, -coefficient], white, axis=0)
-    found = misfit._persistence(errors, np.ones(len(errors), bool))
+    found = reasons._persistence(errors, np.ones(len(errors), bool))
     assert count <= found + 0.02 * count
     assert found < 1.4 * count + 0.6  # the largest of several estimates is somewhat too large
 
@@ -209,7 +209,7 @@ def test_correlated_errors_tell_as_much_as_fewer_independent_ones(coefficient, c
 def test_a_small_error_that_lasts_shows_beside_noise():
     random, seconds = np.random.default_rng(1), np.linspace(0.0, 1.0, 20_000)
     errors = random.normal(size=(20_000, 3)) + 0.3 * np.sin(2.0 * np.pi * seconds)[:, None]
-    assert misfit._persistence(errors, np.ones(20_000, bool)) > 30.0
+    assert reasons._persistence(errors, np.ones(20_000, bool)) > 30.0
 
 
 @pytest.mark.slow

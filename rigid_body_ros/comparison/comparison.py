@@ -31,17 +31,17 @@ from rigid_body_ros.comparison.predictable import predictable_s
 from rigid_body_ros.comparison.result import compared, Comparison
 from rigid_body_ros.inference.align import align as aligned_by
 from rigid_body_ros.inference.align import CLOCK, MOUNT
+from rigid_body_ros.inference.evidence import Suspect
 from rigid_body_ros.inference.findings import Findings, judged, start_suspect
 from rigid_body_ros.inference.guess import LARGEST_OFFSET
 from rigid_body_ros.inference.horizons import horizon, usual_horizons
 from rigid_body_ros.inference.hypotheses import faults_of_samples
-from rigid_body_ros.inference.inputs import setup_of_model
 from rigid_body_ros.inference.monitor import is_checked, monitored, settings_of
 from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
 from rigid_body_ros.inference.parameters import SPACE, split_topic, START
 from rigid_body_ros.inference.residual_torque import residual_torque
-from rigid_body_ros.inference.suspects import Suspect
+from rigid_body_ros.inference.setup import setup_of_model
 from rigid_body_ros.inference.verdict import scored
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State

@@ -24,7 +24,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.result import Comparison, Errors, QUANTITIES, statistics
 from rigid_body_ros.inference.motion import Motion
 from rigid_body_ros.inference.noise import spread_of
-from rigid_body_ros.inference.torque_panels import residual_panels
+from rigid_body_ros.inference.residual_torque import residual_panels
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report import moving_body

@@ -22,9 +22,8 @@ read and write files, and `report` to report the result.
 
 from rigid_body_ros.identification.estimation import Experiment, identify
 from rigid_body_ros.identification.result import Estimate, Identification
-from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.errors import Misfit, Residuals
-from rigid_body_ros.inference.suspects import Suspect
+from rigid_body_ros.inference.evidence import Direction, Suspect
 from rigid_body_ros.inference.verdict import Verdict
 
 __all__ = ['Direction', 'Estimate', 'Experiment', 'Identification', 'Misfit', 'Residuals',

@@ -27,13 +27,12 @@ from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Estimate, Identification, too_wide, without_effect
 from rigid_body_ros.inference import errors
-from rigid_body_ros.inference.certainty import certainty
 from rigid_body_ros.inference.coordinates import checked_priors, GRAVITY
+from rigid_body_ros.inference.evidence import certainty
 from rigid_body_ros.inference.findings import Findings, judged
-from rigid_body_ros.inference.inputs import channels_of, setup_of
+from rigid_body_ros.inference.fit import Solution
 from rigid_body_ros.inference.parameters import checked_names, kind_of, START, WEIGHT
-from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import candidates, extended
+from rigid_body_ros.inference.setup import channels_of, setup_of
 from rigid_body_ros.inference.verdict import tried, with_intervals
 from rigid_body_ros.inference.windows import acted
 from rigid_body_ros.mechanics import so3
@@ -170,7 +169,8 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
     training = [_training(channels, validate) for channels in every]
     setup = setup_of([problem.replaced(body=body) for problem, _ in observed], training, names,
                      attitude_noise, rate_noise, gravity)
-    known = checked_priors(priors or {}, extended(setup, setup.given, candidates(setup)))
+    known = checked_priors(priors or {}, setup.extended(
+        setup.given, setup.candidates()).parameters)
     is_whole = not any(faults_of(one.torques, one.sensors) for _, one in observed)
     findings = judged(replace(setup, parameters=setup.parameters.with_priors(known)), is_whole)
     return _result(findings, every if validate else [], accept, is_whole)

@@ -25,7 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.inference.errors import correlations, Residuals
 from rigid_body_ros.inference.noise import NORMAL_95
-from rigid_body_ros.inference.torque_panels import residual_panels
+from rigid_body_ros.inference.residual_torque import residual_panels
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import matrix, moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel

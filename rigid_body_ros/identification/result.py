@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats, symmetric
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.inference.certainty import Direction
 from rigid_body_ros.inference.coordinates import second_moments
 from rigid_body_ros.inference.errors import Misfit, Residuals, unexplained
+from rigid_body_ros.inference.evidence import Direction
 from rigid_body_ros.inference.noise import NORMAL_95, with_bound
 from rigid_body_ros.inference.residual_torque import residual_torque, ResidualTorque, with_attitude
 from rigid_body_ros.inference.verdict import REJECTED, Verdict

@@ -16,18 +16,17 @@
 Fit models to measurements, and judge them.
 
 `motion` defines what measurements can be compared with. `parameters` is the table of all that can
-be fitted, and `coordinates` its values and charts. `inputs` checks the inputs of a fit, `guess`
-guesses where it begins, and `setup` holds all inputs and divides recordings into `windows`, which
-predict what the sensors measure. `fit` is the least-squares problem of some windows, and
-`growth` solves it in longer and longer windows, and `solution` is the result. `align` is a fit of
-clocks, mountings and the start.
+be fitted, and `coordinates` its values and charts. `guess` guesses where a fit begins. `windows`
+are parts of a recording, and predict what the sensors measure. `setup` checks and holds all inputs
+of a fit, and divides recordings into windows. `fit` is the least-squares problem of some windows
+and its solution, and `growth` solves it in longer and longer windows. `align` is a fit of clocks,
+mountings and the start.
 
-After a fit, `errors` holds what is left and `certainty` what the data does not determine.
-`evidence` linearizes the fit, with its `noise`. `findings` judges the errors: `reasons` tests
-them, `hypotheses` undoes faults of a recording, and `suspects` are parameters that were not
-estimated. `misfit` assesses a model that is a little wrong, and `verdict` says whether the model
-explains the measurements.
+After a fit, `errors` holds what is left. `evidence` linearizes the fit with its `noise`: what does
+the data not determine, and which other parameters explain the errors? `findings` judges the
+errors: `reasons` tests them, and `hypotheses` undoes faults of a recording. `verdict` says whether
+the model explains the measurements.
 
 `residual_torque` is the torque that a model lacks. `horizons` restarts a motion from measured
-states, and `monitor`, with `window_error` and `alarms`, does so while messages arrive.
+states, and `monitor`, with `window_error`, does so while messages arrive.
 """

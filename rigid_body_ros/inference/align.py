@@ -23,14 +23,13 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.inference.certainty import certainty
-from rigid_body_ros.inference.evidence import own_noises, weighted
+from rigid_body_ros.inference.evidence import certainty, own_noises, weighted
+from rigid_body_ros.inference.fit import Solution
 from rigid_body_ros.inference.growth import solved_whole
 from rigid_body_ros.inference.guess import guess, IDENTITY
-from rigid_body_ros.inference.inputs import setup_of_sensors
 from rigid_body_ros.inference.motion import apart, inside, Motion, Recorded
 from rigid_body_ros.inference.parameters import SPACE, START
-from rigid_body_ros.inference.solution import Solution
+from rigid_body_ros.inference.setup import setup_of_sensors
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording.measured import Measured

@@ -24,10 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.fit import errors_of
-from rigid_body_ros.inference.sensors import corrected
-from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.windows import Window
+from rigid_body_ros.inference.fit import errors_of, Solution
+from rigid_body_ros.inference.noise import rms
+from rigid_body_ros.inference.windows import corrected, Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
@@ -123,11 +122,6 @@ def unexplained(parts: Sequence[Residuals]) -> tuple[str, float]:
         return f'{size:.2g} rad of the attitude', size
     part = size / max(whole, 1e-12)
     return f'{100.0 * part:.2g} % of the angular velocity', part
-
-
-def rms(vectors: Floats) -> float:
-    """Return the root-mean-square length of some vectors, or 0 if there are none."""
-    return float(np.sqrt(np.mean(np.sum(vectors ** 2, axis=1)))) if len(vectors) else 0.0
 
 
 @dataclass(frozen=True)

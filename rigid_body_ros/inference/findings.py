@@ -34,20 +34,28 @@ from rigid_body_ros.inference.evidence import (
     Linearized,
     noises,
     solved,
+    Suspect,
     weighted,
     widened,
     with_noise,
 )
-from rigid_body_ros.inference.fit import LeastSquares
+from rigid_body_ros.inference.fit import LeastSquares, Solution
 from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
-from rigid_body_ros.inference.misfit import at_rest, left_by, scattered, with_persistence
 from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise, SMALLEST, tail
 from rigid_body_ros.inference.parameters import components_of
-from rigid_body_ros.inference.reasons import halves, MISFIT, probability, Reason, tests_of
+from rigid_body_ros.inference.reasons import (
+    at_rest,
+    halves,
+    left_by,
+    MISFIT,
+    probability,
+    Reason,
+    scattered,
+    tests_of,
+    with_persistence,
+)
 from rigid_body_ros.inference.setup import Setup
-from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import candidates, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
 
@@ -152,7 +160,7 @@ def examined(solution: Solution) -> Findings:
     setup = solution.problem.setup
     if _is_rounding(solution):
         return Findings(solution, solution, [], [], {}, [])
-    names, known = candidates(setup), setup.parameters.names
+    names, known = setup.candidates(), setup.parameters.names
     problem = widened(solution, names)
     found, before = noises(problem), solution
     solution = weighted(solution, found) if setup.most else with_noise(solution, found)

@@ -33,14 +33,20 @@ from itertools import pairwise
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
-from rigid_body_ros.inference.errors import rms
-from rigid_body_ros.inference.fit import errors_of, LeastSquares, Weights
+from rigid_body_ros.inference.fit import (
+    errors_of,
+    LeastSquares,
+    median_size,
+    ROUNDING,
+    Solution,
+    solution_of,
+    Weights,
+)
 from rigid_body_ros.inference.guess import local_state
+from rigid_body_ros.inference.noise import rms
 from rigid_body_ros.inference.parameters import LONGEST_DELAY
-from rigid_body_ros.inference.sensors import corrected
 from rigid_body_ros.inference.setup import Setup
-from rigid_body_ros.inference.solution import median_size, ROUNDING, Solution, solution_of
-from rigid_body_ros.inference.windows import Window
+from rigid_body_ros.inference.windows import corrected, Window
 from rigid_body_ros.mechanics.states import Poses
 
 #: The first fit may have ended in the wrong minimum if adjacent errors have a correlation above

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.inference.alarms import Judgement
+from rigid_body_ros.inference.monitor import Judgement
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State

@@ -32,14 +32,14 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.errors import of_training, Residuals
+from rigid_body_ros.inference.evidence import Suspect
+from rigid_body_ros.inference.fit import Solution
 from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
 from rigid_body_ros.inference.guess import davenport, guess, IDENTITY, kabsch
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.noise import FEWEST, spread_of, tail
 from rigid_body_ros.inference.residual_torque import interpolated, measured_rates, residual_torque
 from rigid_body_ros.inference.setup import Setup
-from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import extended, Suspect
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.measured import Measured
@@ -230,7 +230,7 @@ def _best_swap(vectors: Floats, targets: Floats, known: Floats | None = None) ->
 
 
 def _of_torques(setup: Setup) -> Iterator[_Hypothesis]:
-    logs = [log for problem in setup.problems for log in problem.logs if log.torques.any()]
+    logs = [log for log in setup.logs if log.torques.any()]
     if not logs:
         return
     name, text = ('torque_in_body', 'the torque is in body axes, not in space axes') \
@@ -268,8 +268,8 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[_Hypoth
                 continue
             value, text = (np.array([offset]), _clock_text(offset, setup)) if clock else (
                 so3.log(turn), f'the sensor is turned by {_turn_text(turn)}')
-            wider = extended(setup, parameters.guess.with_value(full, value), [full])
-            yield full, f'{topic}: {text}', replace(setup, parameters=wider)
+            yield full, f'{topic}: {text}', setup.extended(
+                parameters.guess.with_value(full, value), [full])
 
 
 def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:

@@ -100,6 +100,11 @@ def tail(square: float, count: int) -> float:
     return float(chdtrc(count, square)) if count else 1.0
 
 
+def rms(vectors: Floats) -> float:
+    """Return the root-mean-square length of some vectors, or 0 if there are none."""
+    return float(np.sqrt(np.mean(np.sum(vectors ** 2, axis=1)))) if len(vectors) else 0.0
+
+
 def batches_of(left: Floats, size: int) -> Floats:
     """
     Divide errors into n batches, and return two statistics of each batch, shape (2, n, 3).

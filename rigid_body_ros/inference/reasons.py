@@ -12,7 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Test the errors of a fit for reasons against its model."""
+"""
+Test the errors of a fit for reasons against its model, which may be a little wrong.
+
+What the model of a real robot leaves unexplained is no noise: its errors last. Estimates are
+therefore less certain than the number of samples suggests. Several recordings tell best how
+certain they are.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +27,24 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.inference.errors import of_training, rms
+from rigid_body_ros.inference.errors import correlations, of_training, Residuals, unexplained
 from rigid_body_ros.inference.evidence import explained, linear, solved, split_channels, widened
-from rigid_body_ros.inference.noise import ALARM, batches_of, chance, come_together, FEWEST, Noise
-from rigid_body_ros.inference.solution import Solution
+from rigid_body_ros.inference.fit import Solution
+from rigid_body_ros.inference.guess import davenport
+from rigid_body_ros.inference.noise import (
+    ALARM,
+    batches_of,
+    chance,
+    come_together,
+    FEWEST,
+    Noise,
+    NORMAL_95,
+    rms,
+)
+from rigid_body_ros.inference.parameters import is_of_sensor
+from rigid_body_ros.mechanics import so3
 
 #: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0
@@ -39,6 +58,21 @@ _NOISIEST_RATE = 0.3
 _NOISIER = 4.0
 #: Largest plausible fraction of outliers among the samples of a sensor.
 _MOST_OUTLIERS = 0.3
+#: At least one in so many independent errors counts as a degree of freedom that is left.
+_FEW = 4.0
+#: Numbers of parts of a recording whose means are compared.
+_BATCHES = 8, 16, 32, 64
+#: Minimum number of recordings whose scatter says how certain an estimate is.
+_RECORDINGS = 3
+#: A recording does not fit the others if it differs by more than this many times what the others
+#: scatter. A recording is held by this part of the mean information.
+_APART, _HELD = 6.0, 0.05
+#: A body is at rest if it turns by less than this (rms, rad), if its mean angular velocity is at
+#: most the bias of a gyro (rad/s), and if a fit leaves this part of the measurements unexplained.
+#: Without fitted parameters, the errors must be so many times as large.
+_STILL, _BIAS, _LEFT, _LARGER = 0.1, 0.05, 0.8, 10.0
+#: Probability below the upper end of a 95 % interval.
+_QUANTILE = 0.975
 
 
 class Reason(NamedTuple):
@@ -159,3 +193,134 @@ def _of_correlation(solution: Solution, found: list[list[Noise]]) -> Iterator[Re
 def probability(p: float) -> str:
     """Format a probability as text."""
     return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
+
+
+def with_persistence(solution: Solution, found: list[list[Noise]]) -> Solution:
+    """
+    Return a fit whose weights account for the correlation of the errors, however long it lasts.
+
+    If errors are independent only n samples apart, n samples tell as much as one. The number of
+    unknowns is subtracted from the number of independent errors.
+    """
+    times = persistence(solution)
+    effective = sum(3.0 * float(inliers.sum()) / time for every, kept in zip(
+        times, solution.inliers) for time, inliers in zip(every, kept))
+    free = max(effective - solution.problem.size, effective / _FEW)
+    share = effective / free * _student(free) ** 2
+    spreads = [[spread * max(np.sqrt(time * share) / noise.lasting, 1.0)
+                for spread, time, noise in zip(*every)]
+               for every in zip(solution.weights.spreads, times, found)]
+    return solution.with_spreads(spreads)
+
+
+def persistence(solution: Solution) -> list[list[float]]:
+    """Return how many samples tell as much as one, for each channel of each recording."""
+    return [[_persistence(*pair) for pair in zip(*every)]
+            for every in zip(solution.errors, solution.inliers)]
+
+
+def _student(freedom: float) -> float:
+    """Return the 95 % quantile of Student's distribution divided by that of the normal one."""
+    from scipy.special import stdtrit
+    return float(stdtrit(max(freedom, 1.0), _QUANTILE)) / NORMAL_95
+
+
+def _persistence(errors: Floats, inliers: NDArray[np.bool_]) -> float:
+    """
+    Return how many samples tell as much as one sample with an independent error.
+
+    This is the sum of the autocorrelation up to its first zero. Noise hides a small error that
+    lasts from this sum, but not from the scatter of the means of many samples.
+    """
+    kept = inliers & np.isfinite(errors[:, 0])
+    errors = np.where(kept[:, None], errors, 0.0)
+    found = correlations(errors, kept).mean(axis=1)
+    ends = np.flatnonzero(found <= 0.0)
+    times = [float(1.0 + 2.0 * np.sum(found[1:ends[0] if len(ends) else None]))]
+    for count in _BATCHES:
+        means, squares = batches_of(errors, max(len(errors) // count, 1))
+        times.append(float(means.sum() / max(squares.sum(), 1e-300)))
+    return max(times)
+
+
+def left_by(solution: Solution) -> Iterator[tuple[str, float]]:
+    """Generate a text and a number for each quantity, which say what the model cannot explain."""
+    quantities: dict[tuple[str, bool], list[Residuals]] = {}
+    for one in of_training(solution):
+        quantities.setdefault((one.topic, one.is_attitude), []).append(one)
+    for parts in quantities.values():
+        what, part = unexplained(parts)
+        yield f'{parts[0].topic}: the model leaves {what} unexplained (rms)', part
+
+
+def at_rest(solution: Solution) -> str:
+    """Return why a recorded body that does not move says nothing about a model; '' if it moves."""
+    setup = solution.problem.setup
+    fits_motion = not all(map(is_of_sensor, setup.parameters.groups))
+    # A quantity without samples shows nothing.
+    quantities = [one for one in of_training(solution) if one.inliers.any()]
+    if not setup.is_computed or any(_turns(one) or _is_explained(one, fits_motion)
+                                    for one in quantities):
+        return ''
+    acts = any(log.torques.any() for log in setup.logs)
+    return 'the body does not visibly move: ' + (
+        'the logged torque has no visible effect' if acts else 'this says nothing about it')
+
+
+def _turns(one: Residuals) -> bool:
+    """Return whether a quantity shows that the body turns by more than noise and a gyro's bias."""
+    turned = _about_mean(one)
+    if not one.is_attitude:
+        seconds = 1e-9 * np.diff(one.kept_ns, prepend=one.kept_ns[0])
+        turned = np.cumsum(seconds[:, None] * turned, axis=0)
+        # The integral is about the mean: it hides a steady rotation, which no bias explains.
+        if rms(one.measured[one.inliers].mean(axis=0)[None]) > _BIAS:
+            return True
+    return rms(turned) > _STILL
+
+
+def _is_explained(one: Residuals, fits_motion: bool) -> bool:
+    """Return whether the model explains a quantity better than a constant does."""
+    left, size = rms(one.kept), rms(_about_mean(one))
+    # If nothing is fitted to the motion, a model that is right leaves the noise about the mean.
+    return left < (np.sqrt(_LEFT) if fits_motion else _LARGER) * size or not (left or fits_motion)
+
+
+def _about_mean(one: Residuals) -> Floats:
+    """Return a measured quantity relative to its mean, as rotation vectors or rates."""
+    values = one.measured[one.inliers]
+    return so3.log(so3.multiply(so3.conjugate(davenport(values)), values)) if one.is_attitude \
+        else values - values.mean(axis=0)
+
+
+def scattered(solution: Solution) -> tuple[list[str], dict[str, float]]:
+    """
+    Return how certain the estimates are, judged by the scatter between the recordings.
+
+    The first result names the recordings that do not fit the others. The second result holds a
+    standard deviation for each shared component: that of a normal variable with the same 95 %
+    interval as Student's distribution for that many recordings. Both are empty if there are fewer
+    than three recordings.
+
+    From the joint estimates, each recording alone would move by -A^-1 g, where A is its
+    information matrix and g its gradient (a Gauss-Newton step). What a recording hardly determines
+    is held by a small part of the information of all. All recordings count alike, because one that
+    disagrees only seems to be noisy.
+    """
+    setup = solution.problem.setup
+    count, size = len(setup.problems), setup.parameters.size
+    if count < _RECORDINGS or not size:
+        return [], {}
+    problem = widened(solution)
+    given = linear(problem)
+    matrices, gradients = np.zeros((count, size, size)), np.zeros((count, size, 1))
+    for window, block in zip(problem.windows, given.blocks):
+        matrices[window.experiment] += block[:, :-1].T @ block[:, :-1]
+        gradients[window.experiment] += block[:, :-1].T @ block[:, -1:]
+    squares = np.linalg.solve(matrices + _HELD * matrices.mean(axis=0), gradients)[:, :, 0] ** 2
+    sizes = _student(count - 1) * np.sqrt(squares.sum(axis=0) / (count * (count - 1)))
+    others = (squares.sum(axis=0) - squares) / (count - 1)
+    ratios = np.sqrt(np.max(squares / np.maximum(others, 1e-300), axis=1))
+    texts = [f'recording {k + 1} does not fit the others: alone, it differs {ratios[k]:.2g} '
+             'times as much as they do' for k in np.flatnonzero(ratios > _APART)]
+    return texts, dict(zip(given.names, (sizes * problem.parameters.scales).tolist()))

@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decide whether a model explains the measurements, is only approximate, or is rejected."""
+"""
+Decide whether a model explains the measurements, is only approximate, or is rejected.
+
+The fit is repeated with parameters that it did not estimate before, the suspects.
+"""
 
 from __future__ import annotations
 
@@ -24,21 +28,17 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.errors import listed
+from rigid_body_ros.inference.coordinates import Parameters, Prior, SHORT_LAG
 from rigid_body_ros.inference.errors import Misfit, of_validation
+from rigid_body_ros.inference.evidence import Suspect
 from rigid_body_ros.inference.findings import Findings, INERTIA_CHANGE, LARGE
-from rigid_body_ros.inference.misfit import persistence
+from rigid_body_ros.inference.fit import LeastSquares, Solution, Weights
+from rigid_body_ros.inference.growth import COARSE, fitted
 from rigid_body_ros.inference.noise import ALARM, tail
 from rigid_body_ros.inference.parameters import KINDS, split_topic, START
-from rigid_body_ros.inference.reasons import probability
-from rigid_body_ros.inference.solution import Solution
-from rigid_body_ros.inference.suspects import (
-    candidates,
-    command_with,
-    sum_of_squares,
-    Suspect,
-    value_of,
-    with_suspect,
-)
+from rigid_body_ros.inference.reasons import persistence, probability
+from rigid_body_ros.inference.setup import Setup
+from rigid_body_ros.inference.windows import topics_of
 from rigid_body_ros.recording.measured import Measured
 
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
@@ -131,7 +131,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     names = [*chances][:_TRIED]
     is_bad_fit = findings.reasons and findings.noises and not any(
         one.text and one.name != INERTIA_CHANGE for one in findings.suspects)
-    if is_bad_fit and 'inertia' in candidates(setup) and 'inertia' not in names:
+    if is_bad_fit and 'inertia' in setup.candidates() and 'inertia' not in names:
         names.append('inertia')  # always try it: the guess may be too poor for a score test
     if not names:
         return []
@@ -250,3 +250,55 @@ def _words(suspects: Sequence[Suspect]) -> str:
              and one.name != INERTIA_CHANGE]
     text = f'{best.name} would explain more ({probability(best.p)})'
     return f'{text}, and {listed(alike)} about as much' if alike else text
+
+
+def with_suspect(solution: Solution, name: str) -> Solution:
+    """Repeat a fit with a suspect as an additional parameter."""
+    setup = solution.problem.setup
+    groups = setup.parameters.groups
+    physics = solution.physics
+    if name == 'torque_lag':
+        physics = physics.with_value(name, np.array([SHORT_LAG]))
+    if name == 'torque_gains' and 'torque_gain' in groups:
+        physics = physics.with_value(name, np.full(3, physics.number('torque_gain')))
+        physics = physics.with_value('torque_gain', np.ones(1))
+        setup = replace(setup, parameters=Parameters(
+            [group for group in groups if group != 'torque_gain'], physics,
+            setup.parameters.magnitudes, setup.parameters.priors))
+    wider = setup.extended(physics, [name])
+    parameters = wider.parameters
+    sizes = zip(parameters.names, parameters.values(parameters.guess), parameters.plausible)
+    own = {one: Prior(float(value), float(size)) for one, value, size in sizes
+           if one not in setup.parameters.names}
+    wider = replace(wider, parameters=parameters.with_priors({**parameters.priors, **own}))
+    old = solution.problem
+    problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
+    start = replace(solution, problem=problem, physics=wider.parameters.guess)
+    return fitted(start, solution.length_ns, *COARSE[1:], is_last=True)
+
+
+def sum_of_squares(solution: Solution, weights: Weights) -> float:
+    """Return the sum of squares of errors and priors, each in its standard deviations."""
+    problem = solution.problem.weighted(weights)
+    errors = [problem.scaled_errors(k, solution.physics) for k in range(len(problem.windows))]
+    return float(sum(np.sum(one ** 2) for one in (
+        problem.parameters.surprise(solution.physics), *errors)))
+
+
+def value_of(solution: Solution, name: str) -> list[float]:
+    """Return the estimated values of the components of a suspect, in their units."""
+    parameters = solution.problem.setup.parameters
+    return parameters.values(solution.physics)[parameters.columns([name])].tolist()
+
+
+def command_with(setup: Setup, name: str) -> str:
+    """Return the command-line option that adds a suspect to the fit."""
+    kind, topic = split_topic(name)
+    names = [*setup.parameters.groups, *([START] if setup.fits_start else [])]
+    replaced = {'inertia': 'inertia_diagonal', 'torque_gains': 'torque_gain'}.get(name)
+    names = [each for each in names if each != replaced]
+    if topic and kind in names:  # each sensor gets a separate value
+        names.remove(kind)
+        channels = [channel for every in setup.channels for channel in every]
+        names += [f'{kind}@{other}' for other in topics_of(kind, channels) if other != topic]
+    return f'--estimate {",".join([*names, name])}'

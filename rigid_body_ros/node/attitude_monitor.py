@@ -28,9 +28,8 @@ import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import as_json
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.inference.alarms import ERROR, Judgement, WARN
-from rigid_body_ros.inference.monitor import first_suspect
-from rigid_body_ros.inference.suspects import Suspect
+from rigid_body_ros.inference.evidence import Suspect
+from rigid_body_ros.inference.monitor import ERROR, first_suspect, Judgement, WARN
 from rigid_body_ros.node.intake import PollingNode
 from rigid_body_ros.node.monitor_inputs import MonitorInputs
 from rigid_body_ros.node.parameters import NodeParameters
