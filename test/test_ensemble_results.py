@@ -164,7 +164,7 @@ def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
 def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, kind):
     found = results_of(np.linspace(0.0, 1.0, 900) ** (9 if kind == 'logx' else 1), failures={
         '<b>': 7}, rank_correlation={'a': 0.5, 'b': -0.75})
-    made = summary.report_of(found, 'name', scene.load(arguments[1]), '', str)
+    made = summary.report_of(found, 'name', str)
     panel, = made.panels
     curves, = panel.curves
     assert panel.kind == kind

@@ -27,7 +27,7 @@ from rigid_body_ros import messages, read, recording
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report.page import write
-from rigid_body_ros.report.panels import Drawn, error_panel
+from rigid_body_ros.report.panels import Drawn, quantity_panels
 from rigid_body_ros.report.report import Report
 
 TUMBLER = (str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
@@ -407,7 +407,8 @@ def test_outliers_are_crosses_and_gaps_are_not_joined(chromium, tmp_path):
     errors = np.random.default_rng(1).standard_normal((1000, 3))
     errors[300] = 100.0
     inliers = np.arange(1000) != 300
-    panel = error_panel('errors', 'rad', Drawn(times_ns, inliers), errors, ('band', 2.0), 0)
+    _, panel = quantity_panels('sensor', 'body axes', Drawn(times_ns, inliers), errors, errors,
+                               ('errors', errors), ('band', 2.0), 0)
     write(tmp_path / 'page.html', Report('outliers', '', [], [panel]))
     with browser.opened(chromium, tmp_path / 'page.html') as page:
         paths = {kind: [page.locator(f'.plot path.{kind}').nth(k).get_attribute('d')

@@ -23,8 +23,8 @@ from matplotlib.text import Text
 import numpy as np
 import pytest
 from rigid_body_ros import TorqueLog
-from rigid_body_ros.report import picture, style
-from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report import picture
+from rigid_body_ros.report.charts import Curves, Panel, SIGNED
 from rigid_body_ros.report.panels import torque_panels
 from rigid_body_ros.report.report import Report
 
@@ -42,7 +42,7 @@ def drawn(tmp_path, monkeypatch):
     return draw
 
 
-def curves(values, names=style.SIGNED, **options):
+def curves(values, names=SIGNED, **options):
     """Return curves of values, shape (n, k), over 0, 1, 2 ... s."""
     values = np.asarray(values, float)
     return Curves(np.arange(len(values), dtype=float), values, values, names, **options)

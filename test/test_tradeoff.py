@@ -34,7 +34,6 @@ from rigid_body_ros import (
     read,
     recording,
     RigidBody,
-    scene,
     State,
     TorqueLog,
     UniformField,
@@ -456,7 +455,7 @@ def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
 def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     targets = [1e-6, 1e-20]
     result = measure(FREE, targets=targets)
-    text = html(report_of(result, '</script><b>: /torque', scene.load(TUMBLER[1]), 'the command'))
+    text = html(report_of(result, '</script><b>: /torque'))
     assert '<b>' not in text
     assert '<p class="source">&lt;/script&gt;&lt;b&gt;: /torque</p>' in text
     lines = '\n'.join(result.choices[1e-6].measurement.setting.parameters)

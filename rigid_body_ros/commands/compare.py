@@ -59,9 +59,8 @@ def _run(options: argparse.Namespace) -> int:
         if options.output:
             with outputs.writing(options.output):
                 write(options.output, comparison, scene.body_frame if scene else '')
-        outputs.write_asked(
-            lambda line: report_of(comparison, name, scene, line, options.degrees),
-            comparison.as_dict)
+        outputs.write_asked(scene, lambda: report_of(comparison, name, options.degrees),
+                            comparison.as_dict)
     outputs.show(comparison.text(options.degrees), 17)
     if not options.check or not comparison.verdict or comparison.verdict.level != 'rejected':
         return 0

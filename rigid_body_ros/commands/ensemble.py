@@ -59,13 +59,11 @@ def _run(options: argparse.Namespace) -> int:
             worst.write(folder.path / worst.FOLDER, ensemble, scene, {
                 one['run'] for each in found.get('requirements', ()) for one in each['worst']})
             replay = partial(worst.command, ensemble)
-
-            def report(line: str) -> Report:
-                return summary.report_of(found, _title(options), scene, line,
-                                         partial(replay, folder.path.name))
-            _draw(options, folder.picture, report(''))
+            report = summary.report_of(found, Path(options.recording or options.scene).name,
+                                       partial(replay, folder.path.name))
+            _draw(options, folder.picture, report)
             folder.finish({**identity, **found})
-            outputs.write_asked(report)
+            outputs.write_asked(scene, lambda: report)
     outputs.show(summary.text_of(found, partial(replay, options.output)), 17,
                  [options.output, *outputs.names])
     if found['failed'] == found['runs']:
@@ -93,10 +91,6 @@ def _draw(options: argparse.Namespace, path: Path, report: Report) -> None:
         return
     with files.atomic_output(path, '.png') as temporary:
         draw(temporary, report)
-
-
-def _title(options: argparse.Namespace) -> str:
-    return Path(options.recording or options.scene).name
 
 
 def _pool(options: argparse.Namespace) -> Pool:

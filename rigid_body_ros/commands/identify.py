@@ -92,8 +92,8 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
     if options.output and is_good:
         fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
         outputs.write_text(options.output, fitted(scene, found))
-    outputs.write_asked(
-        lambda line: report_of(found, first, name, scene, line, options.degrees), found.as_dict)
+    outputs.write_asked(scene, lambda: report_of(found, first, name, options.degrees),
+                        found.as_dict)
     return [each for each in outputs.names if is_good or each != options.output]
 
 

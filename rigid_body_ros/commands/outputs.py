@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 import json
 import os
 from pathlib import Path
@@ -31,6 +32,7 @@ from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.report.report import Report
+    from rigid_body_ros.scene import Scene
 
 #: The options that name recordings, the options that name files of any kind, and the suffixes of
 #: the command's outputs.
@@ -99,15 +101,17 @@ class Outputs:
         """Write text to an output."""
         self.write(name, lambda path: path.write_text(text, encoding='utf-8'))
 
-    def write_asked(self, report: Callable[[str], Report],
+    def write_asked(self, scene: Scene | None, report: Callable[[], Report],
                     data: Callable[[], Mapping[str, Any]] = dict) -> None:
         """
         Write the outputs that the user has requested with --json, --plot or --report.
 
         Parameters
         ----------
+        scene : Scene, optional
+            The scene of the motion.
         report : callable
-            Takes the command line, and returns the report, for a page and a plot.
+            Returns the report, for a page and a plot.
         data : callable
             Returns the result as JSON data.
 
@@ -117,7 +121,8 @@ class Outputs:
             self.write_text(name, f'{json.dumps(data(), indent=1)}\n')
         if not (asked.get('plot') or asked.get('report')):
             return
-        made = report(_command_line(self._options))
+        made = replace(report(), warnings=scene.warnings if scene else (), scene=scene,
+                       command=_command_line(self._options))
         if name := asked.get('plot'):
             from rigid_body_ros.report.picture import draw  # matplotlib is slow to import
             self.write(name, lambda path: draw(path, made))

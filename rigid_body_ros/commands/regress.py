@@ -49,7 +49,7 @@ def _run(options: argparse.Namespace) -> int:
             from rigid_body_ros.scene.parameters import LOCKSTEP
             scene = load_scene(options, mode=LOCKSTEP)
             result, name = _compared(options, scene, Path(folder)), Path(options.reference).name
-            outputs.write_asked(lambda line: report_of(result, name, scene, line), result.as_dict)
+            outputs.write_asked(scene, lambda: report_of(result, name, scene), result.as_dict)
         written = options.update and result.is_same
         if written:
             with files.atomic_output(options.reference, _SUFFIX) as path:

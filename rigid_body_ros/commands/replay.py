@@ -69,8 +69,8 @@ def _replay_one(options: argparse.Namespace) -> int:
                                    logged=logged, **_replay_options(options))
         result.uncertain = band.rows(Path(options.uncertain).name) if band else ()
         collected: Any = result.collected  # a `ReportCollector` if there is a report to write
-        outputs.write_asked(lambda line: collected.report(
-            result, name, line, band.panels if band else list))
+        outputs.write_asked(scene, lambda: collected.report(
+            result, name, band.panels if band else list))
     outputs.show(result.text(), 14)
     return OK
 

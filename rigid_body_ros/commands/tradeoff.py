@@ -38,7 +38,7 @@ def _run(options: argparse.Namespace) -> int:
     with checked(options) as outputs:
         scene = load_scene(options)
         result, title = _measure(options, scene)
-        outputs.write_asked(lambda line: report_of(result, title, scene, line), result.as_dict)
+        outputs.write_asked(scene, lambda: report_of(result, title), result.as_dict)
     show(result.text(all_rows=options.all))
     return 0
 

@@ -38,11 +38,9 @@ from rigid_body_ros.report.panels import (
 )
 from rigid_body_ros.report.report import Report
 from rigid_body_ros.report.text import scaled
-from rigid_body_ros.scene import Scene
 
 
-def report_of(comparison: Comparison, name: str, scene: Scene | None, command: str,
-              degrees: bool = False) -> Report:
+def report_of(comparison: Comparison, name: str, degrees: bool = False) -> Report:
     """
     Return the report of a comparison.
 
@@ -53,10 +51,6 @@ def report_of(comparison: Comparison, name: str, scene: Scene | None, command: s
         the body.
     name : str
         Name of the recording.
-    scene : Scene, optional
-        The scene of the motion.
-    command : str
-        The command line that made the comparison.
     degrees : bool
         Whether to show angles in degrees.
 
@@ -74,8 +68,7 @@ def report_of(comparison: Comparison, name: str, scene: Scene | None, command: s
     headline = '; '.join([*(said for _, said in verdict[:1]), _size(comparison, degrees)])
     return Report(f'{name}: {topics}', headline,
                   [*verdict[1:], ('recording', name), *comparison.facts(degrees), *shown],
-                  [*map(in_degrees, panels)] if degrees else panels, body,
-                  scene.warnings if scene else (), scene=scene, command=command)
+                  [*map(in_degrees, panels)] if degrees else panels, body)
 
 
 def _size(comparison: Comparison, degrees: bool) -> str:

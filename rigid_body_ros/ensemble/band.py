@@ -31,8 +31,7 @@ from rigid_body_ros.ensemble.dispersions import ATTITUDE
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.report import style
-from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.charts import Curves, Panel, RATES, SIGNED
 from rigid_body_ros.scene import Scene
 
 #: Number of evenly spaced times at which a band is computed, and its half-width in standard
@@ -117,9 +116,9 @@ class Band:
                 ('angular velocity, body axes', motion[:, 4:], rates))}
         return [*(replace(one, curves=[*one.curves, *bands.get(one.label, ())]) for one in panels),
                 Panel('attitude, rotation vector in body axes: half-width of 95 %', 'rad',
-                      [Curves(seconds, attitude, attitude, style.SIGNED)]),
+                      [Curves(seconds, attitude, attitude, SIGNED)]),
                 Panel('angular velocity, body axes: half-width of 95 %', 'rad/s',
-                      [Curves(seconds, rates, rates, style.RATES)])]
+                      [Curves(seconds, rates, rates, RATES)])]
 
 
 def radius(covariance: Floats) -> Floats:

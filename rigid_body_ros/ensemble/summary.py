@@ -33,9 +33,7 @@ from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.report import Markup, Report, table
-from rigid_body_ros.report.style import MARKED
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.scene import Scene
 
 #: Maximum number of parameters to list in the text.
 _PRINTED = 5
@@ -48,6 +46,8 @@ _WIDTH, _HEIGHT = 100.0, 10.0
 #: For each band in the plot over time: the lower and upper percentile, the name and the style.
 _BANDS = ((5, 95, '5 % to 95 %', 'band'), (25, 75, '25 % to 75 %', 'band'),
           (50, 50, 'median', 'line'))
+#: The percentiles to mark in a histogram, and their names.
+_MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
 #: The quantities that a requirement can limit, and their units.
 UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
 #: How many of the worst runs are reported.
@@ -229,8 +229,7 @@ def strongest(found: Mapping[str, float]) -> list[tuple[str, float]]:
     return sorted(found.items(), key=lambda item: -abs(item[1]))
 
 
-def report_of(found: Mapping[str, Any], name: str, scene: Scene, command: str,
-              replay: Callable[[int], str]) -> Report:
+def report_of(found: Mapping[str, Any], name: str, replay: Callable[[int], str]) -> Report:
     """
     Return the report of an ensemble.
 
@@ -240,10 +239,6 @@ def report_of(found: Mapping[str, Any], name: str, scene: Scene, command: str,
         The results, as in summary.json.
     name : str
         Name of the recording, or of the scene.
-    scene : Scene
-        The scene of the nominal motion.
-    command : str
-        The command line that computed the ensemble.
     replay : function
         A function that takes a run number and returns the command that recomputes this run.
 
@@ -254,7 +249,7 @@ def report_of(found: Mapping[str, Any], name: str, scene: Scene, command: str,
     angle = f'parameter: {ANGLE}' if requirements else 'parameter'
     tables += _bars(angle, 'rank correlation', strongest(found['rank_correlation']))
     return Report(f'{name}: {found["runs"]} runs', _headline(found), facts, [*panels_of(found)],
-                  warnings=scene.warnings, scene=scene, command=command, table=''.join(tables))
+                  table=''.join(tables))
 
 
 def _headline(found: Mapping[str, Any]) -> str:
@@ -319,7 +314,7 @@ def _bins(edges: Sequence[float], runs: Sequence[int], percentiles: Mapping[str,
     return Panel(f'runs by {label}', '', [Curves(np.array(edges), 0.0 * counts, counts, ['runs'],
                                                  step=True, style='band')],
                  f'{label} ({unit})', 'logx' if edges[0] > 0.0 else 'linear',
-                 {name: percentiles[key] for key, name in MARKED})
+                 {name: percentiles[key] for key, name in _MARKED})
 
 
 def _bar(correlation: float) -> Markup:

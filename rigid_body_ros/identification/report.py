@@ -27,18 +27,16 @@ from rigid_body_ros.inference.errors import correlations, Residuals
 from rigid_body_ros.inference.noise import NORMAL_95
 from rigid_body_ros.inference.residual_torque import residual_panels
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.report import matrix, moving_body, style
-from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report import moving_body
+from rigid_body_ros.report.charts import Curves, Panel, SIGNED
 from rigid_body_ros.report.panels import Drawn, in_degrees, quantity_panels, torque_panels
-from rigid_body_ros.report.report import Report, table
-from rigid_body_ros.scene import Scene
+from rigid_body_ros.report.report import matrix, Report, table
 
 #: Largest lag in the plot of an autocorrelation, s, and minimum number of lags in that plot.
 _LAG, _FEWEST = 2.0, 20
 
 
-def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
-              command: str, degrees: bool = False) -> Report:
+def report_of(fit: Identification, first: Problem, name: str, degrees: bool = False) -> Report:
     """
     Return the report of an identification.
 
@@ -50,10 +48,6 @@ def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
         The problem of the first recording, whose motion, errors and torques the report shows.
     name : str
         Name of the first recording.
-    scene : Scene
-        The scene that provides the guess.
-    command : str
-        The command line to show.
     degrees : bool
         Whether to show angles in degrees.
 
@@ -64,12 +58,10 @@ def report_of(fit: Identification, first: Problem, name: str, scene: Scene,
     attitudes = next(((one.stamps_ns, one.values) for one in fit.aligned if one.is_attitude), None)
     body = moving_body.of_motion(fit.motion, _stamps_ns(fit), attitudes)
     return Report(f'{name}: estimated parameters', fit.headline, story,
-                  [*map(in_degrees, panels)] if degrees else panels, body, scene.warnings,
-                  table=table(header, estimated),
-                  matrix=matrix.picture('correlation of the estimates (orange: positive, blue: '
-                                        'negative)', [*fit.estimates],
-                                        fit.correlation) if fit.estimates else '',
-                  scene=scene, command=command)
+                  [*map(in_degrees, panels)] if degrees else panels, body,
+                  table=table(header, estimated), matrix=matrix(
+                      'correlation of the estimates (orange: positive, blue: negative)',
+                      [*fit.estimates], fit.correlation) if fit.estimates else '')
 
 
 def _restarts(fit: Identification) -> Iterator[tuple[str, str]]:
@@ -146,7 +138,7 @@ def _correlations(errors: Residuals) -> Iterator[Panel]:
     limit: Floats = np.full((2, 1), NORMAL_95 / np.sqrt(errors.inliers.sum()))
     quantity = 'attitude' if errors.is_attitude else 'rate'
     yield Panel(f'{errors.topic}: autocorrelation of the {quantity} errors of the fit', '', [
-        Curves(np.asarray(lags, np.float64), found, found, style.SIGNED),
+        Curves(np.asarray(lags, np.float64), found, found, SIGNED),
         Curves(np.asarray(lags[[0, -1]], np.float64), -limit, limit,
                ['95 % limits of white noise'], style='limits')],
         'lag (s)')

@@ -38,8 +38,7 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.report import style
-from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.charts import Curves, Panel, TORQUES
 from rigid_body_ros.report.panels import limits, SINCE_FIRST
 
 #: Length of a window, s; it has more than `FEWEST` samples. If the samples of a window span more
@@ -387,13 +386,13 @@ def residual_panels(torque: ResidualTorque, sensors: Sequence[Measured],
     for axes, torques, sigma in shown:
         label = f'residual torque, {axes} axes, averaged over {torque.window_s:.2g} s'
         yield Panel(label, 'N m', [
-            Curves.thinned(torque.times_ns, torques, style.TORQUES, start_ns),
+            Curves.thinned(torque.times_ns, torques, TORQUES, start_ns),
             limits(torque.times_ns, 2.0 * sigma, '±2 sigma of the noise', start_ns)], SINCE_FIRST)
     found = spectrum(torque)
     if found:
         names = ['99 % limit of white noise', '', '']
         yield Panel('amplitude of the residual torque, body axes', 'N m', [
-            Curves(found.hertz, found.amplitudes, found.amplitudes, style.TORQUES),
+            Curves(found.hertz, found.amplitudes, found.amplitudes, TORQUES),
             Curves(found.hertz, found.limits, found.limits, names, style='limits')],
             'frequency (Hz)', 'log')
 

@@ -25,15 +25,15 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.regress.loop import COMMANDS, EMPTY, INERTIA, Loop, Pair, Signal
 from rigid_body_ros.regress.regression import Regression
-from rigid_body_ros.report import moving_body, style
-from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report import moving_body
+from rigid_body_ros.report.charts import Curves, Panel, QUATERNION, RATES, SIGNED, TORQUES
 from rigid_body_ros.report.report import Report
 from rigid_body_ros.scene import Scene
 
 _WHEELS = 'accepted_wheel_torque'
 
 
-def report_of(regression: Regression, name: str, scene: Scene, command: str) -> Report:
+def report_of(regression: Regression, name: str, scene: Scene) -> Report:
     """
     Return the report of a regression.
 
@@ -45,14 +45,11 @@ def report_of(regression: Regression, name: str, scene: Scene, command: str) -> 
         The name of the reference.
     scene : Scene
         The scene of both loops.
-    command : str
-        The command line that ran the regression.
 
     """
     shown = [('moving body', 'the loop, not the reference')]
     return Report(f'{name}: closed loop', regression.verdict, [*regression.rows()[1:], *shown],
-                  [*_panels(regression)], _body(regression, scene), scene.warnings, scene=scene,
-                  command=command)
+                  [*_panels(regression)], _body(regression, scene))
 
 
 def _panels(regression: Regression) -> Iterator[Panel]:
@@ -62,19 +59,19 @@ def _panels(regression: Regression) -> Iterator[Panel]:
     states = (reference.states, loop.states)
     turned = Pair.of(*states)
     errors = so3.log(so3.multiply(so3.conjugate(turned.reference[:, :4]), turned.found[:, :4]))
-    yield _panel('quaternion', '', states, style.QUATERNION, slice(4), start_ns, lines)
+    yield _panel('quaternion', '', states, QUATERNION, slice(4), start_ns, lines)
     yield _difference('attitude, body axes', 'rad', turned, errors, start_ns, lines)
     label = 'angular velocity, body axes'
-    yield _panel(label, 'rad/s', states, style.RATES, slice(4, 7), start_ns, lines)
+    yield _panel(label, 'rad/s', states, RATES, slice(4, 7), start_ns, lines)
     yield _difference(label, 'rad/s', turned, (turned.found - turned.reference)[:, 4:], start_ns,
                       lines)
     for name in sorted({*reference.torques, *loop.torques} - {INERTIA}):
         torques = (reference.torques.get(name, EMPTY), loop.torques.get(name, EMPTY))
         label, pair = name.removeprefix('accepted_').replace('_', ' '), Pair.of(*torques)
-        names = loop.wheels if name == COMMANDS else style.TORQUES
+        names = loop.wheels if name == COMMANDS else TORQUES
         yield _panel(label, 'N m', torques, names, slice(len(names)), start_ns, lines)
         yield _difference(label, 'N m', pair, pair.found - pair.reference, start_ns, lines,
-                          loop.wheels if name == COMMANDS else style.SIGNED)
+                          loop.wheels if name == COMMANDS else SIGNED)
 
 
 def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str], columns: slice,
@@ -88,7 +85,7 @@ def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str],
 
 
 def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int,
-                lines: Mapping[str, float], names: Sequence[str] = style.SIGNED) -> Panel:
+                lines: Mapping[str, float], names: Sequence[str] = SIGNED) -> Panel:
     """Return a panel that shows the loop minus the reference at the stamps that both have."""
     return Panel(f'difference: {label}', unit,
                  [Curves.thinned(pair.times_ns, errors, names, start_ns)] if len(errors) else [],

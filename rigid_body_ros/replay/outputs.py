@@ -32,7 +32,7 @@ from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column
 from rigid_body_ros.replay import markers
 from rigid_body_ros.replay.batches import Batch, IMU, INPUT, MARKERS, Request, TF
-from rigid_body_ros.report.style import euler_names
+from rigid_body_ros.report.text import euler_names
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene

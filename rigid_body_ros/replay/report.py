@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.replay.batches import Batch
 from rigid_body_ros.replay.result import Replay
-from rigid_body_ros.report import moving_body, style
-from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.panels import ThinnedTorque
+from rigid_body_ros.report import moving_body
+from rigid_body_ros.report.charts import Curves, FIELDS, MOMENTA, Panel, QUATERNION, RATES, TORQUES
+from rigid_body_ros.report.panels import panels_of, ThinnedTorque
 from rigid_body_ros.report.report import Report
-from rigid_body_ros.report.text import numbers
+from rigid_body_ros.report.text import euler_names, numbers
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
 
@@ -80,7 +80,7 @@ class ReportCollector:
         self._keys.add(len(motion.times_ns), times_ns, np.hstack([
             attitude, motion.angular_velocity[chosen], torques, motion.rotor_momentum[chosen]]))
 
-    def report(self, result: Replay, name: str, command: str,
+    def report(self, result: Replay, name: str,
                shown: Callable[[list[Panel]], list[Panel]] = list) -> Report:
         """Return the report of the replay of the recording `name`, with the panels `shown`."""
         times_ns, keys = self._keys.result()
@@ -90,9 +90,7 @@ class ReportCollector:
                            f'rates {numbers(result.start.angular_velocity, _DIGITS)} rad/s'),
                  ('moments', f'{numbers(body.principal_moments, _DIGITS)} kg m^2')]
         return Report(f'{name}: {result.topic}', _headline(times_ns, keys), story,
-                      shown(self._panels()),
-                      moving_body.as_data(body, times_ns, keys), result.scene.warnings,
-                      scene=result.scene, command=command)
+                      shown(self._panels()), moving_body.as_data(body, times_ns, keys))
 
     def _panels(self) -> list[Panel]:
         start_ns, sequence = self._start_ns or 0, self._scene.euler_sequence
@@ -103,17 +101,15 @@ class ReportCollector:
             part = slice(first, first + len(names))
             return [Curves(seconds, low[:, part], high[:, part], names)]
         panels = [Panel(f'Euler angles {sequence}', 'rad',
-                        curves(0, style.euler_names(sequence)), kind='angle'),
-                  Panel('quaternion', '', curves(3, style.QUATERNION)),
-                  Panel('angular velocity, body axes', 'rad/s', curves(7, style.RATES))]
+                        curves(0, euler_names(sequence)), kind='angle'),
+                  Panel('quaternion', '', curves(3, QUATERNION)),
+                  Panel('angular velocity, body axes', 'rad/s', curves(7, RATES))]
         if self._scene.has_rotors:
-            panels.append(Panel('rotor momentum, body axes', 'N m s', curves(10, style.MOMENTA)))
+            panels.append(Panel('rotor momentum, body axes', 'N m s', curves(10, MOMENTA)))
         if self._field_torque:
-            panels.append(Panel(f'{style.FIELDS}, body axes', 'N m', [Curves.of(
-                self._field_torque, style.TORQUES, start_ns)]))
-        names = style.torque_names(len(self._torques))
-        return panels + [torque.panel(name, start_ns)
-                         for torque, name in zip(self._torques, names)]
+            panels.append(Panel(f'{FIELDS}, body axes', 'N m', [Curves.of(
+                self._field_torque, TORQUES, start_ns)]))
+        return panels + panels_of(self._torques, start_ns)
 
 
 def _headline(times_ns: NDArray[np.int64], keys: Floats) -> str:

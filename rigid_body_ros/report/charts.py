@@ -31,6 +31,12 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.report.thinning import Extremes
 
+#: The names of the components of quaternions, vectors and errors.
+QUATERNION = ('x', 'y', 'z', 'w')
+RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'), ('τ₁', 'τ₂', 'τ₃')
+SIGNED = ('e₁', 'e₂', 'e₃')
+#: The label for the torque that the fields apply. This torque depends on the attitude.
+FIELDS = 'torque of the fields'
 #: A curve has a gap wherever the time between two samples exceeds this multiple of the median time
 #: between samples.
 _GAP = 10.0

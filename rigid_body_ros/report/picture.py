@@ -34,8 +34,12 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.report import Report
-from rigid_body_ros.report.style import COLOURS, MARKERS, STYLES
 
+#: The palette of Okabe and Ito, which is suitable for colour-blind readers. In greyscale, curves
+#: can be told apart by their dashes.
+COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
+STYLES = ('-', '--', '-.', ':')
+MARKERS = ('o', 's', '^', 'D', 'v', 'x')
 #: More panels than this are drawn in two columns. A picture with one panel is taller.
 _ONE_COLUMN, _WIDE, _ROW, _SINGLE = 6, 9.0, 2.5, 5.0
 #: Numbers of characters that fit into the titles of the picture and of a panel, even if all

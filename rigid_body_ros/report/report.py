@@ -16,16 +16,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
+import math
 from typing import Any
 
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.report.charts import Panel
 from rigid_body_ros.scene import Scene
 
 #: Facts, each with a name and a text. If the name is empty, the text continues the previous fact.
 Rows = Sequence[tuple[str, object]]
+#: The width of a cell of a matrix, and the width of a character in a name, px.
+_CELL, _CHARACTER = 30, 6.6
+#: Maximum number of rows of a matrix. If there are more parameters than this, only the first
+#: parameters are shown.
+_MOST = 40
+#: A cell shows the correlation as a number if the magnitude of the correlation is at least this
+#: large.
+_NUMBERED = 0.1
 
 
 @dataclass(frozen=True)
@@ -46,13 +56,16 @@ class Report:
         The charts.
     body : dict, optional
         The motion to animate, as returned by `moving_body.as_data`.
-    warnings : sequence of str
+    warnings, scene, command
+        The warnings about the scene, the scene, and the command line. `Outputs.write_asked` adds
+        them.
     copied : sequence of str
         Texts to show with a button that copies them.
     table : str
         The table, as HTML returned by the function `table`; empty if there is no table.
     matrix : str
-        HTML of a correlation matrix to show below the charts; empty if there is none.
+        HTML of a correlation matrix to show below the charts, as returned by the function
+        `matrix`; empty if there is none.
 
     """
 
@@ -65,8 +78,8 @@ class Report:
     copied: Sequence[str] = ()
     table: str = ''
     matrix: str = ''
-    scene: Scene | None = field(default=None, kw_only=True)
-    command: str = field(default='', kw_only=True)
+    scene: Scene | None = None
+    command: str = ''
 
 
 class Markup(str):
@@ -89,3 +102,51 @@ def _cell(cell: str) -> str:
 def shown(text: str) -> str:
     """Escape a text for HTML, and write the unit of inertia as kg m²."""
     return escape(text).replace('kg m^2', 'kg m²')
+
+
+def matrix(title: str, names: Sequence[str], values: Floats) -> str:
+    """
+    Return HTML with a heading and a picture of a correlation matrix.
+
+    Parameters
+    ----------
+    title : str
+        The heading.
+    names : sequence of str
+        The names of the n rows and columns.
+    values : array, shape (n, n)
+        The correlations, from -1 to 1, or NaN where a correlation is unknown.
+
+    """
+    shown = names[:_MOST]
+    more = f'; the first {_MOST} of {len(names)}' if len(names) > _MOST else ''
+    margin = round(_CHARACTER * max(map(len, shown))) + 10
+    size = margin + _CELL * len(shown) + 1
+    cells = ''.join(part for i, name in enumerate(shown) for part in (
+        _label(name, i, margin), *_row(shown, values, i, margin)))
+    return f'<section class="panel"><h3>{escape(title + more)}</h3><div class="wide-table">' \
+           f'<svg class="matrix" viewBox="0 0 {size} {size}" width="{size}" height="{size}" ' \
+           f'role="img" aria-label="{escape(title)}">{cells}</svg></div></section>'
+
+
+def _label(name: str, row: int, margin: int) -> str:
+    middle = margin + _CELL * (row + 0.5) + 4
+    return f'<text x="{margin - 6}" y="{middle}" text-anchor="end">{escape(name)}</text>' \
+           f'<text transform="translate({middle} {margin - 6}) rotate(-90)">{escape(name)}</text>'
+
+
+def _row(names: Sequence[str], values: Floats, row: int, margin: int) -> Iterator[str]:
+    top = margin + _CELL * row
+    for column, name in enumerate(names):
+        value, left = float(values[row, column]), margin + _CELL * column
+        is_known, is_own = math.isfinite(value), row == column
+        text = f'{value:.3f}' if is_known else 'unknown'
+        sign = 'negative' if value < 0.0 else 'positive'
+        yield f'<g><title>{escape(names[row])} and {escape(name)}: {text}</title>' \
+              f'<rect class="{sign}" x="{left}" y="{top}" width="{_CELL}" height="{_CELL}" ' \
+              f'fill-opacity="{abs(value) if is_known and not is_own else 0.0:.2f}"/>'
+        if not is_known or (abs(value) >= _NUMBERED and not is_own):
+            shown = f'{value:.2f}'.replace('0.', '.').replace('-', '−') if is_known else '?'
+            yield f'<text x="{left + _CELL / 2}" y="{top + _CELL / 2 + 4}" ' \
+                  f'text-anchor="middle">{shown}</text>'
+        yield '</g>'

@@ -59,6 +59,12 @@ def rounded(value: float, sigma: float) -> str:
     return f'{value:.{min(max(-place, 0), _DIGITS)}f}'
 
 
+def euler_names(sequence: str) -> tuple[str, ...]:
+    """Return the names of the three Euler angles of a sequence."""
+    return ('φ', 'θ', 'ψ') if sequence == 'ZXZ' else \
+        tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1))
+
+
 def lines(texts: Iterable[str]) -> str:
     """Join texts, one per line. A line break inside a text, for example in a name, is escaped."""
     return '\n'.join(map(printable, texts))

@@ -21,12 +21,11 @@ from collections.abc import Iterator
 import numpy as np
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.report import Report
-from rigid_body_ros.scene import Scene
 from rigid_body_ros.tradeoff.choices import Choice
 from rigid_body_ros.tradeoff.result import Tradeoff, value
 
 
-def report_of(result: Tradeoff, title: str, scene: Scene, command: str) -> Report:
+def report_of(result: Tradeoff, title: str) -> Report:
     """
     Return the report of a trade-off.
 
@@ -36,15 +35,11 @@ def report_of(result: Tradeoff, title: str, scene: Scene, command: str) -> Repor
         The result of `measure`.
     title : str
         The title: the names of the recording and of its topic, or the name of the scene.
-    scene : Scene
-        The scene of the body.
-    command : str
-        The command line to show.
 
     """
     copied = [_parameters(target, choice) for target, choice in result.choices.items() if choice]
     return Report(title, _headline(result), [*result.rows()], [_work_precision(result)],
-                  warnings=scene.warnings, copied=copied, scene=scene, command=command)
+                  copied=copied)
 
 
 def _headline(result: Tradeoff) -> str:
