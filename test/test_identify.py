@@ -34,12 +34,12 @@ from rigid_body_ros import (
 )
 from rigid_body_ros.identification import Experiment, Identification, identify
 from rigid_body_ros.inference.fit import errors_of, triangle
-from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.setup import channels_of, setup_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.observed import Measurements
+from rigid_body_ros.scene.quantities import components_of
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
 GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))

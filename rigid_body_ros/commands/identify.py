@@ -163,7 +163,7 @@ def _prior(text: str) -> tuple[str, str]:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    from rigid_body_ros.inference.parameters import checked_names
+    from rigid_body_ros.inference.coordinates import checked_names
     try:
         return checked_names([name.strip() for name in text.split(',')])
     except InputError as error:

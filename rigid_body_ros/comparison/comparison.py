@@ -39,7 +39,6 @@ from rigid_body_ros.inference.hypotheses import faults_of_samples
 from rigid_body_ros.inference.monitor import is_checked, monitored, settings_of
 from rigid_body_ros.inference.motion import Motion, Recorded
 from rigid_body_ros.inference.noise import FEWEST
-from rigid_body_ros.inference.parameters import SPACE, split_topic, START
 from rigid_body_ros.inference.residual_torque import residual_torque
 from rigid_body_ros.inference.setup import setup_of_model
 from rigid_body_ros.inference.verdict import scored
@@ -54,6 +53,7 @@ from rigid_body_ros.recording.observed import Measurements, read_observed, Readi
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.quantities import SPACE, split_topic, START
 
 #: The topics of `write`.
 ATTITUDE_ERROR, RATE_ERROR = '/error/rotation_vector', '/error/angular_velocity'

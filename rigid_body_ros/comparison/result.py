@@ -28,7 +28,6 @@ from rigid_body_ros.inference.align import align as aligned_by
 from rigid_body_ros.inference.align import Alignment
 from rigid_body_ros.inference.horizons import Horizon
 from rigid_body_ros.inference.motion import apart, divided, errors_of, inside, Motion
-from rigid_body_ros.inference.parameters import START
 from rigid_body_ros.inference.residual_torque import ResidualTorque
 from rigid_body_ros.inference.verdict import Verdict
 from rigid_body_ros.mechanics import so3
@@ -36,6 +35,7 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.text import lines, numbers, rounded, scaled
+from rigid_body_ros.scene.quantities import START
 
 #: The quantities that are compared. Each has a name, a unit, and an attribute of `Errors`.
 QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')

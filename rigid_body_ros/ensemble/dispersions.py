@@ -30,17 +30,22 @@ from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import BIG, described, entries, number, resembled
 from rigid_body_ros.scene import PARAMETERS
 from rigid_body_ros.scene.fields import of_names, ORBIT
+from rigid_body_ros.scene.quantities import along, quantity_of
 import yaml
 
-#: Groups of scene parameters. All parameters in these groups can vary.
-_GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
-           ORBIT)
+
+def units_of(*groups: str) -> dict[str, str]:
+    """Return the units of all scene parameters in some groups, by name."""
+    return {name: parameter.unit for name, parameter in PARAMETERS.items()
+            if name.split('.')[0] in groups}
+
+
 #: The keys that can have a normal or a uniform distribution, and their units. The keys of fields
 #: are not included.
-UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
-            if name.split('.')[0] in _GROUPS},
-         'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},
-         'clock_offset': 's'}
+UNITS = {**units_of('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
+                    ORBIT),
+         **{name: quantity_of(name).unit
+            for name in ('torque_gain', *along('torque_bias'), 'clock_offset')}}
 #: Keys for which each run draws three numbers. For `NOISE`, a run draws three numbers for each
 #: torque sample.
 INERTIA, ATTITUDE, NOISE = 'inertia', 'initial_attitude', 'torque_noise'

@@ -34,16 +34,16 @@ from rigid_body_ros.ensemble.dispersions import ATTITUDE, Dispersion, normals, u
 from rigid_body_ros.inference.noise import with_bound
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.runtime.parameters import resembled
-from rigid_body_ros.scene.fields import MOMENT
+from rigid_body_ros.scene.quantities import components_of, MOMENT, OF_SENSORS, split_topic
 
 if TYPE_CHECKING:
     from rigid_body_ros.identification.result import Saved
 
 #: The keys of the rotation vector that describes the initial attitude.
 _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')
-#: Estimates that do not affect the motion: sensor errors, and the starts of further recordings.
-_NOT_IN_MOTION = re.compile(r'((mount|gyro_bias|gyro_scale)\.[xyz]|clock_offset|clock_drift)(@.*)?'
-                            r'|.*\[\d+\]')
+#: Estimates that do not affect the motion: those of sensors, and the starts of further recordings.
+_OF_SENSORS = {component for name in OF_SENSORS for component in components_of(name)}
+_OF_LATER_START = re.compile(r'.*\[\d+\]')
 #: The keys of an estimated weight, which the fitted scene describes as a field.
 _WEIGHT = re.compile(r'^weight(\.[xyz])$')
 #: Eigenvalues and pivots of a correlation matrix below this limit are taken to be rounding errors.
@@ -165,7 +165,8 @@ def _fitted(saved: Saved, units: Mapping[str, str], force: bool) -> Fitted:
         if unit != units.get(name, unit):
             raise InputError(f'{name}: expected the unit {quoted(units[name])}, found '
                              f'{quoted(unit)}')
-    ignored = tuple(filter(_NOT_IN_MOTION.fullmatch, saved.values))
+    ignored = tuple(name for name in saved.values if split_topic(name)[0] in _OF_SENSORS
+                    or _OF_LATER_START.fullmatch(name))
     estimates = {_WEIGHT.sub(rf'weight.{MOMENT}\1', name): value
                  for name, value in saved.values.items() if name not in ignored}
     _check_estimates(estimates, units)

@@ -25,12 +25,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import ENTRIES, Floats
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.ensemble.applied import Applied, components, Torques
 from rigid_body_ros.ensemble.controller import closed_loop, Controller
-from rigid_body_ros.ensemble.dispersions import dispersed, Dispersion, INERTIA, NOISE, units_with
+from rigid_body_ros.ensemble.dispersions import (
+    dispersed,
+    Dispersion,
+    INERTIA,
+    NOISE,
+    units_of,
+    units_with,
+)
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
@@ -42,9 +49,7 @@ from rigid_body_ros.propagation.many import LogsOfRuns
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene.fields import ORBIT, values_of
 
-_START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
-          **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},
-          **{f'initial_angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
+_START = units_of('inertia', 'initial_attitude', 'initial_angular_velocity')
 ANGLE, MOTION = 'angle_from_nominal', 'motion'
 _END = {**COMPONENTS, ANGLE: 'rad'}
 

@@ -27,11 +27,10 @@ from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Estimate, Identification, too_wide, without_effect
 from rigid_body_ros.inference import errors
-from rigid_body_ros.inference.coordinates import checked_priors, GRAVITY
+from rigid_body_ros.inference.coordinates import checked_names, checked_priors, GRAVITY
 from rigid_body_ros.inference.evidence import certainty
 from rigid_body_ros.inference.findings import Findings, judged
 from rigid_body_ros.inference.fit import Solution
-from rigid_body_ros.inference.parameters import checked_names, kind_of, START, WEIGHT
 from rigid_body_ros.inference.setup import channels_of, setup_of
 from rigid_body_ros.inference.verdict import tried, with_intervals
 from rigid_body_ros.inference.windows import acted
@@ -46,6 +45,7 @@ from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import faults_of, Measured
 from rigid_body_ros.recording.observed import Measurements
+from rigid_body_ros.scene.quantities import quantity_of, START, WEIGHT
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     moved = [{name: abs(other.get(name, math.nan) - before)
               for name, before in zip(numbers.names, numbers.values)} for other in others]
     verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved)
-    estimates = {name: Estimate(name, kind_of(name).unit, float(numbers.values[i]),
+    estimates = {name: Estimate(name, quantity_of(name).unit, float(numbers.values[i]),
                                 float(numbers.guesses[i]), float(sigma[i]),
                                 bool(is_known[i]), systematic.get(name, 0.0))
                  for i, name in enumerate(numbers.names)}

@@ -27,13 +27,13 @@ from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.estimation import identify
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.inference.parameters import KINDS, split_topic, WEIGHT
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.urdf import robot
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.fields import FIELDS, values_of
+from rigid_body_ros.scene.quantities import QUANTITIES, split_topic, WEIGHT
 from rigid_body_ros.scene.scene import text_of
 
 
@@ -91,7 +91,7 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     Estimates that cannot be stored in a scene are added as comments. If the estimated initial
     angular speed exceeds the `plausible_speed` of the scene, it becomes the new `plausible_speed`.
     """
-    others = [name for name in fit.estimates if _group(name) in KINDS
+    others = [name for name in fit.estimates if _group(name) in QUANTITIES
               and _group(name) not in ('inertia', 'damping', WEIGHT)]
     return '\n'.join([*(f'# {line}' for line in _comments(fit, others)),
                       text_of(scene, _changed(fit) | _plausible(scene, fit))])

@@ -28,11 +28,11 @@ from rigid_body_ros.inference.fit import Solution
 from rigid_body_ros.inference.growth import solved_whole
 from rigid_body_ros.inference.guess import guess, IDENTITY
 from rigid_body_ros.inference.motion import apart, inside, Motion, Recorded
-from rigid_body_ros.inference.parameters import SPACE, START
 from rigid_body_ros.inference.setup import setup_of_sensors
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.scene.quantities import SPACE, START
 
 CLOCK, MOUNT = 'clock', 'mount'
 #: The names of the alignments that can be fitted.

@@ -25,18 +25,20 @@ from typing import NamedTuple
 import numpy as np
 from rigid_body_ros.common.arrays import COLUMNS, entries, Floats, ROWS, symmetric
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.inference.parameters import (
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import Field, UniformField
+from rigid_body_ros.scene.quantities import (
     components_of,
-    kind_of,
-    KINDS,
-    SHIFTS,
+    field_of,
+    MOMENT,
+    OF_SENSORS,
+    QUANTITIES,
+    quantity_of,
+    SPACE,
     split_topic,
     START,
     WEIGHT,
 )
-from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.fields import Field, UniformField
-from rigid_body_ros.scene.fields import MOMENT
 
 #: Default acceleration of gravity in space axes, m/s^2.
 GRAVITY = 0.0, 0.0, -9.80665
@@ -53,7 +55,13 @@ SHORT_LAG = 0.02
 #: Values of the parameters that are not fitted. They are stored here because creating these arrays
 #: at each use would take a tenth of the time of a fit.
 _NEUTRAL = {name: np.broadcast_to(kind.neutral, len(kind.components))
-            for name, kind in KINDS.items()}
+            for name, kind in QUANTITIES.items()}
+#: Largest magnitude of `torque_delay`, s. The fit does not leave these bounds.
+LONGEST_DELAY = 2.0
+#: Names of all parameters, in the order in which a fit lists them.
+NAMES = (*(name for name in QUANTITIES if name != SPACE), START)
+#: Parameters that shift the stamps of samples. The shifts are rounded to whole nanoseconds.
+SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
 
 
 class Prior(NamedTuple):
@@ -103,12 +111,7 @@ class Physics:
         The value for all sensors is used if no topic is given, or if the topic has no value of its
         own. A parameter that is not fitted has the value that has no effect.
 
-        The parameters are defined as follows. The logged torque is multiplied by `torque_gain` and
-        `torque_gains`, delayed by `torque_delay`, and passed through a first-order lag with time
-        constant `torque_lag`. The result plus `torque_bias` acts on the body. A gyro measures the
-        angular velocity in sensor axes, times `gyro_scale`, plus `gyro_bias`. The rotation vector
-        `mount` rotates the body axes into the sensor axes. A sample was taken at its stamp, plus
-        `clock_offset`, plus `clock_drift` times the time since the start.
+        The module `scene.quantities` defines the parameters.
         """
         found = self.values.get(f'{name}@{topic}') if topic else None
         found = self.values.get(name) if found is None else found
@@ -243,8 +246,9 @@ class Parameters:
     @property
     def plausible(self) -> Floats:
         """Return how far each component is plausibly from its guess if it is a suspect."""
-        return np.array([self.priors[name].sigma if name in self.priors else scale * kind_of(
-            name).plausible for name, scale in zip(self.names, self.scales)])
+        return np.array([
+            self.priors[name].sigma if name in self.priors else
+            quantity_of(name).plausible * scale for name, scale in zip(self.names, self.scales)])
 
     def surprise(self, physics: Physics) -> Floats:
         """Return how far each value is from its prior, in standard deviations of the prior."""
@@ -331,6 +335,61 @@ class Parameters:
         return inertia_of(factor @ factor.T)[ROWS, COLUMNS]
 
 
+def checked_names(names: Sequence[str]) -> tuple[str, ...]:
+    """
+    Return the given names in the order of `NAMES`.
+
+    Raise InputError if the parameters with these names cannot be fitted.
+    """
+    for name in names:
+        kind, topic = split_topic(name)
+        if kind not in NAMES and not field_of(name):
+            raise InputError(f'estimate: expected names among {", ".join(NAMES)}, and '
+                             f'NAME.{MOMENT} of a field, found {name!r}')
+        if kind != name and not (topic and kind in OF_SENSORS):
+            raise InputError(f'estimate: expected @TOPIC after the parameter of a sensor '
+                             f'({", ".join(OF_SENSORS)}), found {name!r}')
+        if list(names).count(name) > 1:
+            raise InputError(f'estimate: expected each name once, found {name!r} twice')
+        if topic and kind in names:
+            raise InputError(f'estimate: expected {kind} for all sensors or for each, found '
+                             f'{kind!r} and {name!r}')
+    if not names:
+        raise InputError('estimate: expected at least one name, found none')
+    for pair in (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains')):
+        if {*pair} <= {*names}:
+            raise InputError(f'estimate: expected one of {pair[0]} and {pair[1]}, found both')
+    order = [*NAMES, '']
+    return tuple(sorted(names, key=lambda name: order.index(
+        '' if field_of(name) else split_topic(name)[0])))
+
+
+def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Floats]:
+    """
+    Return the given moments of the fields whose moments are fitted, keyed by parameter name.
+
+    Raises
+    ------
+    InputError
+        A field whose moment is fitted does not exist or has zero strength, or the weight is fitted
+        and a field already has the name of the weight.
+
+    """
+    uniform = [field for field in fields if isinstance(field, UniformField)]
+    moments = {f'{field.name}.{MOMENT}': np.asarray(field.moment) for field in uniform
+               if field.name and np.any(field.field)}
+    names = [*names]
+    if WEIGHT in names and any(field.name == WEIGHT for field in uniform):
+        raise InputError(f'estimate: {WEIGHT}: expected a scene without a field of that name, '
+                         f'found one; estimate {WEIGHT}.{MOMENT}')
+    wanted = [name for name in names if field_of(name)]
+    for name in wanted:
+        if name not in moments:
+            raise InputError(f'estimate: expected {MOMENT}s of the fields of the scene '
+                             f'({listed([*map(field_of, moments)])}), found {field_of(name)!r}')
+    return {name: moments[name] for name in wanted}
+
+
 def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, Prior]:
     """
     Check the priors given by the user, and return the prior of each component.
@@ -395,7 +454,7 @@ def _scales(inertia: Floats, magnitudes: Magnitudes) -> dict[str, Floats]:
     moments = np.diag(inertia)
     largest = float(moments.max())
     acting = max(torque, largest * rate / span_s)
-    scales = {name: np.ones(len(kind.components)) for name, kind in KINDS.items()}
+    scales = {name: np.ones(len(kind.components)) for name, kind in QUANTITIES.items()}
     return {**scales,
             'inertia': np.sqrt(moments[list(ROWS)] * moments[list(COLUMNS)]),
             'inertia_diagonal': moments.copy(), 'torque_bias': np.full(3, acting),

@@ -30,13 +30,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import as_json, Floats
+from rigid_body_ros.inference.coordinates import LONGEST_DELAY
 from rigid_body_ros.inference.errors import ahead_of, Residuals
 from rigid_body_ros.inference.fit import LeastSquares, Solution, triangle, Weights
 from rigid_body_ros.inference.growth import polished, states_at
 from rigid_body_ros.inference.noise import LEAST, Noise, noise_of, tail
-from rigid_body_ros.inference.parameters import field_of, LONGEST_DELAY
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.scene.fields import MOMENT
+from rigid_body_ros.scene.quantities import field_of, MOMENT
 
 #: What remains of a column after its projection onto other columns is subtracted counts as a
 #: rounding error if the norm of the remainder is at most this fraction of the column's norm.

@@ -43,7 +43,6 @@ from rigid_body_ros.inference.fit import LeastSquares, Solution
 from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
 from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
 from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise, SMALLEST, tail
-from rigid_body_ros.inference.parameters import components_of
 from rigid_body_ros.inference.reasons import (
     at_rest,
     halves,
@@ -58,6 +57,7 @@ from rigid_body_ros.inference.reasons import (
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.scene.quantities import components_of
 
 #: Minimum number of windows in the search for a sudden change in the inertia. The search tests,
 #: for each window, whether the inertia changes at the beginning of the window.

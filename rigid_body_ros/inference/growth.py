@@ -32,7 +32,7 @@ from itertools import pairwise
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.inference.coordinates import Physics
+from rigid_body_ros.inference.coordinates import LONGEST_DELAY, Physics
 from rigid_body_ros.inference.fit import (
     errors_of,
     LeastSquares,
@@ -44,7 +44,6 @@ from rigid_body_ros.inference.fit import (
 )
 from rigid_body_ros.inference.guess import local_state
 from rigid_body_ros.inference.noise import rms
-from rigid_body_ros.inference.parameters import LONGEST_DELAY
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.windows import corrected, Window
 from rigid_body_ros.mechanics.states import Poses

@@ -43,8 +43,8 @@ from rigid_body_ros.inference.noise import (
     NORMAL_95,
     rms,
 )
-from rigid_body_ros.inference.parameters import is_of_sensor
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.scene.quantities import is_of_sensor
 
 #: Errors are averaged over batches of this length, in seconds, to find errors that persist.
 _BATCH = 1.0

@@ -28,7 +28,9 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.inference.coordinates import (
     GRAVITY,
     lifted,
+    LONGEST_DELAY,
     Magnitudes,
+    moments_of,
     Parameters,
     Physics,
     SHORT_LAG,
@@ -36,15 +38,6 @@ from rigid_body_ros.inference.coordinates import (
 from rigid_body_ros.inference.guess import likely_offset, local_state
 from rigid_body_ros.inference.motion import Motion, Recorded, span_of
 from rigid_body_ros.inference.noise import FEWEST, rms
-from rigid_body_ros.inference.parameters import (
-    LONGEST_DELAY,
-    moments_of,
-    of_sensors,
-    SPACE,
-    split_topic,
-    START,
-    WEIGHT,
-)
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.inference.windows import AxialInertia, clocked, mount_of, topics_of, Window
 from rigid_body_ros.mechanics import so3
@@ -56,7 +49,7 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.report.thinning import thinned
-from rigid_body_ros.scene.fields import MOMENT
+from rigid_body_ros.scene.quantities import MOMENT, OF_SENSORS, SPACE, split_topic, START, WEIGHT
 
 #: Approximate angle through which the body turns in each window of the first fit, rad.
 _FIRST = 8.0
@@ -232,7 +225,7 @@ class Setup:
         groups = self.parameters.groups
         names = [name for name in self._of_body() if name not in groups]
         channels = [channel for channels in self.channels for channel in channels]
-        for kind in of_sensors():
+        for kind in OF_SENSORS:
             topics = topics_of(kind, channels)
             own = [kind] if len(topics) == 1 else [f'{kind}@{topic}' for topic in topics]
             names += [name for name in own if name not in groups]

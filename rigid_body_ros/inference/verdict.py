@@ -35,11 +35,11 @@ from rigid_body_ros.inference.findings import Findings, INERTIA_CHANGE, LARGE
 from rigid_body_ros.inference.fit import LeastSquares, Solution, Weights
 from rigid_body_ros.inference.growth import COARSE, fitted
 from rigid_body_ros.inference.noise import ALARM, tail
-from rigid_body_ros.inference.parameters import KINDS, split_topic, START
 from rigid_body_ros.inference.reasons import persistence, probability
 from rigid_body_ros.inference.setup import Setup
 from rigid_body_ros.inference.windows import topics_of
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.scene.quantities import QUANTITIES, split_topic, START
 
 EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
 _MEANINGS = {
@@ -239,7 +239,7 @@ def _advised(suspect: Suspect, command: Callable[[str], str]) -> Suspect:
     advice = 'correct the recording'
     if suspect.name == INERTIA_CHANGE:
         advice = 'fit the parts before and after it one by one'
-    elif split_topic(suspect.name)[0] in (*KINDS, START):
+    elif split_topic(suspect.name)[0] in (*QUANTITIES, START):
         advice = command(suspect.name)
     return replace(suspect, command=advice)
 

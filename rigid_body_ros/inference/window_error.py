@@ -34,7 +34,6 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.guess import IDENTITY
 from rigid_body_ros.inference.motion import errors_of
 from rigid_body_ros.inference.noise import NoiseLevel
-from rigid_body_ros.inference.parameters import START
 from rigid_body_ros.inference.residual_torque import measured_rates
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
@@ -42,6 +41,7 @@ from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.derivatives import with_derivatives
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.scene.quantities import START
 
 #: A state is estimated from one fifth of a window, which must contain at least `FEWEST` samples
 #: from one sensor.

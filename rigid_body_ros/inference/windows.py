@@ -31,14 +31,6 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.inference.motion import Motion, poses_of, Recorded, span_of
-from rigid_body_ros.inference.parameters import (
-    components_of,
-    is_of_sensor,
-    SPACE,
-    split_topic,
-    START,
-    WEIGHT,
-)
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
@@ -47,7 +39,15 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.derivatives import START_NAMES, with_derivatives
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.scene.fields import MOMENT
+from rigid_body_ros.scene.quantities import (
+    components_of,
+    is_of_sensor,
+    MOMENT,
+    SPACE,
+    split_topic,
+    START,
+    WEIGHT,
+)
 
 #: Lags shorter than this, s, are ignored.
 _SHORTEST = 1e-6

@@ -21,7 +21,7 @@ of its own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 import re
 from typing import Any
 
@@ -30,27 +30,34 @@ from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.mechanics.fields import Field, GravityGradient, UniformField
 from rigid_body_ros.runtime.parameters import BIG, Parameter
+from rigid_body_ros.scene.quantities import FIELD, FIELD_MOMENT, MOMENT
 
 #: The parameter that lists the names of the fields.
 FIELDS = 'fields'
-MOMENT, FIELD = 'moment', 'field'
-_UNIFORM = {MOMENT: ('kg m or A m^2', 'moment on which the field acts, body axes; for a weight, '
+_UNIFORM = {MOMENT: (FIELD_MOMENT.unit, 'moment on which the field acts, body axes; for a weight, '
                      'the mass times the vector from the pivot to the centre of mass'),
             FIELD: ('m/s^2 or T', 'the field, space axes')}
 ORBIT = 'orbit'
 _RATE, _POSITION, _NORMAL = f'{ORBIT}.mean_motion', f'{ORBIT}.position', f'{ORBIT}.normal'
+
+
+def along(name: str, unit: str, text: str, largest: float = BIG,
+          default: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Parameter]:
+    """Return the parameters of the components of a vector or a quaternion."""
+    return [Parameter(f'{name}.{axis}', value, unit, text, (-largest, largest))
+            for axis, value in zip('xyzw', default)]
+
+
 PARAMETERS = (
     Parameter(FIELDS, [], '', 'names of uniform fields; each field has the parameters NAME.moment '
               'and NAME.field, and exerts the torque NAME.moment x NAME.field (cross product) on '
               'the body'),
     Parameter(_RATE, 0.0, 'rad/s', 'mean motion of a circular orbit, in which the gravity '
               'gradient exerts a torque on the body; 0 means no orbit', (0.0, BIG)),
-    *(Parameter(f'{_POSITION}.{axis}', value, '', 'direction from the planet to the body, in '
-                'space axes, at start_time or, if start_time is 0, at the start of each epoch',
-                (-BIG, BIG)) for axis, value in zip('xyz', (1.0, 0.0, 0.0))),
-    *(Parameter(f'{_NORMAL}.{axis}', value, '', 'orbit normal, about which the body revolves, '
-                'space axes', (-BIG, BIG))
-      for axis, value in zip('xyz', (0.0, 0.0, 1.0))),
+    *along(_POSITION, '', 'direction from the planet to the body, in space axes, at start_time '
+           'or, if start_time is 0, at the start of each epoch', default=(1.0, 0.0, 0.0)),
+    *along(_NORMAL, '', 'orbit normal, about which the body revolves, space axes',
+           default=(0.0, 0.0, 1.0)),
 )
 _NAME = re.compile('[A-Za-z_][A-Za-z0-9_]*')
 OF_FIELD = re.compile(f'(.+)[.]({MOMENT}|{FIELD})[.][xyz]')
@@ -59,9 +66,8 @@ OF_FIELD = re.compile(f'(.+)[.]({MOMENT}|{FIELD})[.][xyz]')
 def of_names(names: Iterable[str]) -> dict[str, Parameter]:
     """Return the parameters of the uniform fields with these names, keyed by full name."""
     return {parameter.name: parameter for name in names
-            for group, (unit, text) in _UNIFORM.items() for parameter in (
-                Parameter(f'{name}.{group}.{axis}', 0.0, unit, text, (-BIG, BIG))
-                for axis in 'xyz')}
+            for group, (unit, text) in _UNIFORM.items()
+            for parameter in along(f'{name}.{group}', unit, text)}
 
 
 def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS) -> None:
@@ -120,11 +126,6 @@ def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
     except ValueError as error:
         raise InputError(f'orbit: {error}'.replace(' of an orbit', '')) from error
     return (*found, orbit)
-
-
-def moment_unit() -> str:
-    """Return the unit in which the moment of a field is given."""
-    return _UNIFORM[MOMENT][0]
 
 
 def described(values: Mapping[str, Any]) -> list[str]:

@@ -30,14 +30,13 @@ from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
 from rigid_body_ros.scene import fields
+from rigid_body_ros.scene.quantities import QUANTITIES, RATE
 
+_BODY, _DRAG, _ROTORS = (QUANTITIES[name] for name in ('inertia', 'damping', 'rotor_momentum'))
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = ('off-diagonal entry of the inertia tensor, including the minus sign as in URDF: ixy = '
             '- sum of m x y')
-_QUATERNION = 'initial attitude quaternion, body to space'
 _DAMPING = 'entry of the damping tensor D, body axes; the damping torque is -D w'
-_ROTORS = 'initial momentum of the rotors relative to the body, body axes'
-_VELOCITY = 'initial angular velocity, body axes'
 MODES = REALTIME, LOCKSTEP, CLOCK = 'realtime', 'lockstep', 'clock'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 #: The names of the quantities that can stay the same when the inertia changes; see `BodyLog`.
@@ -85,26 +84,22 @@ _OTHERS = (
 #: listed in `wheel_names`.
 OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
 PARAMETERS = {parameter.name: parameter for parameter in (
-    *(Parameter(f'inertia.{name}', None, 'kg m^2', _MOMENT, (TINY, BIG))
-      for name in ('ixx', 'iyy', 'izz')),
-    *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-BIG, BIG))
-      for name in ('ixy', 'ixz', 'iyz')),
+    *(Parameter(name, None, _BODY.unit, _MOMENT, (TINY, BIG)) for name in _BODY.components[:3]),
+    *(Parameter(name, 0.0, _BODY.unit, _PRODUCT, (-BIG, BIG)) for name in _BODY.components[3:]),
     Parameter('robot_description', '', '', 'URDF text, which gives the frames in which the node '
               'accepts forces and, in place of inertia.*, the inertia'),
     Parameter('link', '', '', 'link of robot_description that gives the body axes; fixed joints '
               'weld links to it; if empty, the root of the only body that has an inertia'),
-    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, BIG))
-      for name in ('dxx', 'dyy', 'dzz')),
-    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-BIG, BIG))
-      for name in ('dxy', 'dxz', 'dyz')),
-    *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-BIG, BIG))
-      for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
-    *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
-      for name in 'xyz'),
+    *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (0.0, BIG)) for name in _DRAG.components[:3]),
+    *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (-BIG, BIG)) for name in _DRAG.components[3:]),
+    *fields.along('initial_attitude', '', 'initial attitude quaternion, body to space',
+                  default=(0.0, 0.0, 0.0, 1.0)),
+    *fields.along('initial_angular_velocity', RATE.unit, 'initial angular velocity, body axes',
+                  1e9),
     Parameter('plausible_speed', 10.0, 'rad/s', 'initial angular speed above which the node and '
               'the commands warn that the numbers may be degrees per second', (0.0, 1e10)),
-    *(Parameter(f'initial_rotor_momentum.{name}', 0.0, 'N m s', _ROTORS, (-BIG, BIG))
-      for name in 'xyz'),
+    *fields.along('initial_rotor_momentum', _ROTORS.unit, 'initial momentum of the rotors '
+                  'relative to the body, body axes'),
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0 means the stamp of the first '
               'torque (replay, lockstep) or the first valid clock reading (realtime); a running '
               'node reports the actual time in this parameter', (0, 2 ** 31 * 10 ** 9 - 1)),
@@ -180,8 +175,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'angular velocity of imu/data', (0.0, 1e9)),
     Parameter('imu.gyro_random_walk', 0.0, 'rad/s^2/sqrt(Hz)', 'density of the random walk of the '
               'gyro bias in imu/data', (0.0, 1e9)),
-    *(Parameter(f'imu.gyro_bias.{axis}', 0.0, 'rad/s', 'constant bias of the angular velocity in '
-                'imu/data, body axes', (-1e9, 1e9)) for axis in 'xyz'),
+    *fields.along('imu.gyro_bias', QUANTITIES['gyro_bias'].unit, 'constant bias of the angular '
+                  'velocity in imu/data, body axes', 1e9),
     Parameter('imu.attitude_noise', 0.0, 'rad', 'standard deviation of the attitude error in '
               'imu/data, about each body axis', (0.0, math.pi)),
     Parameter('imu.delay', 0.0, 's', 'delay of imu/data: each message contains the state from '
@@ -280,8 +275,8 @@ def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | Non
 def wheel_parameters(names: Iterable[str]) -> dict[str, Parameter]:
     """Return the parameters of the wheels with these names, keyed by full name."""
     return {parameter.name: parameter for name in names for parameter in (
-        *(Parameter(f'{name}.{_AXIS}.{axis}', 0.0, '', 'wheel axis, in body axes; the length of '
-                    'this vector has no effect', (-BIG, BIG)) for axis in 'xyz'),
+        *fields.along(f'{name}.{_AXIS}', '', 'wheel axis, in body axes; the length of this vector '
+                      'has no effect'),
         *(each._replace(name=f'{name}.{each.name}') for each in (_INERTIA, *_OTHERS)))}
 
 
