@@ -24,11 +24,40 @@ from setuptools import find_packages, setup
 HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs this through a link
 PACKAGE = ElementTree.parse(HERE / 'package.xml').getroot()
 sys.path.insert(0, str(HERE / 'build_kernels'))
+from distutils.command.install_data import install_data  # noqa: E402, I100, from setuptools
+
 from extension import BuildKernels, kernels  # noqa: E402, I100
 
 NAME = PACKAGE.findtext('name')
 ROS_PACKAGES = ('rclpy', 'rmw-fastrtps-cpp', 'geometry-msgs', 'sensor-msgs', 'nav-msgs',
                 'std-msgs', 'std-srvs', 'diagnostic-msgs', 'rcl-interfaces', 'rosgraph-msgs')
+COMMANDS = ('attitude_compare', 'attitude_controller', 'attitude_ensemble', 'attitude_identify',
+            'attitude_lifecycle_node', 'attitude_monitor', 'attitude_node', 'attitude_regress',
+            'attitude_replay', 'attitude_tradeoff')
+SCRIPT = """#!/usr/bin/env python3
+import sys
+
+from {package}.commands.main import {command}
+
+if __name__ == '__main__':  # not in worker processes, which import this file
+    sys.exit({command}())
+"""
+
+
+class InstallData(install_data):
+    """Install the commands where `ros2 run` looks, too; pip puts entry points into bin only."""
+
+    def run(self):
+        """Copy the data files, and write a script for each command."""
+        super().run()
+        folder = Path(self.install_dir, 'lib', NAME)
+        folder.mkdir(parents=True, exist_ok=True)
+        for command in COMMANDS:
+            script = folder / command
+            script.write_text(SCRIPT.format(package=NAME, command=command), encoding='utf-8')
+            script.chmod(0o755)
+            self.outfiles.append(str(script))
+
 
 setup(
     name=NAME,
@@ -42,28 +71,16 @@ setup(
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed', 'engine/*.pyi', 'report/web/*']},
     ext_modules=[kernels()],
-    cmdclass={'build_ext': BuildKernels},
+    cmdclass={'build_ext': BuildKernels, 'install_data': InstallData},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        (f'share/{NAME}/config', sorted(glob('config/*'))),
-        (f'share/{NAME}/policies', sorted(glob('policies/*.policy.xml'))),
+        (f'share/{NAME}/config', sorted(glob('config/*.*'))),
+        (f'share/{NAME}/config/security', sorted(glob('config/security/*'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
-        # Where `ros2 run` looks; pip puts the entry points below into bin only.
-        (f'lib/{NAME}', sorted(glob('scripts/*'))),
     ],
-    entry_points={'console_scripts': [
-        f'attitude_compare = {NAME}.commands.main:attitude_compare',
-        f'attitude_controller = {NAME}.commands.main:attitude_controller',
-        f'attitude_ensemble = {NAME}.commands.main:attitude_ensemble',
-        f'attitude_identify = {NAME}.commands.main:attitude_identify',
-        f'attitude_lifecycle_node = {NAME}.commands.main:attitude_lifecycle_node',
-        f'attitude_monitor = {NAME}.commands.main:attitude_monitor',
-        f'attitude_node = {NAME}.commands.main:attitude_node',
-        f'attitude_regress = {NAME}.commands.main:attitude_regress',
-        f'attitude_replay = {NAME}.commands.main:attitude_replay',
-        f'attitude_tradeoff = {NAME}.commands.main:attitude_tradeoff',
-    ]},
+    entry_points={'console_scripts': [f'{name} = {NAME}.commands.main:{name}'
+                                      for name in COMMANDS]},
     python_requires='>=3.10',
     # The oldest versions that pass the tests, see test/lowest.txt.
     install_requires=['PyYAML>=5.4', 'lz4>=3.1', 'matplotlib>=3.5', 'mcap>=1.1',

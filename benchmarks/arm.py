@@ -39,7 +39,7 @@ import portable
 from rigid_body_ros import TorqueLog
 
 sys.path.insert(0, str(ROOT / 'test'))
-from conftest import chord, Reference  # noqa: E402, I100
+from conftest import chord, program, Reference  # noqa: E402, I100
 from scenes import SCENES  # noqa: E402
 from test_reference import AMPLIFYING, cases  # noqa: E402
 
@@ -180,11 +180,11 @@ def verified():
     """Replay a recording on ARM and verify the motion here; return whether all bits agree."""
     motion = FOLDER / 'motion.mcap'
     motion.unlink(missing_ok=True)
-    program = ROOT / 'scripts' / 'attitude_replay'
+    _, *replay = program('attitude_replay')
     arguments = [ROOT / 'test' / 'recordings' / 'tumbler.mcap', '--scene',
                  ROOT / 'config' / 'tumbler.yaml']
-    arm_machine.run(program, *arguments, '-o', motion)
-    return subprocess.run([sys.executable, program, *arguments, '--verify', motion],
+    arm_machine.run(*replay, *arguments, '-o', motion)
+    return subprocess.run([sys.executable, *replay, *arguments, '--verify', motion],
                           env=environment(HERE)).returncode == 0
 
 

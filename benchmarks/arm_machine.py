@@ -78,9 +78,9 @@ def install() -> None:
     _link_kernels()
 
 
-def run(program: Path, *arguments: object) -> None:
+def run(*arguments: object) -> None:
     """
-    Run a Python program of the checkout on the ARM machine.
+    Run Python on the ARM machine, with a program of the checkout and its arguments.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def run(program: Path, *arguments: object) -> None:
 
     """
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(WHEELS)])}
-    subprocess.run([QEMU, '-L', SYSTEM, SYSTEM / 'usr' / 'bin' / PYTHON, program, *arguments],
+    subprocess.run([QEMU, '-L', SYSTEM, SYSTEM / 'usr' / 'bin' / PYTHON, *arguments],
                    env=environment, check=True)
 
 

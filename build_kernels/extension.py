@@ -101,6 +101,9 @@ class BuildKernels(build_ext):
         ext.extra_objects = sorted(map(str, folder.glob('*.o')))
         ext.depends += ext.extra_objects
         ext.define_macros = macros()
+        # Through a link, colcon --symlink-install builds outside this folder, and the path of the
+        # object begins with build_temp/.., which older setuptools do not create.
+        os.makedirs(self.build_temp, exist_ok=True)
         # The times of files do not tell: the code of an earlier state may be used again.
         self.force = True
         try:

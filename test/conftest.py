@@ -166,6 +166,12 @@ def _install(folder):
     (folder / 'installed').touch()
 
 
+def program(command):
+    """Return the words that start a command of the package, without an installed script."""
+    return [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
+            f'sys.exit(main.{command}())']
+
+
 @contextmanager
 def memory_limit(most):
     """Fail if Python and its libraries allocate more than `most` bytes."""

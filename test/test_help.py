@@ -32,8 +32,8 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import load
 
 NODES = 'node', 'lifecycle', 'controller', 'monitor'
-COMMANDS = sorted(path.name for path in (ROOT / 'scripts').iterdir()
-                  if path.name.split('_')[1] not in NODES)
+COMMANDS = [name for name in re.findall(r"'(attitude_\w+)'", (ROOT / 'setup.py').read_text())
+            if name.split('_')[1] not in NODES]
 #: Marks for commands whose examples take a quarter of a minute.
 SLOWEST = {'attitude_regress': [pytest.mark.ros, pytest.mark.nightly],
            'attitude_tradeoff': pytest.mark.nightly}

@@ -33,7 +33,7 @@ PYTHON = ['benchmarks', 'build_kernels', 'docs', 'examples', 'launch', 'rigid_bo
     ('ament_copyright', [*PYTHON, 'CONTRIBUTING.md', 'LICENSE']),
     # These take a minute, and ruff checks most of the same rules.
     *at_night(('ament_flake8', PYTHON), ('ament_pep257', PYTHON)),
-    ('ament_xmllint', ['package.xml', 'policies'])])
+    ('ament_xmllint', ['package.xml', 'config/security'])])
 def test_the_linters_of_ros_find_no_problem(linter, paths):
     pytest.importorskip(f'{linter}.main', reason=f'{linter} is not installed as a whole')
     if linter == 'ament_xmllint' and not shutil.which('xmllint'):

@@ -17,9 +17,8 @@
 from contextlib import suppress
 import itertools
 import subprocess
-import sys
 
-from conftest import ROOT, SECOND
+from conftest import program, SECOND
 from diagnostic_msgs.msg import DiagnosticStatus
 from live import decoded, replayed, TUMBLER
 from live_session import ATTITUDE, COMMITTED, LiveSession
@@ -55,9 +54,8 @@ def start_at(attitude):
 
 def controller(live, *arguments):
     """Start the example controller in a separate process."""
-    return subprocess.Popen([sys.executable, ROOT / 'scripts' / 'attitude_controller',
-                             '--ros-args', '-p', f'stop_after:={SLEW_SECONDS}', *arguments],
-                            env=live.environment)
+    return subprocess.Popen([*program('attitude_controller'), '--ros-args', '-p',
+                             f'stop_after:={SLEW_SECONDS}', *arguments], env=live.environment)
 
 
 def closed_loop(tmp_path, domain, attitude):

@@ -22,7 +22,7 @@ import subprocess
 import sys
 import time
 
-from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, ROOT, SECOND
+from conftest import at_night, CONFIG, EPOCH_NS, NAME, RECORDINGS, ROOT, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import messages, recording
@@ -160,13 +160,14 @@ def test_recordings_whose_names_have_dots_are_different(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_script_that_ros2_run_starts_replays_several(tmp_path):
+def test_the_script_that_ros2_run_starts_replays_several(installed, tmp_path):
     # The worker processes import the script again.
     names = [tmp_path / name for name in ('a.csv', 'b.csv')]
     for name in names:
         name.write_text('1,0,0,0\n2,0.1,0,0\n')
-    result = subprocess.run([sys.executable, ROOT / 'scripts' / 'attitude_replay', *names, *SCENE,
-                             '-o', tmp_path / 'out'], capture_output=True, text=True, check=False,
+    script = installed / 'lib' / NAME / 'attitude_replay'
+    result = subprocess.run([sys.executable, script, *names, *SCENE, '-o', tmp_path / 'out'],
+                            capture_output=True, text=True, check=False,
                             env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert (result.returncode, result.stderr) == (0, '')
     assert result.stdout.splitlines()[-1] == '2 of 2 written'

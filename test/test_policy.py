@@ -21,10 +21,10 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
-from conftest import at_night, CONFIG, ROOT
+from conftest import at_night, CONFIG
 import pytest
 
-POLICY = ROOT / 'policies' / 'rigid_body_ros.policy.xml'
+POLICY = CONFIG / 'security' / 'rigid_body_ros.policy.xml'
 #: The rules for policies of sros2, version 0.2.0: for each element, its attributes, which of these
 #: are optional, and its children. A profile may have any number of each child.
 RULES = {
@@ -129,7 +129,7 @@ def test_it_allows_nothing_twice_and_denies_nothing(executable):
 
 @pytest.mark.slow
 def test_it_is_installed(installed):
-    path = installed / 'share' / 'rigid_body_ros' / 'policies' / POLICY.name
+    path = installed / 'share' / 'rigid_body_ros' / 'config' / 'security' / POLICY.name
     assert path.read_bytes() == POLICY.read_bytes()
 
 

@@ -25,7 +25,7 @@ import subprocess
 import sys
 import time
 
-from conftest import at_night, ROOT, SECOND
+from conftest import at_night, program, ROOT, SECOND
 import detumble
 import numpy as np
 import psutil
@@ -47,7 +47,7 @@ SCENE = """
     step: 0.02
 """
 STEP_NS, END_NS = SECOND // 50, 2 * SECOND
-CONTROLLER = [sys.executable, str(ROOT / 'scripts' / 'attitude_controller')]
+CONTROLLER = program('attitude_controller')
 GAINS = {'proportional_gain': 0.05, 'derivative_gain': 0.12}
 #: A controller that sends torques as fast as it can, in a given frame and with a given stamp.
 FLOOD = """
@@ -239,7 +239,7 @@ def test_ctrl_c_ends_all_that_was_started(folder, tmp_path):
     # Like `ros2 launch`, the command starts other processes; none of them reacts to Ctrl-C.
     started = tmp_path / 'started'
     command = ['sh', '-c', f'trap "" INT; sleep {MARK} & touch {started}; sleep {MARK}']
-    process = subprocess.Popen([sys.executable, ROOT / 'scripts' / 'attitude_regress',
+    process = subprocess.Popen([*program('attitude_regress'),
                                 *arguments(folder, command=command)], stderr=subprocess.PIPE,
                                text=True)
     until = time.monotonic() + 60.0
@@ -311,8 +311,7 @@ def test_an_update_takes_the_time_of_the_reference_or_the_end_of_the_controller(
 
 @pytest.mark.nightly
 def test_a_second_node_is_refused(folder, capsys):
-    node = [sys.executable, str(ROOT / 'scripts' / 'attitude_node'), '--ros-args', '--params-file',
-            str(folder / 'scene.yaml')]
+    node = [*program('attitude_node'), '--ros-args', '--params-file', str(folder / 'scene.yaml')]
     assert run(folder, '--timeout', '30', command=node) == 2
     assert 'starts a node that publishes odometry, too' in capsys.readouterr().err
 
@@ -366,9 +365,8 @@ def test_ten_runs_side_by_side_do_not_disturb_each_other(folder, tmp_path):
     for number in range(10):
         given = arguments(folder, '--json', tmp_path / f'{number}.json', '--timeout', '300',
                           command=changed if number % 2 else CONTROLLER)
-        processes.append(subprocess.Popen([
-            sys.executable, ROOT / 'scripts' / 'attitude_regress', *given],
-            stdout=subprocess.DEVNULL))
+        processes.append(subprocess.Popen([*program('attitude_regress'), *given],
+                                          stdout=subprocess.DEVNULL))
     assert [process.wait() for process in processes] == [0, 1] * 5
     same, other = ({(tmp_path / f'{number}.json').read_text() for number in range(first, 10, 2)}
                    for first in (0, 1))

@@ -15,9 +15,8 @@
 """A running node with parameters of other nodes."""
 
 import subprocess
-import sys
 
-from conftest import ROOT
+from conftest import program
 from live import TUMBLER
 from live_session import LiveSession
 import pytest
@@ -68,10 +67,9 @@ def test_a_mistake_in_a_parameter_of_ros_is_reported_in_one_line(domain, argumen
 
 def run_controller(live, *arguments):
     """Run the controller until it receives a state."""
-    return subprocess.run([sys.executable, ROOT / 'scripts' / 'attitude_controller',
-                           '--ros-args', '-p', 'stop_after:=0.0', *arguments],
-                          env=live.environment, capture_output=True, text=True, timeout=60,
-                          check=False)
+    return subprocess.run([*program('attitude_controller'), '--ros-args', '-p',
+                           'stop_after:=0.0', *arguments], env=live.environment,
+                          capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.mark.nightly

@@ -19,15 +19,14 @@ import signal
 import subprocess
 import sys
 
-from conftest import ROOT
 import pytest
 import rigid_body_ros
 
-#: Run a script that signals itself when it imports numpy, which every module of the engine needs.
+#: Run a command that signals itself when it imports numpy, which every module of the engine needs.
 #: Then the import continues, waits for a slow disk, or fails, as it does if C code imports a
 #: module and the exception of a signal handler arrives there.
 PROGRAM = """
-import os, runpy, sys, time
+import os, sys, time
 _, number, then, *sys.argv = sys.argv
 
 class Finder:
@@ -38,7 +37,8 @@ class Finder:
             exec(then)
 
 sys.meta_path.insert(0, Finder)
-runpy.run_path(sys.argv[0], run_name='__main__')
+from rigid_body_ros.commands import main
+sys.exit(getattr(main, sys.argv[0])())
 """
 
 
@@ -54,7 +54,7 @@ def test_a_signal_during_the_imports_ends_a_command_in_one_line(command, number,
     options = {'attitude_replay': [tmp_path / 'input.mcap', '--scene', tmp_path / 'scene.yaml'],
                'attitude_tradeoff': ['--scene', tmp_path / 'scene.yaml'], 'attitude_node': []}
     result = subprocess.run(
-        [sys.executable, '-c', PROGRAM, str(int(number)), then, ROOT / 'scripts' / command,
+        [sys.executable, '-c', PROGRAM, str(int(number)), then, command,
          *options[command]], capture_output=True, text=True, timeout=50, check=False)
     assert result.stderr == f'{command}: interrupted; no partial output was left\n'
     assert result.returncode == 128 + number

@@ -77,10 +77,11 @@ def test_what_python_imports_is_the_workspace(workspace, tmp_path):
 def test_the_ament_index_has_what_launch_files_look_for(workspace, tmp_path):
     share = (f'{sys.executable} -c "from ament_index_python.packages import '
              f'get_package_share_directory; print(get_package_share_directory(\'{NAME}\'))"')
-    result = sourced(workspace, f'cd $({share}) && ls package.xml config/* launch/*', tmp_path)
+    files = 'find package.xml config launch -type f'
+    result = sourced(workspace, f'cd $({share}) && {files}', tmp_path)
     assert result.returncode == 0, result.stderr
     listed = {str(path.relative_to(ROOT)) for folder in ('config', 'launch')
-              for path in (ROOT / folder).iterdir() if path.is_file()}
+              for path in (ROOT / folder).rglob('*.*') if path.suffix != '.pyc'}
     assert set(result.stdout.split()) == {'package.xml', *listed}
 
 
