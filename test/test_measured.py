@@ -288,7 +288,7 @@ def test_transforms_have_any_position_and_byte_order(little_endian):
         raws.append(Sent('/tf', TFMessage(parts), 0).cdr(little_endian))
     times = np.arange(200)
     raw = recording.bulk.Raw.from_bytes(raws, times, times)
-    found, decoded = recording.transforms.decode(kind, raw, ('abc', 'Flügel/機体'))
+    found, decoded = recording.bulk.decode_transforms(kind, raw, ('abc', 'Flügel/機体'))
     assert len(sent) > 10
     assert decoded.stamps_ns.tolist() == [
         part.header.stamp.sec * SECOND + part.header.stamp.nanosec for part in sent]
@@ -298,7 +298,7 @@ def test_transforms_have_any_position_and_byte_order(little_endian):
     for size in range(len(raws[-1])):  # cut anywhere: an error, but no crash
         cut = recording.bulk.Raw.from_bytes([raws[-1][:size]], times[:1], times[:1])
         with pytest.raises(recording.bulk.BadMessageError):
-            recording.transforms.decode(kind, cut, ('abc', 'abc'))
+            recording.bulk.decode_transforms(kind, cut, ('abc', 'abc'))
 
 
 @pytest.fixture

@@ -23,13 +23,15 @@ explains what is wrong with the message.
 from __future__ import annotations
 
 from collections.abc import Sequence
+import struct
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import Contents, kernels, RawMessages
-from rigid_body_ros.messages import JointCommands, LAST_NS, MessageType, Px4Type, Stamped
+from rigid_body_ros.messages import JointCommands, LAST_NS, MessageType, Px4Type
+from rigid_body_ros.messages.kinds import header_at, opened, text_at
 from rigid_body_ros.messages.px4 import layout, PX4_TYPES
 
 Bytes = NDArray[np.uint8]
@@ -39,6 +41,11 @@ Ints = NDArray[np.int64]
 _PADDING = 3
 #: The latest time that fits in a ROS stamp, us.
 _LAST_US = LAST_NS // 1000
+#: The doubles of a transform are preceded by at least this many bytes: a stamp and two empty
+#: names.
+_LEAST = 8 + 2 * 5
+#: `frame_pairs` stops when it has found this many pairs of frames.
+_MOST_PAIRS = 1000
 
 
 class BadMessageError(ValueError):
@@ -99,6 +106,10 @@ class Raw(NamedTuple):
         long_enough = self.starts[self.sizes >= 12]
         data[long_enough[:, None] + np.arange(4, 12)] = 0
         return self._replace(data=data)
+
+    def rows(self, chosen: NDArray[np.intp] | Ints) -> Raw:
+        """Return the chosen messages, in the same byte array."""
+        return Raw(self.data, *(column[chosen] for column in self[1:]))
 
     def message(self, row: int) -> bytes:
         """Return the bytes of one message."""
@@ -195,14 +206,96 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
 
 def _decode_each(kind: JointCommands, raw: Raw) -> Decoded:
     """Decode messages one at a time, for a type that the compiled loop does not support."""
-    found: list[Stamped] = []
-    names: dict[str, int] = {}
-    for row in range(len(raw.starts)):
+    count, names = len(raw.starts), dict[str, int]()
+    decoded = Decoded(np.empty(count, np.int64), np.empty(count, np.intp), [],
+                      np.empty((count, kind.doubles)))
+    for row in range(count):
         try:
-            found.append(kind.decode(raw.message(row)))
+            message = kind.decode(raw.message(row))
         except ValueError as error:
             raise BadMessageError(row, str(error)) from error
-    frames = [names.setdefault(message.frame_id, len(names)) for message in found]
-    return Decoded(np.array([message.stamp_ns for message in found], np.int64),
-                   np.array(frames, np.intp), [*names],
-                   np.array([message.values for message in found]).reshape(-1, kind.doubles))
+        decoded.frames[row] = names.setdefault(message.frame_id, len(names))
+        decoded.stamps_ns[row], decoded.values[row] = message.stamp_ns, message.values
+    return decoded._replace(names=[*names])
+
+
+def decode_transforms(kind: MessageType, raw: Raw,
+                      frames: tuple[str, str]) -> tuple[Raw, Decoded]:
+    """
+    Decode the transforms from one frame to another, and find the messages that contain them.
+
+    Parameters
+    ----------
+    kind : MessageType
+        TFMessage or TransformStamped.
+    raw : Raw
+        The messages.
+    frames : tuple of str
+        The frame_id and the child_frame_id of the transforms to decode.
+
+    Returns
+    -------
+    messages : Raw
+        For each transform, the message that contains it.
+    decoded : Decoded
+        The transforms.
+
+    Raises
+    ------
+    BadMessageError
+        A message does not match its type.
+
+    """
+    most = int(raw.sizes.sum()) // (_LEAST + 8 * kind.doubles) + 1
+    rows, stamps = np.zeros(most, np.int64), np.zeros(most, np.int64)
+    bits = np.zeros((most, kind.doubles), np.int64)
+    parent, child = (np.frombuffer(name.encode() + b'\0', np.uint8) for name in frames)
+    count, bad = kernels.find_transforms(RawMessages(*raw[:3]), kind.is_list, parent, child, rows,
+                                         stamps, bits)
+    if bad >= 0:
+        raise BadMessageError(bad, f'expected a {kind.name} in CDR, found undecodable bytes')
+    return raw.rows(rows[:count]), Decoded(stamps[:count], np.zeros(count, np.intp), [frames[0]],
+                                           bits[:count].view(np.float64))
+
+
+def frame_pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
+    """
+    Return the distinct pairs of frame_id and child_frame_id in messages.
+
+    Messages of the same size that share a transform are assumed to contain the same transforms.
+
+    Raises
+    ------
+    BadMessageError
+        A message does not match its type.
+
+    """
+    pairs: dict[tuple[str, str], None] = {}
+    rows = np.arange(len(raw.starts))
+    while rows.size and len(pairs) < _MOST_PAIRS:
+        try:
+            names = _names(kind, raw.message(rows[0]))
+        except (ValueError, struct.error) as error:
+            raise BadMessageError(int(rows[0]), str(error)) from error
+        pairs |= dict.fromkeys(names)
+        alike = raw.sizes[rows] == raw.sizes[rows[0]]
+        if names:
+            same, _ = decode_transforms(kind, raw, names[0])
+            alike &= np.isin(raw.starts[rows], same.starts)
+            alike[0] = True
+        rows = rows[~alike]
+    return [*pairs]
+
+
+def _names(kind: MessageType, data: bytes) -> list[tuple[str, str]]:
+    """Return the frame_id and the child_frame_id of each transform in a message."""
+    body, order = opened(data)
+    count, offset, names = 1, 0, []
+    if kind.is_list:
+        (count,), offset = struct.unpack_from(order + 'I', body), 4
+    for _ in range(count):
+        _, frame_id, offset = header_at(body, offset, order)
+        child_frame_id, offset = text_at(body, offset, order)
+        names.append((frame_id, child_frame_id))
+        offset += -offset % 8 + 8 * kind.doubles
+    return names

@@ -36,8 +36,7 @@ import numpy as np
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason
 from rigid_body_ros.engine import kernels
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.recording import bulk
-from rigid_body_ros.recording.bulk import Ints, Raw
+from rigid_body_ros.recording.bulk import Bytes, Ints, Raw
 from rigid_body_ros.recording.definitions import full_name
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import LARGEST, unpack
@@ -73,7 +72,11 @@ class McapFile(File):
         try:
             with open_file(self._content, 'recording') as stream:
                 self._size = os.fstat(stream.fileno()).st_size
-                self._begin(stream)
+                begin = stream.read(MAGIC_SIZE)
+                if begin != MCAP0_MAGIC:
+                    content = f'another format, which begins with {quoted(begin)}' if begin else \
+                        'an empty file'
+                    raise InputError(f'{path}: expected an MCAP file, found {content}')
                 summary = _summary(stream)
         except OSError as error:
             raise InputError(f'{path}: cannot read the recording: {reason(error)}') from error
@@ -93,14 +96,18 @@ class McapFile(File):
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the last metadata record called `name`, or {} if there is none."""
-        found: dict[str, str] = {}
+        content: dict[str, str] = {}
         with suppress(DamageError), open_file(self._content, 'recording') as stream:
             stream.seek(MAGIC_SIZE)
             for offset, _, record in self._records(stream, (Opcode.METADATA,)):
-                metadata = self._metadata(offset, record)
+                try:
+                    metadata = Metadata.read(_stream(record))
+                except Exception as error:  # damaged bytes make mcap raise a dozen types of errors
+                    raise InputError(f'{self.path}: damaged metadata record at byte {offset} '
+                                     f'({reason(error)})') from error
                 if metadata.name == name:
-                    found = metadata.metadata
-        return found
+                    content = metadata.metadata
+        return content
 
     def count(self, topic: str) -> int:
         """Return the number of messages on a topic."""
@@ -109,87 +116,61 @@ class McapFile(File):
 
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
         """Generate the messages of a topic in blocks; see `File.read`."""
-        for data, channels, found in self._blocks():
-            wanted = [number for number, channel in self._channels.items()
-                      if channel.topic == topic]
-            rows = np.flatnonzero(np.isin(channels, wanted))
-            for number in wanted:
-                self._check(self._channels[number], kind)
+        for numbers, messages in self._blocks():
+            channels = [channel for channel in self._channels.values() if channel.topic == topic]
+            for channel in channels:
+                if channel.message_encoding != 'cdr':
+                    raise InputError(f'{self.path}: {topic}: expected message encoding cdr, '
+                                     f'found {quoted(channel.message_encoding)}')
+                if schema := self._schemas.get(channel.schema_id):
+                    self._check_definition(topic, kind, schema.name, schema.encoding, schema.data)
+            rows = np.flatnonzero(np.isin(numbers, [channel.id for channel in channels]))
             if rows.size:
-                yield Raw(data, *(column[rows] for column in found))
-
-    def _check(self, channel: Channel, kind: MessageType) -> None:
-        if channel.message_encoding != 'cdr':
-            raise InputError(f'{self.path}: {channel.topic}: expected message encoding cdr, '
-                             f'found {quoted(channel.message_encoding)}')
-        schema = self._schemas.get(channel.schema_id)
-        if schema:
-            self._check_definition(channel.topic, kind, schema.name, schema.encoding, schema.data)
+                yield messages.rows(rows)
 
     def read_all(self) -> Iterator[tuple[Channel, Schema | None, Raw]]:
         """Generate blocks of messages from all topics, each with its channel and its schema."""
-        for data, channels, found in self._blocks():
-            for number in np.unique(channels).tolist():
+        for numbers, messages in self._blocks():
+            for number in np.unique(numbers).tolist():
                 channel = self._channels[number]
-                rows = np.flatnonzero(channels == number)
-                yield channel, self._schemas.get(channel.schema_id), Raw(
-                    data, *(column[rows] for column in found))
+                yield (channel, self._schemas.get(channel.schema_id),
+                       messages.rows(np.flatnonzero(numbers == number)))
 
-    def _metadata(self, offset: int, record: bytes) -> Metadata:
-        try:
-            return Metadata.read(ReadDataStream(BytesIO(record)))
-        except Exception as error:  # damaged bytes make mcap raise a dozen types of errors
-            raise InputError(f'{self.path}: damaged metadata record at byte {offset} '
-                             f'({reason(error)})') from error
-
-    def _begin(self, stream: IO[bytes]) -> None:
-        begin = stream.read(MAGIC_SIZE)
-        if begin != MCAP0_MAGIC:
-            found = f'another format, which begins with {quoted(begin)}' if begin else \
-                'an empty file'
-            raise InputError(f'{self.path}: expected an MCAP file, found {found}')
-
-    def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
-        # Generate blocks. Each block is a tuple of the data and the channels, positions, sizes and
-        # times of the messages in the data.
-        self.damage = ''
-        self._counts = {}
-        messages = 0
+    def _blocks(self) -> Iterator[tuple[Ints, Raw]]:
+        # Generate blocks of messages, each with the numbers of their channels.
+        self.damage, self._counts, count = '', {}, 0
         try:
             with open_file(self._content, 'recording') as stream:
                 self._size = os.fstat(stream.fileno()).st_size  # a recorder may still be writing
                 stream.seek(MAGIC_SIZE)
                 for offset, data in self._record_blocks(stream):
-                    channels, found = self._scan(offset, data)
-                    messages += len(channels)
-                    yield data, channels, found
+                    numbers, messages = self._scan(offset, data)
+                    count += len(numbers)
+                    yield numbers, messages
                 stream.seek(-MAGIC_SIZE, os.SEEK_END)
                 if stream.read() != MCAP0_MAGIC:
                     self.damage = 'cut off after the last message; no message is lost'
         except DamageError as error:
-            self.damage = f'{error}; {messages} messages (all topics) before it were read'
+            self.damage = f'{error}; {count} messages (all topics) before it were read'
         except OSError as error:
             raise InputError(f'{self.path}: cannot read the recording: '
                              f'{reason(error)}') from error
 
-    def _record_blocks(self, stream: IO[bytes]) -> Iterator[tuple[int, bulk.Bytes]]:
+    def _record_blocks(self, stream: IO[bytes]) -> Iterator[tuple[int, Bytes]]:
         # Generate the offset and the records of each chunk, and of each run of records outside
         # chunks.
-        loose, begin = bytearray(), 0
-        damage = None
+        loose, begin, damage = bytearray(), 0, None
         try:
             for offset, opcode, record in self._records(stream):
-                if opcode == Opcode.CHUNK:
-                    if loose:
-                        yield begin, np.frombuffer(bytes(loose), np.uint8)
-                        loose.clear()
+                is_chunk = opcode == Opcode.CHUNK
+                if loose and (is_chunk or len(loose) > _BLOCK):
+                    yield begin, np.frombuffer(bytes(loose), np.uint8)
+                    loose.clear()
+                if is_chunk:
                     yield offset, _decompressed(offset, record)
                 else:
-                    begin = offset if not loose else begin
+                    begin = begin if loose else offset
                     loose += _RECORD.pack(opcode, len(record)) + record
-                    if len(loose) > _BLOCK:
-                        yield begin, np.frombuffer(bytes(loose), np.uint8)
-                        loose.clear()
         except DamageError as error:
             damage = error
         if loose:
@@ -221,15 +202,14 @@ class McapFile(File):
                 stream.seek(length, os.SEEK_CUR)
             offset += _RECORD.size + length
 
-    def _scan(self, offset: int,
-              data: bulk.Bytes) -> tuple[Ints, tuple[Ints, Ints, Ints, Ints]]:
-        found = np.empty((5, len(data) // 31 + 1), np.int64)
+    def _scan(self, offset: int, data: Bytes) -> tuple[Ints, Raw]:
+        columns = np.empty((5, len(data) // 31 + 1), np.int64)
         position = count = 0
         while position < len(data):
-            position, count = kernels.scan(data, position, count, found)
+            position, count = kernels.scan(data, position, count, columns)
             if position < len(data):
                 position = self._register(offset, data, position)
-        channels, log_ns, publish_ns, starts, sizes = found[:, :count]
+        channels, log_ns, publish_ns, starts, sizes = columns[:, :count]
         numbers, counts = np.unique(channels, return_counts=True)
         unknown = set(numbers.tolist()) - self._channels.keys()
         if unknown:
@@ -237,9 +217,9 @@ class McapFile(File):
                               f'{listed([*map(str, sorted(unknown))])}')
         for number, more in zip(numbers.tolist(), counts.tolist()):
             self._counts[number] = self._counts.get(number, 0) + more
-        return channels, (starts, sizes, log_ns, publish_ns)
+        return channels, Raw(data, starts, sizes, log_ns, publish_ns)
 
-    def _register(self, offset: int, data: bulk.Bytes, position: int) -> int:
+    def _register(self, offset: int, data: Bytes, position: int) -> int:
         # Store a schema or channel record, and return the position where the record ends.
         if position + _RECORD.size > len(data):
             raise DamageError(f'damaged at byte {offset}: incomplete record')
@@ -247,7 +227,7 @@ class McapFile(File):
         position += _RECORD.size
         if length > len(data) - position or opcode in (0, Opcode.MESSAGE):
             raise DamageError(f'damaged at byte {offset}: invalid record of {length} bytes')
-        content = ReadDataStream(BytesIO(data[position:position + length].tobytes()))
+        content = _stream(data[position:position + length].tobytes())
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(content)
@@ -260,9 +240,13 @@ class McapFile(File):
         return position + length
 
 
-def _decompressed(offset: int, record: bytes) -> bulk.Bytes:
+def _stream(record: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(record))
+
+
+def _decompressed(offset: int, record: bytes) -> Bytes:
     try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(record)))
+        chunk = Chunk.read(_stream(record))
         size = chunk.uncompressed_size
         if size > LARGEST:
             raise ValueError(f'expected at most {LARGEST} bytes, found {size}')
@@ -292,15 +276,15 @@ def _summary(stream: IO[bytes]) -> Summary | None:
             return None
         stream.seek(start)
         content = BytesIO(stream.read())
-        found = Summary()
+        summary = Summary()
         # emit_chunks keeps mcap from decompressing the chunks, whose content could have any size.
         for record in StreamReader(content, skip_magic=True, emit_chunks=True).records:
             if isinstance(record, Schema):
-                found.schemas[record.id] = record
+                summary.schemas[record.id] = record
             elif isinstance(record, Channel):
-                found.channels[record.id] = record
+                summary.channels[record.id] = record
             elif isinstance(record, Statistics):
-                found.statistics = record
+                summary.statistics = record
     except Exception:  # the summary is cut off or damaged, so `McapFile` scans the file
         return None
-    return found if start and found.channels and magic == MCAP0_MAGIC else None
+    return summary if start and summary.channels and magic == MCAP0_MAGIC else None

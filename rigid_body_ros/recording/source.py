@@ -28,7 +28,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, shortened
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import MessageType, PX4_TYPES, Px4Type, TORQUE_VECTOR
-from rigid_body_ros.recording import bulk, transforms
+from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.opening import open_files
@@ -194,7 +194,7 @@ class Source:
         for file in self._with_topic:
             for raw in file.read(self.topic, self._encoding):
                 plain = self._decompressed(raw, self.topic, 0)
-                pairs |= dict.fromkeys(transforms.pairs(self.kind, plain))
+                pairs |= dict.fromkeys(bulk.frame_pairs(self.kind, plain))
         return [*pairs]
 
     def check_copied(self, topics: Collection[str]) -> None:
@@ -237,11 +237,11 @@ class Source:
         try:
             plain = bulk.converted(encoding, plain) if isinstance(encoding, Px4Type) else plain
             if self._frames and self.kind.has_child_frame:
-                raw, decoded = transforms.decode(self.kind, plain, self._frames)
+                raw, decoded = bulk.decode_transforms(self.kind, plain, self._frames)
             else:
                 kind = TORQUE_VECTOR if encoding is TORQUE_VECTOR else self.kind
                 decoded = bulk.decode(kind, plain)
-                pairs = transforms.pairs(self.kind, plain) if self.kind.has_child_frame else []
+                pairs = bulk.frame_pairs(self.kind, plain) if self.kind.has_child_frame else []
         except bulk.BadMessageError as error:
             raise self._error(error, self.topic, number) from error
         self._longer += decoded.longer
