@@ -187,8 +187,9 @@ def test_a_start_between_two_commands_does_not_change_the_lag(recorded):
     path, scene, _ = recorded
     run = load(scene)
     topics = recording.Topics().found_in(path, run)
-    (whole,), (later,) = (recording.read_epochs(path, run, topics, skip=skip)
-                          for skip in (0.0, 0.512))
+    (whole,), (later,) = (
+        recording.read_epochs(path, run, recording.Reading(topics=topics, start=start))
+        for start in (0.0, 0.512))
     times_ns = later.problem.start.time_ns + np.arange(50) * 10_000_000
     attitude = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
     torques = whole.problem.torque(times_ns, attitude)

@@ -42,9 +42,8 @@ from rigid_body_ros import messages, read, recording, scene, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 from rigid_body_ros.identification.recorded import read_experiments
-from rigid_body_ros.recording import torques, writer
+from rigid_body_ros.recording import Reading, torques, writer
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.verify import verify

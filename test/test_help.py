@@ -27,7 +27,7 @@ from rigid_body_ros import commands, identify, read
 from rigid_body_ros.commands import main
 from rigid_body_ros.comparison.comparison import compare_recording
 from rigid_body_ros.identification.recorded import read_experiments
-from rigid_body_ros.recording.observed import Reading
+from rigid_body_ros.recording import Reading
 from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import load
 

@@ -41,8 +41,8 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import read_measured
 from rigid_body_ros.comparison.comparison import compare_recording
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.recording import Reading
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.observed import Reading
 from rigid_body_ros.scene import load
 from scipy.spatial.transform import Rotation
 

@@ -26,10 +26,9 @@ from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import progress, report
 
 if TYPE_CHECKING:
-    from rigid_body_ros.recording import Logged, Topics
+    from rigid_body_ros.recording import Logged, Reading, Topics
     from rigid_body_ros.recording.account import Account
     from rigid_body_ros.recording.measured import Measured
-    from rigid_body_ros.recording.observed import Reading
     from rigid_body_ros.scene import Scene
 
 
@@ -92,9 +91,9 @@ def length_of(options: argparse.Namespace) -> float | None:
 def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics named in the options."""
     from rigid_body_ros import recording
-    return recording.Topics.given(options.topic, options.wheel_torque,
-                                  options.wheel_momentum, options.inertia,
-                                  options.wheel_command, options.columns)
+    return recording.Topics.given(
+        options.topic, wheel_torque=options.wheel_torque, wheel_momentum=options.wheel_momentum,
+        wheel_command=options.wheel_command, inertia=options.inertia, columns=options.columns)
 
 
 def read_torques(options: argparse.Namespace, scene: Scene, skip: float = 0.0) -> Logged:
@@ -106,14 +105,13 @@ def read_torques(options: argparse.Namespace, scene: Scene, skip: float = 0.0) -
     from rigid_body_ros import recording
     warn_of_units(options, [options.recording])
     path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
-    epochs = recording.read_epochs(path, scene, topics, track=progress('reading', size=len),
-                                   skip=skip)
-    return recording.chosen(path, scene, epochs)
+    reading = recording.Reading(topics=topics, start=skip, track=progress('reading', size=len))
+    return recording.chosen(path, scene, recording.read_epochs(path, scene, reading))
 
 
 def reading_of(options: argparse.Namespace) -> Reading:
     """Return a `Reading`, which says which torques and measurements to read, and how."""
-    from rigid_body_ros.recording.observed import Reading
+    from rigid_body_ros.recording import Reading
     return Reading(tuple(options.measured or ()), topics_of(options), options.interpolation,
                    options.time_source, options.frames and tuple(options.frames),
                    options.start, length_of(options), progress('reading', size=len))

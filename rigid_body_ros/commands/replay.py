@@ -82,9 +82,11 @@ def _uncertain(options: argparse.Namespace, path: str, scene: Scene) -> tuple[Lo
     from rigid_body_ros.ensemble.fitted import load_varied
     from rigid_body_ros.ensemble.runs import Ensemble
     from rigid_body_ros.replay.batches import end_of
-    logged = recording.chosen(path, scene, recording.read_epochs(
-        path, scene, topics_of(options).found_in(path, scene), options.interpolation,
-        time_source=options.time_source, skip=options.start), may_change=True)
+    reading = recording.Reading(
+        topics=topics_of(options).found_in(path, scene), interpolation=options.interpolation,
+        time_source=options.time_source, start=options.start)
+    logged = recording.chosen(path, scene, recording.read_epochs(path, scene, reading),
+                              may_change=True)
     end_ns = end_of(path, int(logged.times_ns[-1]), logged.problem.start.time_ns,
                     _length(options))
     varied, estimates = load_varied(options.uncertain, scene.values['fields'])

@@ -30,7 +30,8 @@ from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.urdf import robot
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.recording.observed import Measurements, read_observed, Reading
+from rigid_body_ros.recording.observed import Measurements, read_observed
+from rigid_body_ros.recording.selection import Reading
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.fields import FIELDS, values_of
 from rigid_body_ros.scene.quantities import QUANTITIES, split_topic, WEIGHT

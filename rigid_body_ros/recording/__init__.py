@@ -18,8 +18,8 @@ Read torques and other messages from recordings, and write motions.
 Reading: `opening` opens the files of a recording, whatever its format, and `source` reads one
 topic from them. `mcap_file`, `sqlite_file`, `text_files` and `ulog_file` each read some file
 formats, and all of them implement the interface in `file`. `headings` interprets the first line of
-a CSV file, and `unpack` decompresses files and messages. `bulk` decodes messages, and `transforms`
-decodes the transforms between one pair of frames. `torques` turns messages into a torque log and
+a CSV file, and `unpack` decompresses files and messages. `bulk` decodes messages. `selection` says
+what to read, and how. `torques` turns messages into a torque log and
 splits a node's log into epochs. `problem` combines torque logs with a scene. `measurements` reads
 attitudes and angular velocities, and `quantities` extracts them from messages and tables; the
 result is a `measured.Measured`. `observed` reads torques and measurements together.
@@ -31,14 +31,15 @@ the metadata.yaml file that makes the output a rosbag2 bag.
 from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of
 from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, started
 from rigid_body_ros.recording.problem import read as read_problem
-from rigid_body_ros.recording.selection import Topics
+from rigid_body_ros.recording.selection import Reading, Topics
 from rigid_body_ros.recording.source import joined, Messages, read, Source, topics, TORQUES
-from rigid_body_ros.recording.streams import Stream, Streams, whole
+from rigid_body_ros.recording.streams import Stream, streamed, whole
 from rigid_body_ros.recording.torques import epochs, NotInOrderError, torque_log, torque_pieces
 from rigid_body_ros.recording.ulog_file import is_ulog
 from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
 
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TORQUES', 'Column', 'FolderWriter', 'Logged',
-           'Messages', 'NotInOrderError', 'Source', 'Stream', 'Streams', 'Topics', 'Writer',
+           'Messages', 'NotInOrderError', 'Reading', 'Source', 'Stream', 'Topics', 'Writer',
            'chosen', 'epochs', 'is_ulog', 'joined', 'read', 'read_epochs', 'read_problem',
-           'started', 'suffix_of', 'topics', 'torque_log', 'torque_pieces', 'whole', 'writer_of']
+           'started', 'streamed', 'suffix_of', 'topics', 'torque_log', 'torque_pieces', 'whole',
+           'writer_of']

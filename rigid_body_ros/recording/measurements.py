@@ -23,16 +23,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rigid_body_ros import messages, recording
+from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
 from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, TurningFrame
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.recording import Messages, quantities, Source
+from rigid_body_ros.recording import quantities, source
 from rigid_body_ros.recording.account import SLASH
 from rigid_body_ros.recording.chains import chained, STATIC
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.quantities import KINDS, MeasuredSamples, QUANTITIES
-from rigid_body_ros.recording.source import with_types
+from rigid_body_ros.recording.source import joined, Messages, Source, with_types
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
 
@@ -170,7 +170,7 @@ def read_all(path: str | Path, topics: Iterable[str], options: MeasuredOptions) 
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
     # The frames apply only to those of the given topics whose message type has two frames. If no
     # given topic has such a type, the frames apply to all topics.
-    chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if options.frames else set()
+    chosen = {*source.topics(path, _TRANSFORMS)} & {*names} if options.frames else set()
     return [sensor for name in names or [None] for sensor in _read(
         path, name, options._replace(frames=options.frames
                                      if name in chosen or not chosen else None))]
@@ -202,19 +202,19 @@ def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[
     if topic:
         recorded, kind = _messages(file, topic, options)
         # First, because only an attitude that is measured can convert rates in space axes.
-        found = quantities.of_messages(recorded, kind).without_unmeasured()
+        samples = quantities.of_messages(recorded, kind).without_unmeasured()
         frames = _other_frames(where, recorded, kind, options)
-        found = in_body_axes(where, found, recorded, kind, options)
+        samples = in_body_axes(where, samples, recorded, kind, options)
         if any(name[:1] == '/' for names in (recorded.names, *recorded.pairs) for name in names):
-            found = replace(found, notes=(*found.notes, SLASH))
+            samples = replace(samples, notes=(*samples.notes, SLASH))
     else:
-        found = quantities.of_table(file, options.columns).without_unmeasured()
+        samples = quantities.of_table(file, options.columns).without_unmeasured()
     if quantity:
-        if not found.given[:, QUANTITIES.index(quantity)].any():
+        if not samples.given[:, QUANTITIES.index(quantity)].any():
             raise InputError('; '.join([f'{where}:{quantity}: expected samples of this quantity, '
-                                        'found none', *found.notes]))
-        found = found.without({*QUANTITIES} - {quantity})
-    sensors = found.sensors(where, ':'.join(filter(None, parts)),
+                                        'found none', *samples.notes]))
+        samples = samples.without({*QUANTITIES} - {quantity})
+    sensors = samples.sensors(where, ':'.join(filter(None, parts)),
                             bool(topic) and options.time_source == 'header')
     return [replace(sensor, frames=frames) for sensor in sensors]
 
@@ -223,16 +223,16 @@ def _messages(path: str | Path, topic: str,
               options: MeasuredOptions) -> tuple[Messages, MessageType]:
     """Read the messages of a topic; compose transforms if none is between the frames."""
     frames, time_source = options.frames, options.time_source
-    with Source(path, topic, KINDS, time_source) as source:
-        kind = source.kind
+    with Source(path, topic, KINDS, time_source) as opened:
+        kind = opened.kind
     if frames and not kind.has_child_frame:
         raise InputError(f'{path}: {topic}: --frames: expected a topic of transforms or '
                          f'odometry, found {kind.name}')
     if kind is messages.TRANSFORM:
         frames = frames or (options.space_frame, options.body_frame)
-    with Source(path, topic, (kind,), time_source, frames=frames) as source:
-        blocks = list(options.track(source, source.count))
-        recorded = recording.joined(topic, kind, blocks, source.damage)
+    with Source(path, topic, (kind,), time_source, frames=frames) as opened:
+        blocks = list(options.track(opened, opened.count))
+        recorded = joined(topic, kind, blocks, opened.damage)
     if not len(recorded) and frames:
         if kind is messages.TRANSFORM:
             return chained(path, topic, frames, time_source), kind
@@ -242,17 +242,17 @@ def _messages(path: str | Path, topic: str,
 
 
 def _only_topic(path: str | Path) -> str:
-    found = [topic for topic in recording.topics(path, _CERTAIN) if not topic.endswith(STATIC)]
-    if len(found) != 1:
-        types = recording.topics(path)
-        advice = '; choose one with --measured' if found else ''
+    topics = [topic for topic in source.topics(path, _CERTAIN) if not topic.endswith(STATIC)]
+    if len(topics) != 1:
+        types = source.topics(path)
+        advice = '; choose one with --measured' if topics else ''
         raise InputError(f'{path}: expected one topic of a measured attitude (QuaternionStamped, '
                          'PoseStamped, PoseWithCovarianceStamped, TransformStamped, TFMessage, '
-                         f'Odometry, Imu), found {with_types(types, found or types)}{advice}')
-    return found[0]
+                         f'Odometry, Imu), found {with_types(types, topics or types)}{advice}')
+    return topics[0]
 
 
-def in_body_axes(where: str, found: MeasuredSamples, recorded: Messages, kind: MessageType,
+def in_body_axes(where: str, samples: MeasuredSamples, recorded: Messages, kind: MessageType,
                  options: MeasuredOptions) -> MeasuredSamples:
     """
     Convert measurements whose frame is the space frame or a link to body axes, with a note.
@@ -261,7 +261,7 @@ def in_body_axes(where: str, found: MeasuredSamples, recorded: Messages, kind: M
     ----------
     where : str
         The file and the topic, for error messages.
-    found : MeasuredSamples
+    samples : MeasuredSamples
         The samples in the messages.
     recorded : Messages
         The messages.
@@ -288,17 +288,17 @@ def in_body_axes(where: str, found: MeasuredSamples, recorded: Messages, kind: M
             kind is messages.ODOMETRY and frame == parent.removeprefix('/'))
         if frame in ('', options.body_frame):
             continue
-        has_attitude, has_rates = found.usable[rows].any(axis=0).tolist()
+        has_attitude, has_rates = samples.usable[rows].any(axis=0).tolist()
         if has_rates and is_space:
             if not has_attitude:
                 number = recorded.before + int(np.argmax(rows)) + 1
                 raise InputError(f'{where}: message {number}: frame_id: expected an angular '
                                  f'velocity in body axes, found {shortened(quoted(name))} (space '
                                  'axes)')
-            found = found.rates_from_space(rows, quoted(name))
+            samples = samples.rates_from_space(rows, quoted(name))
         elif (link := options.link(name)) and not link.is_aligned:
-            found = found.from_link(rows, link.rotation, quoted(name))
-    return found
+            samples = samples.from_link(rows, link.rotation, quoted(name))
+    return samples
 
 
 def _other_frames(where: str, recorded: Messages, kind: MessageType,

@@ -25,66 +25,12 @@ from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.recording import Topics
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
 from rigid_body_ros.recording.measured import Measured
-from rigid_body_ros.recording.measurements import MeasuredOptions, read_all
+from rigid_body_ros.recording.selection import Reading, Topics
 from rigid_body_ros.recording.ulog_file import is_ulog, UlogFile
-from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
-
-_TOPICS_OF_SCENE = Topics()
-
-
-@dataclass(frozen=True)
-class Reading:
-    """
-    What to read from a recording, and how.
-
-    Attributes
-    ----------
-    measured : tuple of str
-        The measured topics. The tuple can be empty if the recording has only one measured topic,
-        because `read_measured` finds this topic.
-    topics : Topics
-        The torque topics.
-    interpolation : str, optional
-        How to interpolate the torques between samples. By default, the scene decides.
-    time_source : str
-        Where the stamps of torques and measurements come from, as for `recording.read`.
-    start : float, s
-        If positive, the motion starts this long after the first sample, as for `read_observed`.
-    until : float, optional, s
-        The length of the motion. By default, the motion ends at the last sample.
-    frames : tuple of str, optional
-        The parent frame and the child frame to read, as for `read_measured`.
-    track : callable
-        A function that wraps the iteration over blocks of messages, to show progress.
-
-    """
-
-    measured: tuple[str, ...] = ()
-    topics: Topics = _TOPICS_OF_SCENE
-    interpolation: str | None = None
-    time_source: str = 'header'
-    frames: tuple[str, str] | None = None
-    start: float = 0.0
-    until: float | None = None
-    track: Track = no_progress
-
-    def sensors(self, path: str | Path, scene: Scene | None) -> list[Measured]:
-        """
-        Read the measurements, raising the same errors as `read_all`.
-
-        Without a scene, the frames of the messages are not compared with any others.
-        """
-        options = MeasuredOptions(self.frames, time_source=self.time_source,
-                                  columns=self.topics.columns, track=self.track)
-        if scene is None:
-            return [replace(one, frames='') for one in read_all(path, self.measured, options)]
-        return read_all(path, self.measured, options._replace(
-            body_frame=scene.body_frame, space_frame=scene.space_frame, links=scene.links))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +73,8 @@ class Measurements:
             A sensor has no samples before the end of the motion.
 
         """
-        ends = [self.end_ns - round(1e9 * one)
-                for one in offsets or [0.0] * len(self.sensors)]
+        ends = [self.end_ns - round(1e9 * offset)
+                for offset in offsets or [0.0] * len(self.sensors)]
         for sensor, end_ns in zip(self.sensors, ends):
             if sensor.stamps_ns[0] >= end_ns:
                 raise InputError(f'{sensor.topic}: expected measurements before the end of the '
@@ -170,14 +116,13 @@ def read_observed(path: str | Path, scene: Scene, reading: Reading,
 
     """
     sensors, later_ns, account = reading.sensors(path, scene), list[int](), None
-    if replace(reading.topics, columns=None) == _TOPICS_OF_SCENE and not (
+    if replace(reading.topics, columns=None) == Topics() and not (
             recording.topics(path, recording.TORQUES) or reading.topics.command_in(path, scene)):
         first_ns = min(int(sensor.stamps_ns[0]) for sensor in sensors)
         problem = scene.problem(scene.starting_at(first_ns, reading.start))
     else:
-        epochs = recording.read_epochs(path, scene, reading.topics.found_in(path, scene),
-                                       reading.interpolation, reading.track, reading.time_source,
-                                       reading.start)
+        topics = reading.topics.found_in(path, scene)
+        epochs = recording.read_epochs(path, scene, replace(reading, topics=topics))
         logged = recording.chosen(path, scene, epochs)
         problem, account = logged.problem, logged.account
         begins_ns = [epoch.problem.start.time_ns for epoch in epochs]

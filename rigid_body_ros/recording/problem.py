@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,10 @@ from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.account import Account, merged
-from rigid_body_ros.recording.selection import Topics
+from rigid_body_ros.recording.selection import Reading, Topics
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.recording.torques import check_stamped, epochs, torque_log
-from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import load, Scene
 
 #: Two rotor momenta count as equal if their relative difference is at most this.
@@ -64,11 +63,8 @@ class Logged(NamedTuple):
         return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
 
 
-def read(path: str | Path, scene: str | Path | Scene, *,
-         topic: str | Sequence[str] | None = None, wheel_torque: str | None = None,
-         wheel_momentum: str | None = None, wheel_command: str | None = None,
-         inertia: str | None = None, interpolation: str | None = None,
-         time_source: str = 'header', columns: Mapping[str, str] | None = None) -> Problem:
+def read(path: str | Path, scene: str | Path | Scene, *, interpolation: str | None = None,
+         time_source: str = 'header', **topics: Any) -> Problem:
     """
     Return the problem that the command `attitude_replay` solves for a recording and a scene.
 
@@ -81,10 +77,11 @@ def read(path: str | Path, scene: str | Path | Scene, *,
         The recording.
     scene : str, Path or Scene
         The scene, or the scene file.
-    topic, wheel_torque, wheel_momentum, wheel_command, inertia
+    interpolation, time_source
         See `replay`.
-    interpolation, time_source, columns
-        See `replay`.
+    topics
+        The keyword arguments `topic`, `wheel_torque`, `wheel_momentum`, `wheel_command`, `inertia`
+        and `columns`; see `replay`.
 
     Returns
     -------
@@ -98,15 +95,12 @@ def read(path: str | Path, scene: str | Path | Scene, *,
 
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
-    topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command,
-                          columns).found_in(path, loaded)
-    return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
-                                            time_source=time_source), may_change=True).problem
+    reading = Reading(topics=Topics.given(**topics).found_in(path, loaded),
+                      interpolation=interpolation, time_source=time_source)
+    return chosen(path, loaded, read_epochs(path, loaded, reading), may_change=True).problem
 
 
-def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None,
-                track: Track = no_progress, time_source: str = 'header',
-                skip: float = 0.0) -> list[Logged]:
+def read_epochs(path: str | Path, scene: Scene, reading: Reading) -> list[Logged]:
     """
     Read the problem of a recording, or of each epoch if a node made the recording.
 
@@ -116,14 +110,8 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         The recording.
     scene : Scene
         The body, the names of the frames, and the initial state.
-    topics : Topics
-        The topics to read, as `Topics.found_in` returns them.
-    interpolation : str, optional
-        How to interpolate between samples; by default, as the scene specifies.
-    track : callable
-        Wraps the iteration over blocks of messages, to show progress.
-    time_source, skip
-        See `recording.read` and `started`.
+    reading : Reading
+        What to read, and how. Its topics are those that `Topics.found_in` returns.
 
     Returns
     -------
@@ -137,25 +125,24 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
         epochs.
 
     """
-    torques = [source.read(path, name, topics.kinds(name), track, time_source, topics.preferred,
-                           topics.columns)
-               for name in topics.wrenches]
-    momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, track, time_source) \
-        if topics.wheel_momentum else None
+    topics = reading.topics
+    kinds = [(name, topics.kinds(name)) for name in topics.wrenches]
     if topics.inertia:
-        torques.append(source.read(path, topics.inertia, messages.INERTIA, track, time_source))
+        kinds.append((topics.inertia, [messages.INERTIA]))
     if topics.wheel_command:
-        kind = messages.joint_commands([wheel.name for wheel in scene.named_wheels])
-        torques.append(source.read(path, topics.wheel_command, kind, track, time_source))
-    found = aligned(path, [epochs(path, one) for one in torques], time_source == 'header')
-    if momentum is not None and len(found) > 1:
-        raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(found)}')
-    return [_logged(path, scene, topics, parts, momentum, interpolation or scene.interpolation,
-                    skip)
-            for parts in found]
+        names = [wheel.name for wheel in scene.named_wheels]
+        kinds.append((topics.wheel_command, [messages.joint_commands(names)]))
+    logs = [source.read(path, name, kind, reading.track, reading.time_source, topics.preferred,
+                        topics.columns) for name, kind in kinds]
+    momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, reading.track,
+                           reading.time_source) if topics.wheel_momentum else None
+    parts = aligned(path, [epochs(path, log) for log in logs], reading.time_source == 'header')
+    if momentum is not None and len(parts) > 1:
+        raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(parts)}')
+    return [_logged(path, scene, reading, part, momentum) for part in parts]
 
 
-def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
+def chosen(path: str | Path, scene: Scene, recorded: Sequence[Logged],
            may_change: bool = False) -> Logged:
     """
     Choose one epoch, for a command that works on a single motion.
@@ -169,68 +156,69 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
         No epoch begins at `start_time`, or the body changes but `may_change` is not set.
 
     """
-    stamps_ns = [each.problem.start.time_ns for each in found]
+    stamps_ns = [epoch.problem.start.time_ns for epoch in recorded]
     start_ns = scene.start.time_ns
     if len(stamps_ns) > 1 and start_ns not in stamps_ns:
         raise InputError(f'{path}: expected one epoch, or the start_time of one, found '
                          f'{len(stamps_ns)} epochs, which begin at '
                          f'{listed([str(stamp) for stamp in stamps_ns])} ns, and start_time '
                          f'{start_ns}; set start_time in the scene')
-    one = found[len(found) - 1 - stamps_ns[::-1].index(start_ns) if len(found) > 1 else 0]
-    if one.problem.changes and not may_change:
+    epoch = recorded[len(recorded) - 1 - stamps_ns[::-1].index(start_ns)
+                     if len(recorded) > 1 else 0]
+    if epoch.problem.changes and not may_change:
         raise InputError(f'{path}: expected a body that does not change, found '
-                         f'{len(one.problem.changes)} changes of its inertia, which only '
+                         f'{len(epoch.problem.changes)} changes of its inertia, which only '
                          'attitude_replay computes; set inertia_topic: false in the scene')
-    return one
+    return epoch
 
 
-def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
-            momentum: Messages | None, interpolation: str, skip: float) -> Logged:
+def _logged(path: str | Path, scene: Scene, reading: Reading, parts: Sequence[Messages],
+            momentum: Messages | None) -> Logged:
     """
     Return the problem of one epoch.
 
     `parts` contains the messages of each topic that is read: first the torques on the body, then
     the rotor torque, the inertia and the commands to named wheels, in this order.
     """
+    topics, interpolation = reading.topics, reading.interpolation or scene.interpolation
     body, measured, wheels = [*parts], None, None
-    every = [*parts, *([] if momentum is None else [momentum])]
+    recorded = [*parts, *([] if momentum is None else [momentum])]
+    where = f'{path}: {listed([part.topic for part in recorded])}'
     advice = '' if is_text_file(str(path)) else Account.advice
-    accounts = {one.topic: Account(advice) for one in every}
+    accounts = {part.topic: Account(advice) for part in recorded}
     efforts = _efforts(path, body.pop()) if topics.wheel_command else None
     changes = _changes(path, body.pop(), scene) if topics.inertia else None
     if topics.wheel_torque:
         check_axes(path, body[-1], scene)
         wheels = _log(path, body.pop(), scene, interpolation, accounts)
     actuators = topics.actuators(scene)
-    logs = [_log(path, one, scene, 'hold' if held else interpolation, accounts)
-            for one, held in zip(body, actuators or (None,) * len(body))]
+    logs = [_log(path, part, scene, 'hold' if held else interpolation, accounts)
+            for part, held in zip(body, actuators or (None,) * len(body))]
     if momentum is not None:
-        measured = _momentum(path, momentum, scene)
-        wheels = _from_momentum(path, momentum, measured, scene)
-    damage = '; '.join(dict.fromkeys(one.damage for one in every if one.damage))
+        measured, wheels = _from_momentum(path, momentum, scene)
+    damage = '; '.join(dict.fromkeys(part.damage for part in recorded if part.damage))
     stamps_ns = stamps_of([*logs, *([wheels] if wheels else [])])
     if efforts:
         stamps_ns = np.union1d(stamps_ns, efforts.times_ns)
-    begin = next((one.start for one in parts if one.start), None)
+    begin = next((part.start for part in parts if part.start), None)
     if not stamps_ns.size and not begin:
         lost = f' ({damage})' if damage else ''
-        raise InputError(f'{path}: {listed([one.topic for one in every])}: expected torques, '
-                         f'found no messages{lost}')
+        raise InputError(f'{where}: expected torques, found no messages{lost}')
     first_ns = int(stamps_ns[0]) if stamps_ns.size else 0
-    start = started(path, scene, begin, first_ns, skip)
+    start = started(path, scene, begin, first_ns, reading.start)
     if measured is not None:
         start = _started(start, measured)
     try:
         problem = scene.problem(start).replaced(
             log=logs, wheels=wheels, changes=changes, efforts=efforts, actuator=actuators)
-        if skip:  # an actuator lags from its first command, not from the start
+        if reading.start:  # an actuator lags from its first command, not from the start
             problem = problem.replaced(start=replace(start, time_ns=first_ns)).replaced(
                 start=start)
     except ValueError as error:
-        raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
-    for one in every:
-        if accounts[one.topic].samples < len(one):  # not a torque
-            accounts[one.topic].add(one.stamps_ns)
+        raise InputError(f'{where}: {error}') from error
+    for part in recorded:
+        if accounts[part.topic].samples < len(part):  # not a torque
+            accounts[part.topic].add(part.stamps_ns)
     return Logged(problem, measured is not None, merged(accounts), begin is not None, damage,
                   tuple(accounts))
 
@@ -289,17 +277,21 @@ def _check_same_start(path: str | Path, part: Messages, expected: Messages,
                       has_stamps: bool) -> None:
     if part.start is None and not len(part):
         return  # a topic without messages
-    one, other = ((state.time_ns if has_stamps else 0, state.attitude.tobytes(),
-                   state.angular_velocity.tobytes(), state.rotor_momentum.tobytes(),
-                   state.wheel_speeds.tobytes())
-                  if (state := found.start) else None for found in (part, expected))
-    if one != other:
-        found = f'the epoch that begins at {part.start.time_ns} ns' if part.start else \
+    if bits_of(part.start, has_stamps) != bits_of(expected.start, has_stamps):
+        begin = f'the epoch that begins at {part.start.time_ns} ns' if part.start else \
             'torques without epochs'
         assert expected.start
         raise InputError(f'{path}: {part.topic}: expected the epoch that begins at '
                          f'{expected.start.time_ns} ns, with the same start state as on '
-                         f'{expected.topic}, found {found}')
+                         f'{expected.topic}, found {begin}')
+
+
+def bits_of(state: State | None, has_stamp: bool = True) -> tuple[int | bytes, ...]:
+    """Return what is equal for two states only if all of their bits are."""
+    return () if state is None else (
+        state.time_ns if has_stamp else 0, state.attitude.tobytes(),
+        state.angular_velocity.tobytes(), state.rotor_momentum.tobytes(),
+        state.wheel_speeds.tobytes())
 
 
 def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str,
@@ -347,8 +339,9 @@ def check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
                              f"expected '{body}' or '' (body axes), found {quoted(name)}")
 
 
-def _momentum(path: str | Path, recorded: Messages, scene: Scene) -> TorqueLog:
-    """Return the measured rotor momenta, N m s, as a log with linear interpolation."""
+def _from_momentum(path: str | Path, recorded: Messages,
+                   scene: Scene) -> tuple[TorqueLog, TorqueLog]:
+    """Return measured rotor momenta, N m s, interpolated linearly, and the rotor torques."""
     where = f'{path}: {recorded.topic}'
     if not len(recorded):
         raise InputError(f'{where}: expected the momentum of the rotors, found no messages')
@@ -363,19 +356,14 @@ def _momentum(path: str | Path, recorded: Messages, scene: Scene) -> TorqueLog:
         raise InputError(f'{where}: message {bad[0] + 1} at {recorded.stamps_ns[bad[0]]} ns: '
                          'expected a finite momentum, found '
                          f'{recorded.values[bad[0]].tolist()}')
-    return TorqueLog(recorded.stamps_ns, recorded.values, interpolation='linear')
-
-
-def _from_momentum(path: str | Path, recorded: Messages, measured: TorqueLog,
-                   scene: Scene) -> TorqueLog:
-    where = f'{path}: {recorded.topic}'
+    measured = TorqueLog(recorded.stamps_ns, recorded.values, interpolation='linear')
     longest = int(np.diff(measured.times_ns).max(initial=0))
     if 0 < scene.timeout_ns < longest:
         raise InputError(f'{where}: expected samples at most torque_timeout '
                          f'({scene.torque_timeout} s) apart, found a gap of '
                          f'{longest * 1e-9:.9g} s')
     try:
-        return TorqueLog.from_momentum(measured.times_ns, measured.torques)
+        return measured, TorqueLog.from_momentum(measured.times_ns, measured.torques)
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
 
@@ -389,8 +377,9 @@ def _started(start: State, measured: TorqueLog) -> State:
     """
     time_ns = max(start.time_ns, int(measured.times_ns[0]))
     momentum: Floats = measured.at([time_ns])[0][0]
-    given = start.rotor_momentum
-    if given.any() and np.linalg.norm(given - momentum) > _SAME_MOMENTUM * np.linalg.norm(given):
+    stated = start.rotor_momentum
+    most = _SAME_MOMENTUM * np.linalg.norm(stated)
+    if stated.any() and np.linalg.norm(stated - momentum) > most:
         raise InputError(f'initial_rotor_momentum: expected {momentum.tolist()} N m s as '
-                         f'measured at the start, or no value, found {given.tolist()}')
+                         f'measured at the start, or no value, found {stated.tolist()}')
     return replace(start, rotor_momentum=momentum)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decide which topics of a recording provide the torques and other inputs of a scene."""
+"""Decide what to read from a recording: the topics with torques and other inputs of a scene."""
 
 from __future__ import annotations
 
@@ -20,12 +20,16 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 import re
+from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.messages import INERTIA, joint_commands, MessageType
 from rigid_body_ros.recording import source
+from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.recording.measurements import MeasuredOptions, read_all
 from rigid_body_ros.recording.source import TORQUES
+from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 
 #: Default names of the topics for the rotor torque, the commands to named wheels, and the inertia.
@@ -90,14 +94,9 @@ class Topics:
                 raise InputError(f'expected each topic once, found {name!r} twice')
 
     @classmethod
-    def given(cls, topic: str | Sequence[str] | None, wheel_torque: str | None = None,
-              wheel_momentum: str | None = None, inertia: str | None = None,
-              wheel_command: str | None = None,
-              columns: Mapping[str, str] | None = None) -> Topics:
-        """Return the topics that the caller has named."""
-        names = (topic,) if isinstance(topic, str) else tuple(topic or ())
-        return cls(names, wheel_torque, wheel_momentum, inertia, wheel_command=wheel_command,
-                   columns=columns)
+    def given(cls, topic: str | Sequence[str] | None = None, **others: Any) -> Topics:
+        """Return the topics that the caller has named: torque topics, and other attributes."""
+        return cls((topic,) if isinstance(topic, str) else tuple(topic or ()), **others)
 
     @property
     def _options(self) -> list[tuple[str, str | None]]:
@@ -127,14 +126,14 @@ class Topics:
         self.check(scene)
         names, wheel_torque, inertia = self.torques, self.wheel_torque, self.inertia
         if scene.inertia_topic:
-            inertia = inertia or self._beside(_INERTIA, source.topics(path, [INERTIA]))
+            inertia = inertia or self._topic_called(_INERTIA, source.topics(path, [INERTIA]))
         command = self.command_in(path, scene)
         if len(names or scene.torque_topics) == 1 and not (scene.wheels or command):
             preferred = '' if names else absolute(scene.torque_topics[0])
             return replace(self, inertia=inertia, preferred=preferred)
         recorded = source.topics(path, TORQUES)
         if scene.wheels and not self.wheel_momentum:
-            wheel_torque = wheel_torque or self._beside(_WHEEL_TORQUE, recorded)
+            wheel_torque = wheel_torque or self._topic_called(_WHEEL_TORQUE, recorded)
         if not names:
             others = [topic for topic in recorded if topic != wheel_torque]
             optional = bool(wheel_torque or self.wheel_momentum or command)
@@ -146,16 +145,16 @@ class Topics:
         """Return the topic with the commands to named wheels, or None if there is none."""
         if self.wheel_command or not scene.named_wheels:
             return self.wheel_command
-        return self._beside(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
+        return self._topic_called(_WHEEL_COMMAND, source.topics(path, [joint_commands(())]))
 
-    def _beside(self, name: str, recorded: Collection[str]) -> str | None:
+    def _topic_called(self, name: str, recorded: Collection[str]) -> str | None:
         """Return the topic called `name` or a node's log of that topic; None if neither exists."""
         logs = [topic for topic in recorded if topic.endswith(f'/accepted_{name}')]
         nodes = {topic.rpartition('/')[0] for topic in self.torques if _ACCEPTED.fullmatch(topic)}
         if nodes:
             logs = [topic for topic in logs if topic.rpartition('/')[0] in nodes]
-        elif found := _match(name, recorded):
-            return found
+        elif topic := _match(name, recorded):
+            return topic
         if len(logs) > 1:
             raise InputError(f'expected the {name} of one node, found {listed(logs)}; choose one '
                              f'with --{name.replace("_", "-")}')
@@ -167,9 +166,9 @@ class Topics:
         """Raise InputError if the scene does not enable a given rotor, wheel or inertia topic."""
         for option, topic in self._options:
             parameter, expected = _NEEDED[option]
-            if topic and not (found := scene.values[parameter]):
+            if topic and not (value := scene.values[parameter]):
                 raise InputError(f'{option}: expected a scene with {parameter}: {expected}, found '
-                                 f'{parameter}: {str(found).lower()}')
+                                 f'{parameter}: {str(value).lower()}')
 
     def actuators(self, scene: Scene) -> tuple[Actuator | None, ...] | None:
         """
@@ -179,12 +178,10 @@ class Topics:
         that topic. If the recording and the scene have only one topic each, the names of the two
         topics need not agree.
         """
-        found, names = scene.actuators, [absolute(name) for name in scene.torque_topics]
-        if found is None:
-            return None
-        if self.preferred or len(self.torques) == len(names) == 1:
-            return found
-        return tuple([_actuator_of(topic, names, found) for topic in self.torques])
+        names = [absolute(name) for name in scene.torque_topics]
+        if scene.actuators is None or self.preferred or len(self.torques) == len(names) == 1:
+            return scene.actuators
+        return tuple([_actuator_of(topic, names, scene.actuators) for topic in self.torques])
 
     @property
     def wrenches(self) -> list[str | None]:
@@ -199,6 +196,57 @@ class Topics:
     def kinds(self, name: str | None) -> Sequence[MessageType]:
         """Return the types of messages that one of `wrenches` may have."""
         return TORQUES if name == self.wheel_torque else source.torques(name)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """
+    What to read from a recording, and how.
+
+    Attributes
+    ----------
+    measured : tuple of str
+        The measured topics. The tuple can be empty if the recording has only one measured topic,
+        because `read_measured` finds this topic.
+    topics : Topics
+        The torque topics and those of other inputs.
+    interpolation : str, optional
+        How to interpolate the torques between samples. By default, the scene decides.
+    time_source : str
+        Where the stamps of torques and measurements come from, as for `recording.read`.
+    start : float, s
+        If positive, the motion starts this long after the first sample, as for `read_observed`.
+    until : float, optional, s
+        The length of the motion. By default, the motion ends at the last sample.
+    frames : tuple of str, optional
+        The parent frame and the child frame to read, as for `read_measured`.
+    track : callable
+        A function that wraps the iteration over blocks of messages, to show progress.
+
+    """
+
+    measured: tuple[str, ...] = ()
+    topics: Topics = Topics()
+    interpolation: str | None = None
+    time_source: str = 'header'
+    frames: tuple[str, str] | None = None
+    start: float = 0.0
+    until: float | None = None
+    track: Track = no_progress
+
+    def sensors(self, path: str | Path, scene: Scene | None) -> list[Measured]:
+        """
+        Read the measurements, raising the same errors as `read_all`.
+
+        Without a scene, the frames of the messages are not compared with any others.
+        """
+        options = MeasuredOptions(self.frames, time_source=self.time_source,
+                                  columns=self.topics.columns, track=self.track)
+        if scene is None:
+            return [replace(sensor, frames='')
+                    for sensor in read_all(path, self.measured, options)]
+        return read_all(path, self.measured, options._replace(
+            body_frame=scene.body_frame, space_frame=scene.space_frame, links=scene.links))
 
 
 def absolute(topic: str) -> str:
@@ -221,14 +269,14 @@ def _match(name: str, recorded: Collection[str]) -> str | None:
 def _torques_of(path: str | Path, names: Sequence[str], recorded: list[str],
                 optional: bool) -> tuple[str, ...]:
     """Find the scene's torque topics in a recording; a single topic may have any name."""
-    found = [_match(name, recorded) for name in names]
-    missing = [name for name, topic in zip(names, found) if topic is None]
-    for topic in found:
-        if topic and found.count(topic) > 1:
+    topics = [_match(name, recorded) for name in names]
+    missing = [name for name, topic in zip(names, topics) if topic is None]
+    for topic in topics:
+        if topic and topics.count(topic) > 1:
             raise InputError(f'{path}: torque_topics: expected each topic once, found {topic!r} '
                              'twice')
     if not missing:
-        return tuple(filter(None, found))
+        return tuple(filter(None, topics))
     if len(names) == len(recorded) == 1:
         return recorded[0],
     if optional and not recorded:

@@ -17,19 +17,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import contextmanager, ExitStack
 from pathlib import Path
 
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.messages import is_epoch_marker
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.problem import check_axes, Logged
-from rigid_body_ros.recording.selection import Topics
+from rigid_body_ros.recording.problem import bits_of, check_axes, Logged
+from rigid_body_ros.recording.selection import Reading
 from rigid_body_ros.recording.source import Messages, Source
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.recording.torques import first_epoch, NotInOrderError, Piece, torque_pieces
-from rigid_body_ros.runtime.terminal import Track
 from rigid_body_ros.scene import Scene
 
 
@@ -47,8 +46,8 @@ class Stream:
         and neither are torques that are derived from the rotor momentum.
     account : Account, optional
         What became of the messages; complete once the last piece has been read.
-    topic : str
-        The name of the topic, for error messages.
+    source : Source, optional
+        The topic that is read piece by piece.
 
     Attributes
     ----------
@@ -57,10 +56,9 @@ class Stream:
 
     """
 
-    def __init__(self, pieces: Iterator[Piece], on_rotors: bool = False,
-                 is_held: bool = False, account: Account | None = None,
-                 topic: str = '') -> None:
-        self._pieces, self.topic, self.account = pieces, topic, account
+    def __init__(self, pieces: Iterator[Piece], on_rotors: bool = False, is_held: bool = False,
+                 account: Account | None = None, source: Source | None = None) -> None:
+        self._pieces, self.source, self.account = pieces, source, account
         self.on_rotors, self._is_held = on_rotors, is_held
         self.piece = next(pieces)
 
@@ -84,97 +82,66 @@ def whole(logged: Logged) -> list[Stream]:
     held = [log for log, actuator in zip(problem.logs, problem.actuators) if actuator]
     held += [wheels] if wheels and logged.is_measured else []
     return [Stream(iter([Piece(log.times_ns, log.torques, log.in_space)]), log is wheels,
-                   any(log is one for one in held)) for log in problem.sources]
+                   any(log is other for other in held)) for log in problem.sources]
 
 
-class Streams:
+@contextmanager
+def streamed(path: str | Path, scene: Scene,
+             reading: Reading) -> Iterator[tuple[State | None, list[Stream]]]:
     """
-    The torques on all topics of a recording that has only one epoch; a context manager.
+    Open the torques on all topics of a recording that has only one epoch.
 
     Parameters
     ----------
     path : str or Path
         The recording.
     scene : Scene
-    topics : Topics
-        The topics to read, as returned by `Topics.found_in`. They must not include a rotor
+        The body, the names of the frames, and the initial state.
+    reading : Reading
+        What to read, and how. Its topics are those that `Topics.found_in` returns, without a rotor
         momentum topic.
-    track : callable
-        Wraps the iteration over blocks of messages, to show progress.
-    time_source
-        See `recording.read`.
 
-    Attributes
-    ----------
-    start : State, optional
-        The start state, if a node recorded the epoch; set by `opened`.
-    topics : tuple of str
+    Yields
+    ------
+    start : State or None
+        The start state, if a node recorded the epoch.
+    streams : list of Stream
+        The torques of each topic.
+
+    Raises
+    ------
+    InputError
+        `first_epoch` or `torque_pieces` rejects a message, or a rotor torque is not in body axes.
+    NotInOrderError
+        The recording has to be read as a whole, because its stamps are not in order, because its
+        topics begin with different start states, or because it has no messages.
 
     """
-
-    def __init__(self, path: str | Path, scene: Scene, topics: Topics, track: Track,
-                 time_source: str = 'header') -> None:
-        self._path, self._scene, self._track = path, scene, track
-        with ExitStack() as stack:
-            self._sources = [stack.enter_context(Source(
-                path, name, topics.kinds(name), time_source, topics.preferred,
-                columns=topics.columns))
-                             for name in topics.wrenches]
-            self._wheel_torque, self._stack = topics.wheel_torque, stack.pop_all()
-        self.start: State | None = None
-        self.topics = tuple(source.topic for source in self._sources)
-
-    def __enter__(self) -> Streams:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
-
-    def opened(self) -> list[Stream]:
-        """
-        Return the torques of each topic.
-
-        Raises
-        ------
-        InputError
-            `first_epoch` or `torque_pieces` rejects a message, or a rotor torque is not in body
-            axes.
-        NotInOrderError
-            The recording has to be read as a whole, because its stamps are not in order, because
-            its topics begin with different start states, or because it has no messages.
-
-        """
-        begun = [self._begun(source) for source in self._sources]
-        starts = {None if start is None else (
-            start.time_ns, start.attitude.tobytes(), start.angular_velocity.tobytes(),
-            start.rotor_momentum.tobytes(), start.wheel_speeds.tobytes())
-            for start, _ in begun}
-        self.start, streams = begun[0][0], [stream for _, stream in begun]
-        if len(starts) > 1 or not (self.start or any(len(stream.piece.times_ns)
-                                                     for stream in streams)):
+    topics = reading.topics
+    with ExitStack() as stack:
+        sources = [stack.enter_context(Source(path, name, topics.kinds(name), reading.time_source,
+                                              topics.preferred, columns=topics.columns))
+                   for name in topics.wrenches]
+        starts, streams = zip(*(_begun(path, scene, reading, source) for source in sources))
+        is_empty = starts[0] is None and not any(len(each.piece.times_ns) for each in streams)
+        if is_empty or len({bits_of(start) for start in starts}) > 1:
             raise NotInOrderError  # any error is reported when the whole recording is read
-        return streams
+        yield starts[0], [*streams]
 
-    def _begun(self, source: Source) -> tuple[State | None, Stream]:
-        scene, on_rotors = self._scene, source.topic == self._wheel_torque
-        start, blocks = first_epoch(self._path, iter(self._track(source, source.count)))
-        account = Account('' if is_text_file(str(self._path)) else Account.advice)
 
-        def checked() -> Iterator[Messages]:
-            for block in blocks:
-                if on_rotors and not any(map(is_epoch_marker, block.names)):
-                    check_axes(self._path, block, scene)
-                yield block
-            account.notes += source.notes
-        pieces = torque_pieces(f'{self._path}: {source.topic}', checked(), scene.body_frame,
-                               scene.space_frame, scene.links, account)
-        return start, Stream(pieces, on_rotors, account=account, topic=source.topic)
+def _begun(path: str | Path, scene: Scene, reading: Reading,
+           source: Source) -> tuple[State | None, Stream]:
+    """Return the start state and the torques of a topic."""
+    on_rotors = source.topic == reading.topics.wheel_torque
+    start, blocks = first_epoch(path, iter(reading.track(source, source.count)))
+    account = Account('' if is_text_file(str(path)) else Account.advice)
 
-    @property
-    def damage(self) -> str:
-        """
-        Return what data was lost and where; '' if nothing was lost.
-
-        The text is complete only after the last piece has been read.
-        """
-        return '; '.join(dict.fromkeys(filter(None, (each.damage for each in self._sources))))
+    def checked() -> Iterator[Messages]:
+        for block in blocks:
+            if on_rotors and not any(map(is_epoch_marker, block.names)):
+                check_axes(path, block, scene)
+            yield block
+        account.notes += source.notes
+    pieces = torque_pieces(f'{path}: {source.topic}', checked(), scene.body_frame,
+                           scene.space_frame, scene.links, account)
+    return start, Stream(pieces, on_rotors, account=account, source=source)

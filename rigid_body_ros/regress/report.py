@@ -95,7 +95,8 @@ def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int
 def _body(regression: Regression, scene: Scene) -> dict[str, Any]:
     """Return an animation of the loop, whose motion is recomputed from the torques."""
     loop = regression.loop
-    problem = recording.read_epochs(regression.path, scene, _topics(loop))[-1].problem
+    reading = recording.Reading(topics=_topics(loop))
+    problem = recording.read_epochs(regression.path, scene, reading)[-1].problem
     return moving_body.of_motion(problem, loop.states.times_ns)
 
 

@@ -30,7 +30,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
-from rigid_body_ros.recording import NotInOrderError, Stream
+from rigid_body_ros.recording import Logged, NotInOrderError, Reading, Stream
 from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
 from rigid_body_ros.replay.saturation import Saturation
 from rigid_body_ros.scene import Scene
@@ -45,16 +45,28 @@ _MOST_OUTPUTS = 10 ** 8
 
 @dataclass(frozen=True)
 class Request:
-    """The arguments of `replay` that determine the motion and its outputs."""
+    """What to replay, and how; see `replay`."""
 
     path: str | Path
     scene: Scene
-    interpolation: str
-    rate: float | None
-    until: float | None
+    output: str | Path | None
+    #: The topics, the interpolation, the source of the stamps, and the part of the recording.
+    reading: Reading
+    rate: float | None = None
     also: Collection[str] = ()
-    #: Creates the object that receives the batches; None if the batches are not collected.
+    keep: bool | None = None
     collect: Callable[[], Collector] | None = None
+    logged: Logged | None = None
+
+    @property
+    def interpolation(self) -> str:
+        """Return how to interpolate between samples."""
+        return self.reading.interpolation or self.scene.interpolation
+
+    @property
+    def is_kept(self) -> bool:
+        """Return whether to keep the problem and the trajectory in the result."""
+        return self.output is None if self.keep is None else self.keep
 
     @property
     def sensor_delay_ns(self) -> int:
@@ -141,8 +153,9 @@ class Batches:
         #: For each stream, whether the torques read so far are in space axes: False, True or both.
         self._frames: list[set[bool]] = [set() for _ in streams]
         self._outputs = _OutputTimes(request, start.time_ns, is_epoch)
-        self._end_ns = NEVER_NS if request.until is None else \
-            end_of(request.path, 0, start.time_ns, request.until)
+        until = request.reading.until
+        self._end_ns = NEVER_NS if until is None else \
+            end_of(request.path, 0, start.time_ns, until)
         self.gaps = tuple(Gaps(start.time_ns, self._end_ns, request.scene.timeout_ns)
                           for _ in streams)
         self.saturation = Saturation(problem.named_wheels) if problem.named_wheels else None
@@ -219,7 +232,7 @@ class Batches:
             try:
                 logs.append(stream.log(self._request.interpolation))
             except ValueError as error:
-                topic = stream.topic or self._topics
+                topic = stream.source.topic if stream.source else self._topics
                 raise InputError(f'{self._request.path}: {topic}: {error}') from error
         if until_ns is None or len(logs) == 1:
             return logs
@@ -260,7 +273,7 @@ class _OutputTimes:
         last_ns = int(stamps_ns[-1]) if stamps_ns.size else self._start_ns
         if self._is_epoch:
             last_ns = max(last_ns, self._start_ns)
-        return end_of(self._request.path, last_ns, self._start_ns, self._request.until)
+        return end_of(self._request.path, last_ns, self._start_ns, self._request.reading.until)
 
     def up_to(self, stamps_ns: NDArray[np.int64], until_ns: int | None
               ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:

@@ -22,22 +22,23 @@ far out of order, or if they contain several epochs of a node.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 import time
+from typing import Any
 
 import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import joint_commands, VECTOR3
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.recording import Logged, NotInOrderError, Source, Streams, Topics, whole
+from rigid_body_ros.recording import NotInOrderError, Reading, Source, Topics, whole
 from rigid_body_ros.recording.account import merged
 from rigid_body_ros.replay import outputs
-from rigid_body_ros.replay.batches import Batch, Batches, Collector, INPUT, Request
+from rigid_body_ros.replay.batches import Batch, Batches, INPUT, Request
 from rigid_body_ros.replay.check import drift, last_digits
 from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.runtime import files, interrupts, protection
@@ -46,21 +47,15 @@ from rigid_body_ros.scene import Scene
 
 #: The message types of all topics that a motion can depend on.
 _KINDS = (*recording.TORQUES, VECTOR3, joint_commands(()))
-
-
+#: The options of `replay` that name topics, and those that say how to read them.
+_TOPICS = 'topic', 'wheel_torque', 'wheel_momentum', 'wheel_command', 'inertia', 'columns'
+_READING = 'interpolation', 'time_source', 'start', 'until'
 #: The result and the batches of an epoch, or of a whole recording, before its motion is computed.
 Epoch = tuple[Replay, Batches]
 
 
-def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
-           topic: str | Sequence[str] | None = None, interpolation: str | None = None,
-           rate: float | None = None, until: float | None = None, start: float = 0.0,
-           time_source: str = 'header', also: Collection[str] = (), keep: bool | None = None,
-           wheel_torque: str | None = None, wheel_momentum: str | None = None,
-           wheel_command: str | None = None, inertia: str | None = None,
-           columns: Mapping[str, str] | None = None,
-           collect: Callable[[], Collector] | None = None,
-           logged: Logged | None = None) -> Replay:
+def replay(path: str | Path, scene: Scene, output: str | Path | None = None,
+           **options: Any) -> Replay:
     """
     Compute the motion of a body from the torques in a recording.
 
@@ -82,6 +77,11 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         there are rotors, and the speeds and efforts of named wheels. The output must not be the
         recording or the scene file, under any name, and must not be in the folder of a bag that is
         read.
+    options
+        The keyword arguments that follow.
+
+    Other Parameters
+    ----------------
     topic : str or sequence of str, optional
         The topics whose torques are added up; by default, the torque topics of the scene. If the
         scene and the recording have only one topic each, the two topics may differ in name.
@@ -143,77 +143,81 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         `start` or `until` is negative or longer than 1e9 s.
 
     """
-    outputs.check_also(also, output)
-    given = Topics.given(topic, wheel_torque, wheel_momentum, inertia, wheel_command, columns)
-    given.check(scene)
-    keep = output is None if keep is None else keep
-    request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
-                      collect)
+    outputs.check_also(options.get('also', ()), output)
+    topics = Topics.given(**_taken(options, _TOPICS))
+    topics.check(scene)
+    reading = Reading(topics=topics, **_taken(options, _READING))
+    request = Request(path, scene, output, reading, **options)
     with protection.reading(path, scene=scene.path), ExitStack() as stack:
         if output is not None:
             files.check((output, outputs.suffix_of(output)))
-        topics = given.found_in(path, scene)
+        topics = topics.found_in(path, scene)
+        request = replace(request, reading=replace(reading, topics=topics))
         others = topics.wheel_momentum or topics.wheel_command or topics.inertia
         copied = None
-        if INPUT in also:
+        if INPUT in request.also:
             copied = stack.enter_context(Source(
                 path, next(iter(topics.wrenches), others), _KINDS, preferred=topics.preferred))
             copied.check_copied(outputs.topics(request))
-        if not (logged or keep or others or scene.actuators or request.sensor_delay_ns):
-            with suppress(NotInOrderError), Streams(
-                    path, scene, topics, progress('replaying', size=len),
-                    time_source) as streams:
-                result = _replayed(request, partial(_pieces, request, topics, streams, start),
-                                   copied, output)
-                result.damage = streams.damage
-                return result
-        return _replayed(request, lambda: _whole(request, topics, [
-            logged] if logged else recording.read_epochs(
-            path, scene, topics, request.interpolation, progress('reading', size=len),
-            time_source, start)), copied, output, keep)
+        if not (request.logged or request.is_kept or others or scene.actuators
+                or request.sensor_delay_ns):
+            with suppress(NotInOrderError), ExitStack() as opened:
+                return _replayed(request, partial(_pieces, request, opened), copied)
+        return _replayed(request, partial(_whole, request), copied)
 
 
-def _pieces(request: Request, topics: Topics, streams: Streams, skip: float) -> Sequence[Epoch]:
+def _taken(options: dict[str, Any], names: Collection[str]) -> dict[str, Any]:
+    """Take some options, if they are given, out of all options."""
+    return {name: options.pop(name) for name in names if name in options}
+
+
+def _pieces(request: Request, stack: ExitStack) -> Sequence[Epoch]:
     """Return the single epoch of a recording whose torques are read piece by piece."""
-    opened, scene = streams.opened(), request.scene
-    first_ns = min([int(stream.piece.times_ns[0]) for stream in opened
+    path, scene = request.path, request.scene
+    reading = replace(request.reading, track=progress('replaying', size=len))
+    begin, streams = stack.enter_context(recording.streamed(path, scene, reading))
+    first_ns = min([int(stream.piece.times_ns[0]) for stream in streams
                     if len(stream.piece.times_ns)], default=0)
-    start = recording.started(request.path, scene, streams.start, first_ns, skip)
-    result = Replay(scene, request.interpolation, ', '.join(streams.topics), topics.wheel_source)
-    return [(result, Batches(request, result.topic, opened, scene.problem(start),
-                             streams.start is not None))]
+    start = recording.started(path, scene, begin, first_ns, reading.start)
+    names = ', '.join(stream.source.topic for stream in streams if stream.source)
+    return [(Replay(scene, request.interpolation, names, reading.topics.wheel_source),
+             Batches(request, names, streams, scene.problem(start), begin is not None))]
 
 
-def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequence[Epoch]:
+def _whole(request: Request) -> Sequence[Epoch]:
     """Return all epochs, with the torques of each epoch as a single piece."""
-    return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
-                    topics.wheel_source, each.account, damage=each.damage),
-             Batches(request, ', '.join(each.topics), whole(each), each.problem, each.is_epoch))
-            for each in epochs]
+    reading = replace(request.reading, track=progress('reading', size=len))
+    logs = [request.logged] if request.logged else \
+        recording.read_epochs(request.path, request.scene, reading)
+    return [(Replay(request.scene, request.interpolation, ', '.join(logged.topics),
+                    reading.topics.wheel_source, logged.account, damage=logged.damage),
+             Batches(request, ', '.join(logged.topics), whole(logged), logged.problem,
+                     logged.is_epoch))
+            for logged in logs]
 
 
-def _replayed(request: Request, begin: Callable[[], Sequence[Epoch]], copied: Source | None,
-              output: str | Path | None, keep: bool = False) -> Replay:
+def _replayed(request: Request, begin: Callable[[], Sequence[Epoch]],
+              copied: Source | None) -> Replay:
     began = time.perf_counter()
     epochs = begin()
-    *earlier, result = [found for found, _ in epochs]
+    *earlier, result = [replayed for replayed, _ in epochs]
     result.collected = request.collect() if request.collect else None
     with ExitStack() as stack:
-        write = None if output is None else \
-            stack.enter_context(outputs.writing(output, request, copied))
+        write = None if request.output is None else \
+            stack.enter_context(outputs.writing(request.output, request, copied))
         logged_ns = epochs[0][1].start.time_ns
-        for found, batches in epochs:
+        for replayed, batches in epochs:
             delay_ns = max(logged_ns - batches.start.time_ns, 0)
-            _compute(request, found, batches, write, keep, delay_ns)
-            logged_ns = found.last.time_ns + delay_ns
+            _compute(replayed, batches, write, request.is_kept, delay_ns)
+            logged_ns = replayed.last.time_ns + delay_ns
     result.earlier = tuple(earlier)
     result.seconds['read'] = time.perf_counter() - began - sum(
-        found.seconds['propagate'] + found.seconds['write'] for found, _ in epochs)
+        replayed.seconds['propagate'] + replayed.seconds['write'] for replayed, _ in epochs)
     return result
 
 
-def _compute(request: Request, result: Replay, batches: Batches,
-             write: Callable[[Batch, int], None] | None, keep: bool, delay_ns: int) -> None:
+def _compute(result: Replay, batches: Batches, write: Callable[[Batch, int], None] | None,
+             keep: bool, delay_ns: int) -> None:
     """Compute and write the motion of an epoch; the log times are `delay_ns` after the stamps."""
     kept: list[Batch] = []
     result.start = result.last = batches.start
@@ -231,9 +235,12 @@ def _compute(request: Request, result: Replay, batches: Batches,
             result.collected.add(batch)
         if keep:
             kept.append(batch)
-    accounts = {stream.topic: stream.account for stream in batches.streams if stream.account}
+    accounts = {stream.source: stream.account for stream in batches.streams
+                if stream.source and stream.account}
     if accounts:
-        result.account = merged(accounts)
+        result.damage = '; '.join(dict.fromkeys(
+            source.damage for source in accounts if source.damage))
+        result.account = merged({source.topic: account for source, account in accounts.items()})
     if keep:
         result.problem = kept[0].problem
         result.trajectory = _joined(kept)

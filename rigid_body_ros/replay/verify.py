@@ -30,7 +30,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.recording import Logged, Source, Topics
+from rigid_body_ros.recording import Logged, Reading, Source, Topics
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.fingerprint import NAME, other_versions
 from rigid_body_ros.runtime.terminal import progress
@@ -137,8 +137,9 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
 
     """
     topics = topics or Topics()
-    epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
-                                   progress('reading', size=len))
+    epochs = recording.read_epochs(path, scene, Reading(
+        topics=topics.found_in(path, scene), interpolation=interpolation,
+        track=progress('reading', size=len)))
     # Prefer the committed states, because a recording of all of a node's topics has other outputs
     # as well.
     log = next(iter(topics.torques), topics.wheel_command)
