@@ -19,53 +19,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.wheels import Axial
 from rigid_body_ros.propagation.acting import ActingSamples
 from rigid_body_ros.propagation.segment import NewBody, Sample, Segment
-
-
-class Commands(NamedTuple):
-    """The commands in force: a stamp in ns and an effort in N m for each named wheel."""
-
-    stamps_ns: tuple[int, ...]
-    efforts: tuple[float, ...]
-
-    @property
-    def stamp_ns(self) -> int:
-        """Return the latest stamp of all commands, ns, or -NEVER_NS before the first command."""
-        return max(self.stamps_ns, default=-NEVER_NS)
-
-    @property
-    def log(self) -> EffortLog:
-        """Return the commands as a log."""
-        rows = np.where(np.eye(len(self.efforts), dtype=bool), self.efforts, np.nan)
-        given = np.array(self.stamps_ns) > -NEVER_NS
-        return EffortLog(np.array(self.stamps_ns)[given], rows[given])
-
-    def taking(self, time_ns: int, row: Floats) -> Commands:
-        """
-        Return the commands that are in force once a new row has been received.
-
-        A wheel keeps its command if that command is newer than the row.
-        """
-        pairs = [(time_ns, effort) if effort == effort and stamp_ns <= time_ns
-                 else (stamp_ns, old) for stamp_ns, old, effort in zip(
-                     self.stamps_ns, self.efforts, row.tolist())]
-        stamps_ns, efforts = zip(*pairs)
-        return Commands(stamps_ns, efforts)
-
-    def given_at(self, time_ns: int) -> Floats:
-        """Return the efforts of commands with the given stamp, and NaN for all other wheels."""
-        return np.where(np.array(self.stamps_ns) == time_ns, self.efforts, np.nan)
-
-
-def no_commands(count: int) -> Commands:
-    """Return the `Commands` of `count` wheels that have not received a command yet."""
-    return Commands((-NEVER_NS,) * count, (0.0,) * count)
+from rigid_body_ros.propagation.wheels import Commands
 
 
 class Active(NamedTuple):

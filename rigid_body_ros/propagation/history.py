@@ -30,8 +30,8 @@ from rigid_body_ros.mechanics.changes import changed, RATE
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial, Wheels
 from rigid_body_ros.propagation.acting import ActingSamples
-from rigid_body_ros.propagation.change import Active, Change, Commands, no_commands
-from rigid_body_ros.propagation.lags import friction_of, Lagging
+from rigid_body_ros.propagation.change import Active, Change
+from rigid_body_ros.propagation.lags import Lagging
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.segment import (
@@ -42,7 +42,7 @@ from rigid_body_ros.propagation.segment import (
     Sum,
     summed,
 )
-from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_of
+from rigid_body_ros.propagation.wheels import Commands, friction_of, in_force
 
 
 class History:
@@ -86,7 +86,7 @@ class History:
         if wheels:
             self._start, self._axial = wheels.begun(start)
         self.changes = [Change(start.time_ns, {}, self.new_body(-NEVER_NS, body, RATE),
-                               no_commands(len(wheels) if wheels else 0))]
+                               Commands.none(len(wheels) if wheels else 0))]
         #: The times of the changes, ns. This list can be searched ten times as fast as `changes`.
         self._times_ns = [start.time_ns]
         self.newest_ns: int | None = None
@@ -158,7 +158,7 @@ class History:
     def _begin(self) -> None:
         """Compute the segment that begins at the start of the motion."""
         start, first = self._start, self.changes[0]
-        axial = self._axial_at_start(first.commands)
+        axial = self._axial and self._axial_once(self._axial, first.commands, start)
         total = self._sum(first, start.time_ns, axial, {})
         # A torque whose stamp is the start begins a new segment, even if this torque equals the
         # previous one.
@@ -167,12 +167,6 @@ class History:
             first.body.body.is_damped or start._has_rotors or self._has_friction)
         first.active = self._active_from(without_origin(start) if begins and acts else start,
                                          total, first.body, axial)
-
-    def _axial_at_start(self, commands: Commands) -> Axial | None:
-        if self._wheels is None or self._axial is None:
-            return None
-        return in_force(self._wheels, self._axial, commands.log, self._start,
-                        self._options.timeout_ns)
 
     def index_of(self, time_ns: int) -> int:
         """Return the index of the last change at or before a time, or -1 if there is none."""
@@ -253,9 +247,9 @@ class History:
         if body.stamp_ns == time_ns:
             start = changed(segment.end_at(time_ns, until), segment.body, body.carrier, body.keep)
         axial = active.axial
-        if self._wheels and axial:
+        if axial:
             end = start or segment.end_at(time_ns, until)
-            axial = self._next_axial(axial, change.commands, end)
+            axial = self._axial_once(axial, change.commands, end)
         total = self._sum(change, time_ns, axial, segment.lagging)
         if start is None:
             if segment.coasts and total.is_zero():
@@ -263,16 +257,10 @@ class History:
             start = end or segment.end_at(time_ns, until)
         return self._active_from(start, total, body, axial)
 
-    def _next_axial(self, axial: Axial, commands: Commands, state: State) -> Axial:
-        """Return the state of the wheels once new commands take effect at a carrier state."""
+    def _axial_once(self, axial: Axial, commands: Commands, state: State) -> Axial:
+        """Return the state of the wheels once commands are in force at a carrier state."""
         assert self._wheels
-        time_ns = state.time_ns
-        if commands.stamp_ns == time_ns:
-            return commanded(self._wheels, axial, commands.given_at(time_ns), state)
-        if 0 < self._options.timeout_ns == time_ns - commands.stamp_ns:
-            momenta = None if axial.momenta is None else momenta_of(axial, state)
-            return axial._replace(since_ns=time_ns, momenta=momenta, is_silent=True)
-        return axial
+        return in_force(self._wheels, axial, commands, state, self._options.timeout_ns)
 
     def new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
         """Return a `NewBody` for a body that takes over at a stamp."""

@@ -35,10 +35,10 @@ from rigid_body_ros.propagation.options import checked_times
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.timeline import NO_OTHERS, OtherTorques, Timeline
 from rigid_body_ros.propagation.trajectory import joined, Trajectory
-from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
+from rigid_body_ros.propagation.wheels import Commands, in_force, momenta_of, WheelTimeline
 
-#: `_resolve` begins by trying `_WINDOW` wheel commands. If a wheel has a `max_speed`, so that
-#: commands may be treated as zero, a timeline contains at most `_SPAN` wheel commands.
+#: If a wheel has a `max_speed`, so that commands may be refused, a timeline contains at most
+#: `_SPAN` wheel commands. `_try_commands` begins with `_WINDOW` of them.
 _WINDOW, _SPAN = 16, 512
 
 
@@ -63,11 +63,7 @@ class Integration(Generic[Same]):
 
     # These defaults are class attributes, because most motions keep them, and it takes time to set
     # the attributes of an instance.
-    #: Number of wheel commands for which `_resolve` has determined whether they act.
-    _resolved = refused_commands = 0
-    #: If the first row of the timeline begins before the start, the time at which the row begins,
-    #: and the rotor momentum at that time. Otherwise None.
-    _earlier: tuple[int, Floats] | None = None
+    refused_commands = 0
 
     def __init__(self, problem: Same) -> None:
         start = problem.start
@@ -85,42 +81,49 @@ class Integration(Generic[Same]):
         if problem.named_wheels:
             self._carrier = problem.named_wheels.carrier(self._body)
             start, axial = problem.named_wheels.begun(start)
-            self._wheels = self._wheels_from(axial, start)
+            self._wheels = self._wheels_from(axial, start, -NEVER_NS)
         self._start = start
         has_rotors = start._has_rotors or problem.has_friction
         self._timeline = self._timeline_from(
             start.time_ns, start._rotors if has_rotors else None)
         self._progress, self._is_begun = self._begin(), False
 
-    def _wheels_from(self, axial: Axial, state: State) -> WheelTimeline:
-        """Return the wheels from a state onward, where the commands in force take effect."""
-        problem, end_ns = self.problem, self._end_ns
-        assert problem.named_wheels
-        begun = in_force(problem.named_wheels, axial, problem.efforts, state,
-                         problem.options.timeout_ns)
-        if begun is not axial and begun.stamp_ns == end_ns:
-            self.refused_commands += int(begun.refused.sum())
-        return self._wheels_on(begun)
+    def _wheels_from(self, axial: Axial, state: State, after_ns: int) -> WheelTimeline:
+        """
+        Return the wheels from a state onward, where the commands in force take effect.
 
-    def _wheels_on(self, axial: Axial) -> WheelTimeline:
-        """Return the wheels for the rest of the motion."""
+        These are the commands with stamps after `after_ns`; `axial` has the earlier ones.
+        """
+        problem = self.problem
+        assert problem.named_wheels
+        if problem.efforts:
+            before, axial = axial, in_force(
+                problem.named_wheels, axial,
+                Commands.of(problem.efforts, after_ns, state.time_ns), state,
+                problem.options.timeout_ns)
+            if axial is not before and axial.stamp_ns == state.time_ns:
+                self.refused_commands += int(axial.refused.sum())
+        return self._wheels_on(axial, state)
+
+    def _wheels_on(self, axial: Axial, state: State) -> WheelTimeline:
+        """Return the wheels for the rest of the motion, or up to the next mark."""
         problem, end_ns = self.problem, self._end_ns
         assert problem.named_wheels
         wheels, efforts = problem.named_wheels, problem.efforts
-        self._resolved, self._mark_ns = 0, NEVER_NS
-        if efforts and wheels.is_limited:  # a wrong guess rebuilds a timeline, so keep it short
-            later_ns = efforts.times_ns[efforts.times_ns.searchsorted(end_ns, 'right'):]
-            if len(later_ns) > _SPAN:
-                self._mark_ns = int(later_ns[_SPAN])
-                efforts = efforts.between(end_ns, self._mark_ns)
-        return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns)
+        self._mark_ns = NEVER_NS
+        if efforts and wheels.is_limited:  # a wrong guess ends a timeline, so keep it short
+            last = efforts.times_ns.searchsorted(end_ns, 'right') + _SPAN
+            self._mark_ns = int(efforts.times_ns[last]) if last < len(efforts) else NEVER_NS
+        speeds = wheels.speeds(momenta_of(axial, state)[0], state.angular_velocity)
+        return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns,
+                             self._mark_ns, speeds)
 
     def _timeline_from(self, start_ns: int, momentum: Floats | None) -> Timeline:
         """Return the inputs for the rest of the motion, which continues at `start_ns`."""
         problem = self.problem
         logs, wheels = problem.acting_logs, problem.wheels
         if self._wheels:
-            self._basis, wheels = (start_ns, momentum), self._wheels.log
+            wheels = self._wheels.log
         if problem.changes or self._mark_ns < NEVER_NS:
             # Leave out the torques outside this part of the motion, because the sum of these
             # torques is not needed here.
@@ -135,13 +138,6 @@ class Integration(Generic[Same]):
         return Timeline(logs, wheels, problem.options.timeout_ns, self._body.is_damped,
                         start_ns, momentum, others)
 
-    def _rebuilt(self) -> Timeline:
-        """Rebuild the timeline with the wheel commands that are now assumed to act."""
-        timeline = self._timeline_from(*self._basis)
-        if self._earlier:
-            timeline.begin_earlier(*self._earlier)
-        return timeline
-
     def _begin(self) -> NDArray[Any]:
         start, stop = self._start, len(self._timeline.times_ns)
         row = self._timeline.in_force(start.time_ns)
@@ -150,8 +146,7 @@ class Integration(Generic[Same]):
                                 stop)
         origin = origin_of(start, self._rule(row))
         if origin.begin_ns != start.time_ns:
-            self._earlier = origin.begin_ns, origin.rotors
-            self._timeline.begin_earlier(*self._earlier)
+            self._timeline.begin_earlier(origin.begin_ns, origin.rotors)
         return layout.begun(origin.grid, origin.grid_ns, origin.begin, origin.begin_ns, row,
                             stop)
 
@@ -192,11 +187,14 @@ class Integration(Generic[Same]):
             and the three samples after the end of the piece.
 
         """
-        momentum = self._momentum()
         self.problem = problem
-        if self._wheels:
-            self._wheels = self._wheels_on(self._wheels.axial(self._end_ns))
-        self._timeline, self._earlier = self._timeline_from(self._end_ns, momentum), None
+        self._continue(self._wheels and self._wheels_on(self._wheels.axial(self._end_ns),
+                                                        self._state()))
+
+    def _continue(self, wheels: WheelTimeline | None) -> None:
+        """Continue the motion with a new timeline."""
+        momentum, self._wheels = self._momentum(), wheels
+        self._timeline = self._timeline_from(self._end_ns, momentum)
         self._progress['row'], self._is_begun = self._timeline.in_force(self._end_ns), True
 
     def advance(self, at: ArrayLike, until_ns: int | None = None) -> Trajectory:
@@ -226,6 +224,7 @@ class Integration(Generic[Same]):
         """
         requested = checked_times(at, self._end_ns)
         last_ns = requested[2] if until_ns is None else max(requested[2], until_ns)
+        self._try_commands(last_ns)
         if self._next_ns > last_ns:
             return self._advance(*requested, until_ns)
         parts, later = list[Trajectory](), requested[0]
@@ -235,7 +234,8 @@ class Integration(Generic[Same]):
             if changes and next_ns == changes.times_ns[changes.in_force(next_ns)]:
                 self._change(changes.bodies[changes.in_force(next_ns)])
             else:
-                self.extend(self.problem)
+                self._continue(self._wheels_after(self._state()))
+            self._try_commands(last_ns)
             later = later[~before]
         parts.append(self._advance(*checked_times(later, self._end_ns), until_ns))
         return joined(requested[0], parts)
@@ -246,20 +246,49 @@ class Integration(Generic[Same]):
         changes = self.problem.changes
         return min(self._mark_ns, changes.next_ns(self._end_ns)) if changes else self._mark_ns
 
+    def _try_commands(self, last_ns: int) -> None:
+        """Let the timeline end at the first wheel command up to a time that is guessed wrong."""
+        wheels = self._wheels
+        if not (wheels and wheels.wheels.is_limited):
+            return
+        first, stop = wheels.times_ns.searchsorted(
+            [self._end_ns, min(last_ns, self._next_ns - 1)], 'right')
+        before, count = (self._progress.copy(), self._is_begun), _WINDOW
+        while first < stop:
+            rows = slice(first, min(first + count, stop))
+            wrong = wheels.are_wrong(rows, self._speeds_at(wheels, wheels.times_ns[rows]))
+            if wrong.any():
+                self._mark_ns = int(wheels.times_ns[first + wrong.argmax()])
+                break
+            first, count = rows.stop, 2 * count
+        self._progress, self._is_begun = before
+
+    def _speeds_at(self, wheels: WheelTimeline, times_ns: NDArray[np.int64]) -> Floats:
+        """Continue to the last given time; return all wheel speeds, rad/s, shape (m, wheels)."""
+        motion = motion_layout.allocate(times_ns.size)
+        _, momenta = self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
+        if momenta is None:
+            momenta = wheels.momenta(times_ns)[:, 0]
+        return wheels.wheels.speeds(momenta, motion_layout.angular_velocity(motion))
+
+    def _state(self) -> State:
+        """Return the state at the end of the motion so far, without the rotors."""
+        return State._as_computed(self._end_ns, self._progress['latest'][0])
+
+    def _wheels_after(self, state: State) -> WheelTimeline | None:
+        """Return the wheels from the end of the motion so far onward, given the state there."""
+        end_ns = self._end_ns
+        return self._wheels and self._wheels_from(self._wheels.axial(end_ns - 1), state,
+                                                  end_ns - 1)
+
     def _change(self, body: RigidBody) -> None:
         """Continue with another body from the end of the motion so far."""
         assert self.problem.changes
-        time_ns, momentum = self._end_ns, self._momentum()
-        state, carrier = State._as_computed(time_ns, self._progress['latest'][0]), body
-        if self._wheels:
-            carrier = self._wheels.wheels.carrier(body)
-        state = changed(state, self._carrier, carrier, self.problem.changes.keep)
-        packed = state._packed
+        carrier = self._wheels.wheels.carrier(body) if self._wheels else body
+        state = changed(self._state(), self._carrier, carrier, self.problem.changes.keep)
+        packed, time_ns = state._packed, state.time_ns
         self._body, self._carrier = body, carrier
-        if self._wheels:  # the change affects the speeds, so check the commands at this time again
-            self.refused_commands -= self._wheels.count_refused(time_ns - 1, time_ns)
-            self._wheels = self._wheels_from(self._wheels.axial(time_ns - 1), state)
-        self._timeline, self._earlier = self._timeline_from(time_ns, momentum), None
+        self._continue(self._wheels_after(state))
         self._progress = layout.begun(packed, time_ns, packed, time_ns,
                                       self._timeline.in_force(time_ns),
                                       len(self._timeline.times_ns))
@@ -280,9 +309,9 @@ class Integration(Generic[Same]):
             if end_ns < until_ns:  # the end of the piece was not requested: add it
                 times_ns, end_ns = np.append(times_ns, until_ns), until_ns
         order = layout.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
-        if self._wheels:
-            self._resolve(self._wheels, end_ns)
-            self.refused_commands += self._wheels.count_refused(begin_ns, end_ns)
+        if self._wheels:  # a command at the end of a timeline is decided later
+            self.refused_commands += self._wheels.count_refused(
+                begin_ns, min(end_ns, self._next_ns - 1))
         motion = motion_layout.allocate(times_ns.size)
         closed, momenta = self._fill(times_ns, order, motion, stop)
         self._end_ns = end_ns
@@ -291,37 +320,6 @@ class Integration(Generic[Same]):
         if times_ns.size > count:
             times_ns = times_ns[:count]
         return Trajectory(times_ns, motion, (usage,), momenta)
-
-    def _resolve(self, wheels: WheelTimeline, end_ns: int) -> None:
-        """Determine which of the wheel commands up to a time act and which are refused."""
-        if not wheels.wheels.is_limited:
-            return
-        start, stop = self._mark(), int(wheels.times_ns.searchsorted(end_ns, 'right'))
-        window = _WINDOW
-        while self._resolved < stop:
-            rows, before = slice(self._resolved, min(self._resolved + window, stop)), self._mark()
-            speeds = self._speeds_at(wheels, wheels.times_ns[rows])
-            wrong = wheels.first_wrong(rows, wheels.refused(rows, speeds))
-            if wrong is None:
-                self._resolved, window = rows.stop, 2 * window
-                continue
-            # Assume that the wheels are as fast at all later commands as they are at this one.
-            wheels.assume(wrong, wheels.refused(slice(wrong, None), speeds[wrong - rows.start]))
-            self._timeline, self._resolved, window = self._rebuilt(), wrong + 1, _WINDOW
-            self._progress, self._is_begun = before
-        self._progress, self._is_begun = start
-
-    def _mark(self) -> tuple[NDArray[Any], bool]:
-        """Return a copy of the progress, so that the loop can return to this point later."""
-        return self._progress.copy(), self._is_begun
-
-    def _speeds_at(self, wheels: WheelTimeline, times_ns: NDArray[np.int64]) -> Floats:
-        """Continue to the last given time; return all wheel speeds, rad/s, shape (m, wheels)."""
-        motion = motion_layout.allocate(times_ns.size)
-        _, momenta = self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
-        if momenta is None:
-            momenta = wheels.momenta(times_ns)[:, 0]
-        return wheels.wheels.speeds(momenta, motion_layout.angular_velocity(motion))
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the rotor momentum at given times in this piece, N m s, shape (m, 3)."""

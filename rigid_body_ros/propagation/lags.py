@@ -26,7 +26,6 @@ from rigid_body_ros.engine import CommandChanges, FIELDS, Friction, kernels, Lag
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, time_constants
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.mechanics.wheels import Wheels
 
 _NO_FIELDS = np.zeros(1, FIELDS)
 _NO_FIELDS.flags.writeable = False
@@ -255,16 +254,6 @@ def _marks(changes: Changes) -> NDArray[np.int64]:
     """Return the times at which lags end, ns, leaving out lags that the next change cuts short."""
     over_ns = changes.times_ns + changes.actuator.expiry_ns
     return over_ns[np.append(over_ns[:-1] < changes.times_ns[1:], True)[:len(over_ns)]]
-
-
-def friction_of(wheels: Wheels, efforts: Floats) -> Friction:
-    """
-    Pack wheels with friction into a record that has room for one output.
-
-    `efforts`, N m, has one row for each row of the record and one column for each wheel.
-    """
-    padded = wheels.padded(efforts)
-    return Friction(padded, wheels.constants, np.empty((1, padded.shape[1])))
 
 
 def with_momenta(rows: Rows, count: int) -> tuple[Rows, Floats]:

@@ -33,12 +33,11 @@ from rigid_body_ros.mechanics.state import all_finite, State
 from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation.acting import ActingSamples
-from rigid_body_ros.propagation.change import Commands
 from rigid_body_ros.propagation.history import History
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import with_rest
 from rigid_body_ros.propagation.segment import COMMANDS, NewBody, Sample, WHEELS
-from rigid_body_ros.propagation.wheels import check_named, momenta_of, without_wheels
+from rigid_body_ros.propagation.wheels import check_named, Commands, momenta_of, without_wheels
 
 
 class Propagator:

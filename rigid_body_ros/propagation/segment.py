@@ -31,8 +31,8 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.lags import friction_key, Lagging, terms_of
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of
-from rigid_body_ros.propagation.summation import added
-from rigid_body_ros.propagation.timeline import held_row, momentum_at
+from rigid_body_ros.propagation.summation import added, momentum_at
+from rigid_body_ros.propagation.timeline import held_row
 
 #: The source numbers of wheel commands, of the torque on the rotors, and of bodies. These are the
 #: largest possible numbers, so that these sources come after all others.

@@ -74,6 +74,14 @@ def added(torques: Sequence[Floats]) -> Floats:
     return reduce(np.add, torques) if torques else _NOTHING
 
 
+def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Floats,
+                times_ns: NDArray[np.int64]) -> Floats:
+    """Return the momentum of rotors on which a torque acts; see `Timeline.momentum`."""
+    result = np.empty((len(times_ns), 2, 3))
+    kernels.momentum_at(row_times_ns, momentum, motors, times_ns, result)
+    return result
+
+
 def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
     """
     Return whether all logs are held, begin at or before the start, and change together.

@@ -18,32 +18,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property, reduce
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import kernels, Rows, Terms
+from rigid_body_ros.engine import Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation import summation
-from rigid_body_ros.propagation.lags import friction_key, friction_of, LaggingSources, terms_of
+from rigid_body_ros.propagation.lags import friction_key, LaggingSources, terms_of
+from rigid_body_ros.propagation.wheels import friction_of, WheelTimeline
 
 #: Number of samples whose polynomials are computed at once.
 _CHUNK = 65536
-
-
-class FrictionWheels(Protocol):
-    """What a timeline needs to know of wheels with friction; see `WheelTimeline`."""
-
-    wheels: Wheels
-
-    @property
-    def marks_ns(self) -> NDArray[np.int64]:
-        """Return the times at which the efforts of the wheels change, ns, ascending."""
-
-    def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the efforts applied at given times, N m, shape (m, wheels)."""
 
 
 class OtherTorques(NamedTuple):
@@ -58,7 +45,7 @@ class OtherTorques(NamedTuple):
     #: The sources whose torques lag behind the commands in the logs.
     lagging: LaggingSources | None = None
     #: The wheels with friction.
-    wheels: FrictionWheels | None = None
+    wheels: WheelTimeline | None = None
 
 
 NO_OTHERS = OtherTorques()
@@ -103,7 +90,7 @@ class Timeline:
     _fields: NDArray[Any] | None = None
     _lagging: LaggingSources | None = None
     #: The wheels with friction.
-    _named: FrictionWheels | None = None
+    _named: WheelTimeline | None = None
     #: For a single log, `_terms` holds the terms of the rows. For a sum of logs, `_summed` holds
     #: the rows, including their terms.
     _terms: Terms | None = None
@@ -314,15 +301,7 @@ class Timeline:
         if terms is None or terms.motors is None or not self._has_motors:
             constant = terms.momentum if terms else _NO_MOMENTUM[None]
             return np.broadcast_to(constant, (len(times_ns), 2, 3))
-        return momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
-
-
-def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Floats,
-                times_ns: NDArray[np.int64]) -> Floats:
-    """Return the momentum of rotors on which a torque acts; see `Timeline.momentum`."""
-    result = np.empty((len(times_ns), 2, 3))
-    kernels.momentum_at(row_times_ns, momentum, motors, times_ns, result)
-    return result
+        return summation.momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
 
 
 def held_row(time_ns: int, torque: Floats, in_space: bool,

@@ -18,29 +18,73 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.engine import state_layout
+from rigid_body_ros.engine import Friction, state_layout, Sums
 from rigid_body_ros.mechanics.efforts import EffortLog, filled
 from rigid_body_ros.mechanics.fields import Field, GravityGradient
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.mechanics.wheels import Axial, Wheels
-from rigid_body_ros.propagation.timeline import momentum_at, Timeline
+from rigid_body_ros.propagation.summation import momentum_at, summed
 
 _NO_TIMES = np.empty(0, np.int64)
 
 
+class Commands(NamedTuple):
+    """
+    The newest command of each named wheel: its stamp, ns, and its effort, N m.
+
+    The stamp of a wheel without a command is -NEVER_NS.
+    """
+
+    stamps_ns: tuple[int, ...]
+    efforts: tuple[float, ...]
+
+    @classmethod
+    def none(cls, count: int) -> Commands:
+        """Return the commands of wheels that have not received any."""
+        return cls((-NEVER_NS,) * count, (0.0,) * count)
+
+    @classmethod
+    def of(cls, log: EffortLog, after_ns: int, until_ns: int) -> Commands:
+        """Return the newest of the commands with stamps in (after_ns, until_ns]."""
+        rows = slice(*log.times_ns.searchsorted([after_ns, until_ns], 'right'))
+        stamps_ns, efforts = np.append(-NEVER_NS, log.times_ns[rows]), log.efforts[rows]
+        efforts = np.concatenate([np.zeros((1, efforts.shape[1])), efforts])
+        newest = np.where(np.isnan(efforts), 0, np.arange(len(efforts))[:, None]).max(axis=0)
+        return cls(tuple(stamps_ns[newest].tolist()),
+                   tuple(efforts[newest, np.arange(len(newest))].tolist()))
+
+    @property
+    def stamp_ns(self) -> int:
+        """Return the latest stamp of all commands, ns, or -NEVER_NS before the first command."""
+        return max(self.stamps_ns, default=-NEVER_NS)
+
+    def taking(self, time_ns: int, row: Floats) -> Commands:
+        """
+        Return the commands that are in force once a new row has been received.
+
+        A wheel keeps its command if that command is newer than the row.
+        """
+        pairs = [(time_ns, effort) if effort == effort and stamp_ns <= time_ns
+                 else (stamp_ns, old) for stamp_ns, old, effort in zip(
+                     self.stamps_ns, self.efforts, row.tolist())]
+        stamps_ns, efforts = zip(*pairs)
+        return Commands(stamps_ns, efforts)
+
+
 class WheelTimeline:
     """
-    The wheels from a start time onward.
+    The wheels from a start time onward, if they keep the speeds that decide which commands act.
 
-    If a wheel is too fast when a command that would speed it up takes effect, the command is
-    refused and acts as zero. Whether the wheel is too fast depends on the motion before the
-    command. Until this motion is known, `assume` sets which commands count as refused.
+    A command is refused, so that it acts as zero, if it would speed up a wheel that is too fast
+    when the command takes effect. `are_wrong` tells at which commands the wheels have speeds that
+    decide otherwise.
 
     Parameters
     ----------
@@ -48,11 +92,13 @@ class WheelTimeline:
     axial : Axial
         The state of the wheels at the start time.
     log : EffortLog, optional
-        The commands, including those in force at the start time.
+        The commands. Those up to the start time have already taken effect.
     timeout_ns : int
         See `TorqueLog.segments`.
-    start_ns : int
-        The start time, ns. It is already known which of the commands up to this time are refused.
+    start_ns, end_ns : int
+        The start time, and the time up to which there may be commands, ns.
+    speeds : array, shape (n,), rad/s
+        The speeds that decide.
 
     Attributes
     ----------
@@ -62,31 +108,26 @@ class WheelTimeline:
     """
 
     def __init__(self, wheels: Wheels, axial: Axial, log: EffortLog | None, timeout_ns: int,
-                 start_ns: int) -> None:
+                 start_ns: int, end_ns: int, speeds: Floats) -> None:
         self.wheels, self._axial, self._timeout_ns = wheels, axial, timeout_ns
-        later = slice(log.times_ns.searchsorted(start_ns, 'right') if log else 0, None)
-        self.times_ns = log.times_ns[later] if log else _NO_TIMES
-        commands = log.efforts[later] if log else np.empty((0, len(wheels)))
-        self._given = ~np.isnan(commands)
+        self.times_ns, commands = _NO_TIMES, np.empty((0, len(wheels)))
+        if log:
+            later = slice(*log.times_ns.searchsorted([start_ns, end_ns], 'right'))
+            self.times_ns, commands = log.times_ns[later], log.efforts[later]
+        self._begins = ~np.isnan(commands)
         self._commanded = filled(wheels.clipped(commands), axial.commanded)
-        self._refused = np.zeros(commands.shape, np.bool_)
-        self.assume(0, self._refused)
+        self._refused = wheels.refused(self._commanded, speeds) & self._begins
+        acting = np.where(self._begins, np.where(self._refused, 0.0, self._commanded), np.nan)
+        #: The stamps and efforts of the commands in force at the start time or later.
+        self._held = self.times_ns, filled(acting, axial.acting)
+        if axial.stamp_ns > -NEVER_NS:
+            self._held = (np.append(axial.stamp_ns, self.times_ns),
+                          np.concatenate([axial.acting[None], self._held[1]]))
 
-    def assume(self, row: int, refused: NDArray[np.bool_]) -> None:
-        """Set which commands count as refused from a row onward, shape (n - row, wheels)."""
-        self._refused[row:] = refused & self._given[row:]
-        commands = np.where(self._refused, 0.0, self._commanded)
-        self._acting = filled(np.where(self._given, commands, np.nan), self._axial.acting)
-        self.__dict__.pop('_groups', None)
-
-    def refused(self, rows: slice, speeds: Floats) -> NDArray[np.bool_]:
-        """Return whether each command in some rows is refused at given wheel speeds."""
-        return self.wheels.refused(self._commanded[rows], speeds) & self._given[rows]
-
-    def first_wrong(self, rows: slice, refused: NDArray[np.bool_]) -> int | None:
-        """Return the first row in which the assumed refusals differ from `refused`, or None."""
-        wrong = np.flatnonzero((refused != self._refused[rows]).any(axis=1))
-        return rows.start + int(wrong[0]) if len(wrong) else None
+    def are_wrong(self, rows: slice, speeds: Floats) -> NDArray[np.bool_]:
+        """Return whether, at given wheel speeds, other commands in each row would be refused."""
+        refused = self.wheels.refused(self._commanded[rows], speeds) & self._begins[rows]
+        return np.asarray((refused != self._refused[rows]).any(axis=1))
 
     def count_refused(self, begin_ns: int, end_ns: int) -> int:
         """Return the number of refused commands with stamps in (begin_ns, end_ns]."""
@@ -104,26 +145,14 @@ class WheelTimeline:
         times_ns, efforts = self._held
         return TorqueLog(times_ns, self.wheels.torque(efforts)) if len(times_ns) else None
 
-    @property
-    def _held(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return the stamps and efforts of the commands in force at the start or later."""
-        if self._axial.stamp_ns == -NEVER_NS:
-            return self.times_ns, self._acting
-        return (np.append(self._axial.stamp_ns, self.times_ns),
-                np.concatenate([self._axial.acting[None], self._acting]))
-
     @cached_property
-    def _groups(self) -> list[Timeline]:
-        """
-        Return timelines for groups of three wheels.
-
-        A timeline treats the three wheels of a group like the three axes of rotors.
-        """
+    def _groups(self) -> list[Sums]:
+        """Return the momenta of groups of three wheels, as if these were the axes of rotors."""
         assert self._axial.momenta is not None
         times_ns, efforts = self._held
-        return [Timeline((), TorqueLog(times_ns, three) if len(times_ns) else None,
-                         self._timeout_ns, False, self._axial.since_ns, momenta)
-                for three, momenta in zip(_threes(efforts), _threes(self._axial.momenta))]
+        return [summed([TorqueLog(times_ns, three)], self._axial.since_ns, before,
+                       self._timeout_ns)
+                for three, before in zip(_threes(efforts), _threes(self._axial.momenta))]
 
     def momenta(self, times_ns: NDArray[np.int64]) -> Floats:
         """
@@ -131,40 +160,38 @@ class WheelTimeline:
 
         The second axis holds the momenta and their low-order parts.
         """
-        found = [group.momentum(times_ns) for group in self._groups]
-        return np.concatenate(found, axis=2)[:, :, :len(self.wheels)]
+        momenta = [momentum_at(group.times_ns, group.momentum, group.motors, times_ns)
+                   for group in self._groups]
+        return np.concatenate(momenta, axis=2)[:, :, :len(self.wheels)]
 
     def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the efforts applied at given times, N m, shape (m, wheels)."""
         held_ns, efforts = self._held
         rows = held_ns.searchsorted(times_ns, 'right') - 1
-        found = np.zeros((len(times_ns), len(self.wheels)))
+        applied = np.zeros((len(times_ns), len(self.wheels)))
         acts = rows >= 0
         if self._timeout_ns:
             acts[acts] = times_ns[acts] - held_ns[rows[acts]] < self._timeout_ns
-        found[acts] = efforts[rows[acts]]
-        return found
+        applied[acts] = efforts[rows[acts]]
+        return applied
 
     def axial(self, time_ns: int) -> Axial:
         """Return the state of the wheels at a time, which must not lie before the start time."""
-        row = int(self.times_ns.searchsorted(time_ns, 'right')) - 1
-        stamp_ns, commanded, acting, refused = self._axial.stamp_ns, self._axial.commanded, \
-            self._axial.acting, self._axial.refused
-        since_ns = self._axial.since_ns
+        axial, row = self._axial, int(self.times_ns.searchsorted(time_ns, 'right')) - 1
         if row >= 0:
-            since_ns = stamp_ns = int(self.times_ns[row])
-            commanded, acting = self._commanded[row], self._acting[row]
-            refused = self._refused[row]
-        is_silent = 0 < self._timeout_ns <= time_ns - stamp_ns
-        if is_silent:
-            since_ns = max(since_ns, stamp_ns + self._timeout_ns)
-        momenta = None if self.wheels.has_friction else self.momenta(np.array([since_ns]))[0]
-        return Axial(since_ns, stamp_ns, momenta, commanded, acting, refused, is_silent)
+            stamp_ns = int(self.times_ns[row])
+            axial = Axial(stamp_ns, stamp_ns, axial.momenta, self._commanded[row],
+                          self._held[1][row - len(self.times_ns)], self._refused[row])
+        if 0 < self._timeout_ns <= time_ns - axial.stamp_ns:
+            axial = axial._replace(since_ns=max(axial.since_ns, axial.stamp_ns + self._timeout_ns),
+                                   is_silent=True)
+        momenta = None if axial.momenta is None else self.momenta(np.array([axial.since_ns]))[0]
+        return axial._replace(momenta=momenta)
 
 
 def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
     """Return the total motor torque on the wheels over consecutive timelines."""
-    logs = [log for each in timelines if (log := each.log)]
+    logs = [log for timeline in timelines if (log := timeline.log)]
     # If two timelines contain the same stamp, TorqueLog uses the sample of the later timeline, for
     # which it is known whether the command is refused.
     return TorqueLog(np.concatenate([_NO_TIMES, *(log.times_ns for log in logs)]),
@@ -185,69 +212,48 @@ def check_named(wheels: Wheels | None, efforts: EffortLog | None,
     if efforts and efforts.efforts.shape[1] != count:
         raise ValueError(f'efforts: expected those of {count} named wheels, found those of '
                          f'{efforts.efforts.shape[1]}')
-    if any(isinstance(one, GravityGradient) for one in fields):
+    if any(isinstance(field, GravityGradient) for field in fields):
         raise ValueError('fields: expected no gravity gradient with wheels that have names, '
                          'because the two together are not supported yet, found one')
 
 
-def commanded(wheels: Wheels, before: Axial, row: Floats, state: State) -> Axial:
+def in_force(wheels: Wheels, before: Axial, commands: Commands, state: State,
+             timeout_ns: int) -> Axial:
     """
-    Return the state of the wheels after new commands take effect.
+    Return the state of the wheels once commands have taken effect or timed out.
+
+    A command takes effect if it has the stamp of the carrier state, or if it differs from the
+    command before, as at the start of a motion. If its wheel is then too fast, it is refused, so
+    that it acts as zero.
 
     Parameters
     ----------
     wheels : Wheels
         The wheels.
     before : Axial
-        The state of the wheels before the new commands.
-    row : array, shape (n,), N m
-        The new commands, with NaN for a wheel that keeps its command.
-    state : State
-        The state of the carrier when the commands take effect, at their stamp or later.
-
-    """
-    momenta, given = momenta_of(before, state), ~np.isnan(row)
-    commands = np.where(given, wheels.clipped(row), before.commanded)
-    refused = given & wheels.refused(commands, wheels.speeds(momenta[0], state.angular_velocity))
-    acting = np.where(given, np.where(refused, 0.0, commands), before.acting)
-    return Axial(state.time_ns, state.time_ns, momenta if before.momenta is not None else None,
-                 commands, acting, refused)
-
-
-def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, state: State,
-             timeout_ns: int) -> Axial:
-    """
-    Return the state of the wheels under the commands in force at a given carrier state.
-
-    Commands that have already taken effect or have already been refused are not checked again.
-
-    Parameters
-    ----------
-    wheels : Wheels
-        The wheels.
-    axial : Axial
-        The state of the wheels before `state`.
-    log : EffortLog, optional
-        The commands.
+        The state of the wheels before.
+    commands : Commands
+        The commands. A wheel without a command keeps the one before.
     state : State
         The state of the carrier.
     timeout_ns : int
         See `TorqueLog.segments`.
 
     """
-    time_ns = state.time_ns
-    row = int(log.times_ns.searchsorted(time_ns, 'right')) - 1 if log else -1
-    if not log or row < 0:
-        return axial
-    stamp_ns, held = int(log.times_ns[row]), log.between(time_ns, time_ns).efforts[0]
-    begins = wheels.clipped(held) != axial.commanded
-    if stamp_ns == time_ns:
-        begins |= ~np.isnan(log.efforts[row])
-    if stamp_ns == axial.stamp_ns and not begins.any():
-        return axial
-    found = commanded(wheels, axial, np.where(begins, held, np.nan), state)
-    return found._replace(stamp_ns=stamp_ns,
-                          is_silent=0 < timeout_ns <= time_ns - stamp_ns)
+    time_ns, stamps_ns = state.time_ns, np.array(commands.stamps_ns)
+    clipped = wheels.clipped(np.array(commands.efforts))
+    begins = (stamps_ns == time_ns) | ((stamps_ns > -NEVER_NS) & (clipped != before.commanded))
+    stamp_ns = before.stamp_ns if commands.stamp_ns == -NEVER_NS else commands.stamp_ns
+    is_silent = 0 < timeout_ns <= time_ns - stamp_ns
+    if (stamp_ns, is_silent) == (before.stamp_ns, before.is_silent) and not begins.any():
+        return before
+    momenta = momenta_of(before, state)
+    commanded = np.where(begins, clipped, before.commanded)
+    refused = begins & wheels.refused(
+        commanded, wheels.speeds(momenta[0], state.angular_velocity))
+    acting = np.where(begins, np.where(refused, 0.0, commanded), before.acting)
+    return Axial(time_ns, stamp_ns, None if before.momenta is None else momenta, commanded, acting,
+                 refused, is_silent)
 
 
 def momenta_of(axial: Axial, state: State) -> Floats:
@@ -256,14 +262,25 @@ def momenta_of(axial: Axial, state: State) -> Floats:
         return state_layout.momenta(state._packed)[:, :len(axial.acting)]
     if not axial.efforts.any():
         return axial.momenta
-    found = [momentum_at(np.array([axial.since_ns]), momenta[None], efforts[None],
-                         np.array([state.time_ns]))[0]
-             for momenta, efforts in zip(_threes(axial.momenta), _threes(axial.efforts[None]))]
-    return np.concatenate(found, axis=1)[:, :len(axial.acting)]
+    momenta = [momentum_at(np.array([axial.since_ns]), before[None], efforts[None],
+                           np.array([state.time_ns]))[0]
+               for before, efforts in zip(_threes(axial.momenta), _threes(axial.efforts[None]))]
+    return np.concatenate(momenta, axis=1)[:, :len(axial.acting)]
+
+
+def friction_of(wheels: Wheels, efforts: Floats) -> Friction:
+    """
+    Pack wheels with friction into a record that has room for one output.
+
+    `efforts`, N m, has one row for each row of the record and one column for each wheel.
+    """
+    padded = wheels.padded(efforts)
+    return Friction(padded, wheels.constants, np.empty((1, padded.shape[1])))
 
 
 def _threes(rows: Floats) -> list[Floats]:
     """Split the columns of an array into groups of three, and pad the last group with zeros."""
     count = rows.shape[1]
-    padded = np.pad(rows, [(0, 0), (0, -count % 3)])
+    padded = np.zeros((len(rows), count + -count % 3))  # np.pad would take ten times as long
+    padded[:, :count] = rows
     return [np.ascontiguousarray(padded[:, k:k + 3]) for k in range(0, count, 3)]
