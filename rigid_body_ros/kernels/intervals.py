@@ -144,19 +144,19 @@ def interval(times_ns: NDArray[np.int64], torques: Floats, spans: Floats, row: i
 
 
 @inlined
-def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool, body: Body,
+def drive(now: Interval, torques: Floats, row: int, degree: int, in_space: bool, body: Body,
           loads: Loads | None) -> Drive:
     """
     Return the drive of Euler's equations during an interval.
 
     If the torque is in body axes, the drive is the acceleration due to the torque. If the torque
-    is in space axes, the drive is the torque itself. `low` contains the low-order parts of the
-    torque.
+    is in space axes, the drive is the torque itself. `torques` and `row` give the low-order parts
+    of the torque.
     """
     polynomial = now.torque
     if not in_space and not now.is_zero:
         polynomial = euler_equations.acceleration_polynomial(
-            body.coefficients, polynomial, low)
+            body.coefficients, polynomial, low_order_parts(torques, row))
     bound = euler_equations.acceleration_bound(polynomial, in_space, body.coefficients)
     return Drive(polynomial, degree, in_space, now.begin_ns, now.span,
                  bound + _space_bound(loads, body))

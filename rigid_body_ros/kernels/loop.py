@@ -43,7 +43,6 @@ from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import (
     body_layout,
-    euler_equations,
     free_motion,
     friction,
     intervals,
@@ -53,7 +52,8 @@ from rigid_body_ros.kernels import (
     stepping,
     vector,
 )
-from rigid_body_ros.kernels.intervals import BodyTerms
+from rigid_body_ros.kernels.euler_equations import acceleration_from_torque
+from rigid_body_ros.kernels.intervals import BodyTerms, coasts
 from rigid_body_ros.kernels.jit import inlined, internal, njit, scratch, WRITTEN
 from rigid_body_ros.kernels.layout import (
     Body,
@@ -69,6 +69,7 @@ from rigid_body_ros.kernels.layout import (
     UNFINISHED,
 )
 from rigid_body_ros.kernels.series_table import WORKSPACE
+from rigid_body_ros.kernels.stepping import Series
 
 
 @njit
@@ -128,29 +129,25 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
     grid, begin, latest = layout.load_states(progress)
     grid_ns, begin_ns, row, done = layout.load_place(progress)
     stop, budget = progress[0].stop, progress[0].budget
-    times_ns, order, motion, closed = outputs
+    times_ns, _, motion, closed = outputs
     row_times_ns, torques, in_space, spans, _ = rows
     table, states = scratch(WORKSPACE), intervals.wheel_states(terms)
     coast, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
     while row < stop and done < len(times_ns) and budget > 0:
         now = intervals.interval(row_times_ns, torques, spans, row)
         loads = intervals.loads_of(terms, row, now.span)
-        coasts = now.is_zero and not intervals.acts(loads)
-        continues = coasts and now.end_ns < NEVER_NS and intervals.coasts(
-            torques, terms, row + 1)
-        output = done if len(order) == 0 else order[done]
-        asked = times_ns[output] <= now.end_ns
+        coasting = now.is_zero and not intervals.acts(loads)
+        continues = coasting and now.end_ns < NEVER_NS and coasts(torques, terms, row + 1)
+        output, asked, time_ns = _next_time(outputs, done, now.end_ns)
         if continues and not asked:  # SKIP
-            row += 1
-            budget -= 1
+            row, budget = row + 1, budget - 1
             continue
-        time_ns = times_ns[output] if asked else now.end_ns
-        seconds, degree = (time_ns - grid_ns) / 1e9, 0 if coasts else torques.shape[1] // 2
+        seconds, degree = (time_ns - grid_ns) / 1e9, 0 if coasting else torques.shape[1] // 2
         turning = not now.is_zero and in_space[row]
-        acceleration = euler_equations.acceleration_from_torque(
-            body.coefficients, now.torque[0])
+        is_held = intervals.are_polynomials(terms) and degree == 0 and not turning
+        acceleration = acceleration_from_torque(body.coefficients, now.torque[0])
         held = intervals.during_step(terms, row, seconds)
-        by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
+        by_formula = coasting and _is_closed(method, begin, time_ns - begin_ns)
         if by_formula and not prepared:
             coast, prepared = free_motion.prepare(begin, body.frame), True
         if by_formula and coast.kind != free_motion.NEAR_SEPARATRIX:
@@ -160,30 +157,26 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
         elif time_ns == grid_ns:  # REACHED
             latest = grid
             friction.go_back(states)
-        elif (intervals.are_polynomials(terms) and grid_ns == begin_ns and degree == 0
-              and not turning
-              and _is_short(grid, time_ns - grid_ns, acceleration, held, body, method)):
-            if time_ns == now.end_ns and row >= 0 and not coasts:
-                first = row  # SHORT STEPS
+        elif is_held and grid_ns == begin_ns and _is_short(
+                grid, time_ns - grid_ns, acceleration, held, method):
+            if time_ns == now.end_ns and row >= 0 and not coasting:
+                budget += row  # SHORT STEPS
                 grid, grid_ns, row, done = _run_short_steps(
-                    grid, Place(grid_ns, begin_ns, row, done),
-                    min(row + budget, stop, len(row_times_ns) - 1), outputs, rows, body,
-                    method, terms)
+                    grid, Place(grid_ns, begin_ns, row, done), min(budget, stop), outputs, rows,
+                    body, method, terms)
                 begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
-                budget -= row - first
+                budget -= row
                 continue
             latest = short_step.step(  # SHORT STEP
                 grid, seconds, body.coefficients, acceleration, method.tolerance, held)
         else:  # STEPS
-            drive = intervals.drive(now, intervals.low_order_parts(torques, row), degree, turning,
-                                    body, loads)
+            drive = intervals.drive(now, torques, row, degree, turning, body, loads)
             grid, grid_ns, latest, arrived, budget = stepping.advance(
-                grid, grid_ns, time_ns, drive, body, method, table, budget, loads, None)
+                grid, grid_ns, time_ns, drive, body, method, Series(table, None), budget, loads)
             if not arrived:
                 break
         if asked:
-            motion_layout.store(latest, output, motion)
-            friction.store(states, output)
+            _store_output(latest, states, output, motion)
             done += 1
         if time_ns == now.end_ns and not continues:
             grid, grid_ns, begin, begin_ns, prepared = latest, time_ns, latest, time_ns, False
@@ -191,6 +184,21 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             row += 1
         budget -= 1
     return Place(grid_ns, begin_ns, row, done), GridStates(grid, begin, latest)
+
+
+@inlined
+def _next_time(outputs: Requested, done: int, end_ns: int) -> tuple[int, bool, int]:
+    # Return the next output, whether its time is at most `end_ns`, and the earlier of both times.
+    output = done if len(outputs.order) == 0 else outputs.order[done]
+    asked = outputs.times_ns[output] <= end_ns
+    return output, asked, outputs.times_ns[output] if asked else end_ns
+
+
+@inlined
+def _store_output(latest: vector.KernelState, states: friction.WheelStates | None, output: int,
+                  motion: Floats) -> None:
+    motion_layout.store(latest, output, motion)
+    friction.store(states, output)
 
 
 @inlined
@@ -204,12 +212,11 @@ def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
 
 @inlined
 def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vector,
-              held: short_step.HeldLoads | None, body: Body, method: Method) -> bool:
+              held: short_step.HeldLoads | None, method: Method) -> bool:
     # Return whether one short step is accurate enough. The torque must be held, and must be given
     # in body axes.
-    seconds = rest_ns / 1e9
     return (rest_ns < method.max_step_ns and not method.fixed_step
-            and short_step.is_accurate(grid, seconds, acceleration, method.tolerance, held))
+            and short_step.is_accurate(grid, rest_ns / 1e9, acceleration, method.tolerance, held))
 
 
 @internal
@@ -225,6 +232,7 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
     times_ns, order, motion, _ = outputs
     row_times_ns, torques, in_space, _, _ = rows
     held = intervals.during_step(terms, row, 1.0)
+    last = min(last, len(row_times_ns) - 1)
     while row < last and done < len(times_ns):
         output = done if len(order) == 0 else order[done]
         if times_ns[output] == grid_ns:
@@ -232,16 +240,14 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
             done += 1
             continue
         next_ns, torque = row_times_ns[row + 1], intervals.coefficient(torques, row, 0)
-        acceleration = euler_equations.acceleration_from_torque(
-            body.coefficients, torque)
+        acceleration = acceleration_from_torque(body.coefficients, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if intervals.vary(terms):
             held = intervals.during_step(terms, row, seconds)
         if (times_ns[output] < next_ns or span_ns >= method.max_step_ns
                 or (in_space[row] and not vector.is_zero(torque))
-                or (vector.is_zero(torque)
-                    and intervals.coasts(torques, terms, row))
+                or (vector.is_zero(torque) and coasts(torques, terms, row))
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
                                               held)):
             break

@@ -34,12 +34,13 @@ from rigid_body_ros.kernels.euler_equations import (
     add_jacobian,
     add_symmetric_products,
     gyroscopic_acceleration,
+    Products,
     products,
     symmetric_products,
 )
-from rigid_body_ros.kernels.jit import inlined
+from rigid_body_ros.kernels.jit import inlined, optional
 from rigid_body_ros.kernels.lanes import fma
-from rigid_body_ros.kernels.linear_terms import add_product, multiple, product
+from rigid_body_ros.kernels.linear_terms import add_product, Matrix, multiple, product
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -86,6 +87,18 @@ class HeldLoads(NamedTuple):
     #: remaining accelerations, rad^2/s^4.
     square_rate: float
     square_acceleration: float
+
+
+class _Acting(NamedTuple):
+    """What acts during a step. A part that the step does not have is None."""
+
+    #: The angular velocity at the start of the step, in radians per step.
+    u0: Vector
+    #: See `_jacobian`. None if there are neither rotors nor damping.
+    jacobian: Matrix | None
+    #: See `HeldLoads`.
+    rotor_change: Vector | None
+    space_torque: Vector | None
 
 
 @inlined
@@ -200,94 +213,95 @@ def _step(state: KernelState, seconds: float, coefficients: Coefficients,
     size, error_bound = sizes
     w = state[0]
     # w0 = w, w1, w2 ... are the terms of w in rad/s, and u0, u1, u2 ... are the same terms in
-    # radians per step. Constant factors are multiplied into operands that are known early, so that
-    # no later term has to wait for such a multiplication.
+    # radians per step. t0, t1, t2 ... are the terms of the space torque in body axes, times the
+    # step. Constant factors are multiplied into operands that are known early, so that no later
+    # term has to wait for such a multiplication.
     u0 = scale(seconds, w)
     if linear is not None:
         torque_acceleration = add(torque_acceleration, product(linear.low, w))
     w1 = add_scaled(gyroscopic_acceleration(coefficients, products(u0, w)), seconds,
                     torque_acceleration)
-    t0 = t1 = t2 = four.broadcast(0.0)  # terms of the space torque, in body axes, times the step
+    acting = _Acting(u0, _jacobian(linear, seconds, coefficients, w), rotor_change, space_torque)
     if linear is not None:
-        # The products of w0 and the latest term are linear in the latest term, so we can include
-        # them in the matrix.
-        jacobian = multiple(seconds, add_jacobian(linear.matrix, coefficients, w))
         w1 = add(w1, product(linear.matrix, u0))
+    t0 = four.broadcast(0.0)
     if space_torque is not None:
         t0 = scale(seconds, to_body(state[1], space_torque))
         w1 = add(w1, acceleration_from_torque(coefficients, t0))
-    u1 = scale(seconds, w1)
-    if linear is None:
-        w2 = gyroscopic_acceleration(coefficients, symmetric_products(scale(1 / 2, u0), w1))
-    else:
-        w2 = product(multiple(1 / 2, jacobian), w1)
-    if space_torque is not None:
-        t1 = cross(t0, u0)
-        w2 = add_scaled(w2, 1 / 2, acceleration_from_torque(coefficients, t1))
-    if rotor_change is not None:
-        w2 = add(w2, acceleration_from_torque(
-            coefficients, cross(rotor_change, scale(1 / 2, u0))))
-    u2 = scale(seconds, w2)
-    sums = products(scale(1 / 3, u1), w1)
-    if linear is None:
-        sums = add_symmetric_products(sums, scale(1 / 3, u0), w2)
-    w3 = gyroscopic_acceleration(coefficients, sums)
-    if linear is not None:
-        w3 = _add_linear(w3, multiple(1 / 3, jacobian), w2)
-    if space_torque is not None:
-        t2 = scale(1 / 2, add(cross(t1, u0), cross(t0, u1)))
-        w3 = add_scaled(w3, 1 / 3, acceleration_from_torque(coefficients, t2))
-    if rotor_change is not None:
-        w3 = add(w3, acceleration_from_torque(
-            coefficients, cross(rotor_change, scale(1 / 3, u1))))
+    u1, t1 = scale(seconds, w1), cross(t0, u0)
+    w2 = _add_loads(_half_change(w1, coefficients, acting), 1 / 2, t1, u0, coefficients, acting)
+    u2, t2 = scale(seconds, w2), scale(1 / 2, add(cross(t1, u0), cross(t0, u1)))
+    w3 = _term(products(scale(1 / 3, u1), w1), 1 / 3, w2, t2, u1, coefficients, acting)
     a = cross(u0, u1)
     delta_omega = add(add(w1, w2), w3)
     rotation = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
     fourth = _SQUARE_3 * (size * size) > error_bound
     if lanes.some(fourth):
-        sums = symmetric_products(scale(1 / 4, u1), w2)
-        if linear is None:
-            sums = add_symmetric_products(sums, scale(1 / 4, u0), w3)
-        w4 = gyroscopic_acceleration(coefficients, sums)
-        u3, b, t3 = scale(seconds, w3), cross(u0, u2), four.broadcast(0.0)
-        if linear is not None:
-            w4 = _add_linear(w4, multiple(1 / 4, jacobian), w3)
-        if space_torque is not None:
-            t3 = scale(1 / 3, add(cross(t2, u0), add(cross(t1, u1), cross(t0, u2))))
-            w4 = add_scaled(w4, 1 / 4, acceleration_from_torque(coefficients, t3))
-        if rotor_change is not None:
-            w4 = add(w4, acceleration_from_torque(
-                coefficients, cross(rotor_change, scale(1 / 4, u2))))
+        t3 = scale(1 / 3, add(cross(t2, u0), add(cross(t1, u1), cross(t0, u2))))
+        w4 = _term(symmetric_products(scale(1 / 4, u1), w2), 1 / 4, w3, t3, u2, coefficients,
+                   acting)
+        u3, b = scale(seconds, w3), cross(u0, u2)
         delta_omega = four.choose(fourth, add(delta_omega, w4), delta_omega)
         rotation = four.choose(
             fourth, add(rotation, add_scaled(scale(1 / 4, u3), 1 / 12, b)), rotation)
         fifth = lanes.both(fourth, _FOURTH_4 * (
             size * ((size * size) * (size * size))) > error_bound * error_bound)
         if lanes.some(fifth):
-            sums = add_symmetric_products(
-                products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3)
-            if linear is None:
-                sums = add_symmetric_products(sums, scale(1 / 5, u0), w4)
-            w5 = gyroscopic_acceleration(coefficients, sums)
-            if linear is not None:
-                w5 = _add_linear(w5, multiple(1 / 5, jacobian), w4)
-            if space_torque is not None:
-                t4 = add(add(cross(t3, u0), cross(t2, u1)), add(cross(t1, u2), cross(t0, u3)))
-                w5 = add_scaled(w5, 1 / 20, acceleration_from_torque(coefficients, t4))
-            if rotor_change is not None:
-                w5 = add(w5, acceleration_from_torque(
-                    coefficients, cross(rotor_change, scale(1 / 5, u3))))
+            t4 = scale(1 / 4, add(add(cross(t3, u0), cross(t2, u1)),
+                                  add(cross(t1, u2), cross(t0, u3))))
+            sums = add_symmetric_products(products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3)
+            w5 = _term(sums, 1 / 5, w4, t4, u3, coefficients, acting)
             delta_omega = four.choose(fifth, add(delta_omega, w5), delta_omega)
             rotation = four.choose(fifth, add(rotation, add_scaled(
                 _order_5_rotation(u0, u1, u2, u3, a, b), 1 / 5 * seconds, w4)), rotation)
     return advance(state, delta_omega, _delta_q(add(u0, rotation)))
 
 
+@optional
+def _jacobian(linear: linear_terms.Linear, seconds: float, coefficients: Coefficients,
+              w: Vector) -> Matrix:
+    # Return how the acceleration changes with w at the start of the step, times the step. The
+    # products of w0 and the latest term are linear in the latest term, so the matrix of the linear
+    # terms can include them.
+    return multiple(seconds, add_jacobian(linear.matrix, coefficients, w))
+
+
 @inlined
-def _add_linear(rest: Vector, jacobian: linear_terms.Matrix, latest: Vector) -> Vector:
-    # Leave out the low-order part of the matrix, which does not matter in the small terms of
-    # higher order.
-    return add_product(rest, jacobian, latest, four.yzx(latest), four.zxy(latest))
+def _half_change(w1: Vector, coefficients: Coefficients, acting: _Acting) -> Vector:
+    # Return the part of w2 that w1 causes.
+    if acting.jacobian is None:
+        return gyroscopic_acceleration(coefficients,
+                                       symmetric_products(scale(1 / 2, acting.u0), w1))
+    return product(multiple(1 / 2, acting.jacobian), w1)
+
+
+@inlined
+def _term(sums: Products, factor: float, latest: Vector, torque: Vector, u: Vector,
+          coefficients: Coefficients, acting: _Acting) -> Vector:
+    # Return the term of w that follows the latest one, from the sum of the products of the terms
+    # between w0 and the latest one. The factor is the reciprocal of the order. The torque and u
+    # are the terms that belong to the loads.
+    if acting.jacobian is None:
+        sums = add_symmetric_products(sums, scale(factor, acting.u0), latest)
+    w = gyroscopic_acceleration(coefficients, sums)
+    if acting.jacobian is not None:
+        # Leave out the low-order part of the matrix, which does not matter in the small terms of
+        # higher order.
+        w = add_product(w, multiple(factor, acting.jacobian), latest, four.yzx(latest),
+                        four.zxy(latest))
+    return _add_loads(w, factor, torque, u, coefficients, acting)
+
+
+@inlined
+def _add_loads(w: Vector, factor: float, torque: Vector, u: Vector, coefficients: Coefficients,
+               acting: _Acting) -> Vector:
+    # Add what the space torque and the change of the rotor momentum contribute to a term.
+    if acting.space_torque is not None:
+        w = add_scaled(w, factor, acceleration_from_torque(coefficients, torque))
+    if acting.rotor_change is not None:
+        w = add(w, acceleration_from_torque(
+            coefficients, cross(acting.rotor_change, scale(factor, u))))
+    return w
 
 
 @inlined

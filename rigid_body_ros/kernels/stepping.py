@@ -58,7 +58,7 @@ from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, optional, scratch
 from rigid_body_ros.kernels.lag_series import WORKSPACE as LAG_WORKSPACE
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
-from rigid_body_ros.kernels.tangents import follow, least_order, StepSpan, Tangents
+from rigid_body_ros.kernels.tangents import follow, least_order, SeriesStep, Tangents
 
 _RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULER
 
@@ -76,6 +76,15 @@ class Reached(NamedTuple):
     arrived: bool
     #: How many units of work are left of the budget.
     budget: int
+
+
+class Series(NamedTuple):
+    """What a step of the series fills and advances."""
+
+    #: float64 (series_table.WORKSPACE,): workspace of `taylor.step`.
+    table: Floats
+    #: The tangents that every step advances, if any.
+    tangents: Tangents | None
 
 
 class LocalLoads(NamedTuple):
@@ -100,8 +109,7 @@ class LocalLoads(NamedTuple):
 
 @inlined
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
-            method: Method, table: Floats, budget: int, loads: Loads | None,
-            tangents: Tangents | None) -> Reached:
+            method: Method, series: Series, budget: int, loads: Loads | None) -> Reached:
     """
     Step along the grid to the last grid point before `time_ns`, and then to `time_ns` itself.
 
@@ -113,14 +121,12 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         The time to reach, ns, which must be within the segment.
     drive, body, method : Drive, Body, Method
         The drive during the interval, the body, and the solver with its step limits.
-    table : float64 (series_table.WORKSPACE,)
-        Workspace.
+    series : Series
+        The workspace of the series, and the tangents.
     budget : int
         Number of units of work after which to return. Each step costs `layout.STEP_COST`.
     loads : Loads or None
         What acts besides the drive.
-    tangents : Tangents or None
-        The tangents that every step advances, if any.
 
     Returns
     -------
@@ -141,8 +147,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         last = step_ns >= rest_ns
         if last:
             step_ns = rest_ns
-        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now,
-                       tangents)
+        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, series, loads, now)
         if last:
             break
         grid = latest
@@ -264,8 +269,8 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
 
 
 @optional
-def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
-            seconds: float) -> taylor.SeriesLoads:
+def _series_loads(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
+                  seconds: float) -> taylor.SeriesLoads:
     # Return what acts besides the drive, in the form that a step of the series needs.
     none = vector.of(0.0, 0.0, 0.0)
     one = two = three = four = none, none, none
@@ -296,8 +301,8 @@ def _turn_of(now: LocalLoads, seconds: float) -> float:
 
 @inlined
 def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
-          method: Method, table: Floats, loads: Loads | None, now: LocalLoads | None,
-          tangents: Tangents | None) -> vector.KernelState:
+          method: Method, series: Series, loads: Loads | None,
+          now: LocalLoads | None) -> vector.KernelState:
     local = drive.polynomial
     offset, ratio = (grid_ns - drive.origin_ns) / 1e9 / drive.span, seconds / drive.span
     if drive.degree != 0:
@@ -311,11 +316,12 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
     if method.solver == _EXPLICIT_EULER:
         return steppers.explicit_euler(state, seconds, body.coefficients, local, drive.in_space,
                                        stage)
-    series = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
-    acting = _series(loads, now, stage, seconds)
-    latest, order = taylor.step(state, seconds, body.coefficients, series, method.tolerance,
-                                table, acting, least_order(tangents, _turn_of(now, seconds)))
-    follow(tangents, state, table, order,
-           StepSpan(seconds, max(grid_ns - drive.origin_ns, 0) / 1e9), body.coefficients, series,
-           acting)
+    driving = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
+    acting, turn = _series_loads(loads, now, stage, seconds), _turn_of(now, seconds)
+    latest, order = taylor.step(
+        state, seconds, body.coefficients, driving, method.tolerance, series.table, acting,
+        least_order(series.tangents, turn))
+    follow(series.tangents, state,
+           SeriesStep(series.table, order, seconds, max(grid_ns - drive.origin_ns, 0) / 1e9),
+           body.coefficients, driving, acting)
     return latest

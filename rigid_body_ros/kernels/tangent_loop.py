@@ -18,9 +18,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats, Ints
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
     body_layout,
     intervals,
@@ -41,11 +40,12 @@ from rigid_body_ros.kernels.layout import (
     TOO_FAST,
     UNFINISHED,
 )
+from rigid_body_ros.kernels.stepping import Series
 from rigid_body_ros.kernels.tangents import (
-    CONSTANTS,
+    Derivatives,
     enter,
-    Forcing,
     OF_VECTOR,
+    RequestedTangents,
     SIZE,
     STIFFNESS,
     Tangents,
@@ -55,17 +55,12 @@ from rigid_body_ros.kernels.tangents import (
 
 @njit
 def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
-                 times_ns: Annotated[Ints, 'm'],
+                 requested: RequestedTangents,
                  rows: Annotated[Rows, 'fields', 'lags', 'friction']
                  | Annotated[Rows, 'friction'],
                  constants: Annotated[Floats, f'{body_layout.SIZE}'],
                  methods: Annotated[NDArray[Any], '1', METHOD],
-                 latest: Annotated[Floats, f'{SIZE}g L', WRITTEN],
-                 derivatives: Annotated[Floats, f'{CONSTANTS}g L'],
-                 have_constants: Annotated[NDArray[np.bool_], 'g'],
-                 forcing: Forcing,
-                 requested: Annotated[Floats, f'm {SIZE}g L', WRITTEN],
-                 motion: Annotated[Floats, '7m', WRITTEN],
+                 latest: Annotated[Floats, f'{SIZE}g L', WRITTEN], derivatives: Derivatives,
                  work: Annotated[Floats, f'{OF_VECTOR}v+{WORKSPACE} L', WRITTEN]) -> int:
     """
     Advance tangents from row to row, and store them at the requested times.
@@ -75,14 +70,12 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
 
     Parameters
     ----------
-    progress, times_ns, rows, constants, methods
-        See `loop.run`. The times are in ascending order.
-    latest, derivatives, have_constants, forcing, work
+    progress, rows, constants, methods
+        See `loop.run`.
+    requested : RequestedTangents
+        The requested times and the results.
+    latest, derivatives, work
         See `tangents.Tangents`. The kernel updates `latest`.
-    requested : float64 (m, 6 g, lanes)
-        The tangents at the requested times.
-    motion : float64 (7 m,)
-        The attitudes and the angular velocities at the requested times; see `motion_layout`.
 
     Returns
     -------
@@ -90,6 +83,7 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
         FINISHED, UNFINISHED or TOO_FAST.
 
     """
+    times_ns, outputs, motion = requested
     stop, budget, result = progress[0].stop, progress[0].budget, FINISHED
     body, method = layout.load_body(constants), layout.load_method(methods)
     terms = intervals.load_terms(rows.terms, constants, progress)
@@ -103,23 +97,21 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
         time_ns = times_ns[done] if asked else now.end_ns
         turning = not now.is_zero and rows.in_space[row]
         degree = rows.torques.shape[1] // 2
-        drive = intervals.drive(now, intervals.low_order_parts(rows.torques, row), degree, turning,
-                                body, loads)
-        found = Tangents(latest, derivatives, have_constants, forcing, work, stiffness,
-                         len(rows.times_ns), row)
-        reached = stepping.advance(grid, now_ns, time_ns, drive, body, method, table, budget,
-                                   loads, found)
+        drive = intervals.drive(now, rows.torques, row, degree, turning, body, loads)
+        tangents = Tangents(latest, derivatives, work, stiffness, len(rows.times_ns), row)
+        reached = stepping.advance(grid, now_ns, time_ns, drive, body, method,
+                                   Series(table, tangents), budget, loads)
         budget = reached.budget
         if reached.arrived:
             grid, now_ns = reached.latest, time_ns
             if asked:
                 for k in range(len(latest)):
-                    lanes.store(requested[done], k, lanes.load(latest, k))
+                    lanes.store(outputs[done], k, lanes.load(latest, k))
                 motion_layout.store(grid, done, motion)
                 done += 1
             if time_ns == now.end_ns:
                 row += 1
-                enter(found, row, grid, body.coefficients)
+                enter(tangents, row, grid, body.coefficients)
         else:
             grid, now_ns = reached.grid, reached.grid_ns
             result = TOO_FAST if stepping.is_too_fast(grid) else UNFINISHED

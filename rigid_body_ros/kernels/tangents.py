@@ -36,7 +36,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import (
     elementary,
     field_series,
@@ -51,7 +51,7 @@ from rigid_body_ros.kernels.euler_equations import (
     DIAGONAL,
     gyroscopic_acceleration,
 )
-from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.jit import inlined, internal, WRITTEN
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.series_table import (
     MAX_ORDER,
@@ -112,16 +112,22 @@ class Forcing(NamedTuple):
     links: Annotated[Floats, 'v 3']
 
 
+class Derivatives(NamedTuple):
+    """The derivatives of constants and of torques, in groups of as many as there are lanes."""
+
+    #: float64 (CONSTANTS g, LANES): the derivatives of constants, for each of g groups.
+    constants: Annotated[Floats, f'{CONSTANTS}g L']
+    #: bool (g,): whether any derivative of a constant is not zero.
+    have_constants: Annotated[NDArray[np.bool_], 'g']
+    forcing: Forcing
+
+
 class Tangents(NamedTuple):
     """The tangents of a motion, in groups of as many as there are lanes."""
 
     #: float64 (SIZE g, LANES): the tangents at the latest time, for each of g groups.
     latest: Floats
-    #: float64 (CONSTANTS g, LANES): the derivatives of constants.
-    constants: Floats
-    #: bool (g,): whether any derivative of a constant is not zero.
-    have_constants: NDArray[np.bool_]
-    forcing: Forcing
+    derivatives: Derivatives
     #: float64 (WORKSPACE + OF_VECTOR v, LANES) and float64 (STIFFNESS,)
     work: Floats
     stiffness: Floats
@@ -130,9 +136,24 @@ class Tangents(NamedTuple):
     row: int
 
 
-class StepSpan(NamedTuple):
-    """A step within a row: its length, and the time since the row began, s."""
+class RequestedTangents(NamedTuple):
+    """The requested times, and the arrays that receive the results."""
 
+    #: int64 (m,): the requested times, ns, in ascending order.
+    times_ns: Annotated[Ints, 'm']
+    #: float64 (m, 6 g, LANES): the tangents.
+    tangents: Annotated[Floats, f'm {SIZE}g L', WRITTEN]
+    #: float64 (7 m,): the attitudes and the angular velocities; see `motion_layout`.
+    motion: Annotated[Floats, '7m', WRITTEN]
+
+
+class SeriesStep(NamedTuple):
+    """A step of the series."""
+
+    #: The table that `taylor.step` fills, and the order up to which it does.
+    table: Floats
+    order: int
+    #: The length of the step, and the time from the beginning of the row to that of the step, s.
     seconds: float
     since: float
 
@@ -157,11 +178,11 @@ def least_order(found: Tangents | None, size: float | None) -> int | None:
 
 
 @inlined
-def follow(found: Tangents | None, state: KernelState, table: Floats, order: int, span: StepSpan,
+def follow(found: Tangents | None, state: KernelState, step: SeriesStep,
            coefficients: Coefficients, drive: taylor.SeriesDrive,
            loads: taylor.SeriesLoads | None) -> None:
     """
-    Advance the tangents by a step, whose series is in a table up to the given order.
+    Advance the tangents by a step.
 
     Parameters
     ----------
@@ -169,9 +190,7 @@ def follow(found: Tangents | None, state: KernelState, table: Floats, order: int
         None does nothing.
     state : KernelState
         The state at the beginning of the step.
-    table, order
-        The table that `taylor.step` fills, and the order up to which it does.
-    span : StepSpan
+    step : SeriesStep
         The step.
     coefficients : Coefficients
         The coefficients of Euler's equations.
@@ -185,26 +204,25 @@ def follow(found: Tangents | None, state: KernelState, table: Floats, order: int
     if loads is not None:
         is_stiff = is_stiff or loads.space_degree >= 0 or fields.exist(loads.fields)
     if is_stiff:
-        for k in range(order):
-            _expand_stiffness(found.stiffness[_STIFFNESS * k:_STIFFNESS * (k + 1)], table, k,
+        for k in range(step.order):
+            _expand_stiffness(found.stiffness[_STIFFNESS * k:_STIFFNESS * (k + 1)], step.table, k,
                               coefficients, drive, loads)
-    groups, size = len(found.have_constants), 3 * len(found.forcing.links) * found.rows
+    forcing, groups = found.derivatives.forcing, len(found.derivatives.have_constants)
+    size = 3 * len(forcing.links) * found.rows
     for i in range(groups):
-        end = len(found.forcing.vectors) - size * (groups - i - 1)
-        vectors = found.forcing.vectors[max(end - size, 0):max(end, 0)]
+        end = len(forcing.vectors) - size * (groups - i - 1)
+        vectors = forcing.vectors[max(end - size, 0):max(end, 0)]
         has_forcing = len(vectors) > 0 and found.row >= 0
         if has_forcing:
-            _begin_forcing(vectors, found, span.since, state)
-        _extend(found.latest[SIZE * i:SIZE * i + SIZE],
-                found.constants[CONSTANTS * i:CONSTANTS * i + CONSTANTS], found,
-                found.have_constants[i], has_forcing, is_stiff, table, order, span.seconds,
-                coefficients, loads)
+            _begin_forcing(vectors, found, step.since, state)
+        _extend(found, i, has_forcing, is_stiff, step, coefficients, loads)
 
 
 @inlined
 def enter(found: Tangents, row: int, state: KernelState, coefficients: Coefficients) -> None:
     """Add the impulses of a row, which begins at the given state."""
-    impulses, groups = found.forcing.impulses, len(found.have_constants)
+    impulses = found.derivatives.forcing.impulses
+    groups = len(found.derivatives.have_constants)
     size = 6 * found.rows
     for i in range(groups):
         end = len(impulses) - size * (groups - i - 1)
@@ -229,7 +247,8 @@ def _to_body(state: KernelState, vector: Vector) -> Vector:
 @internal
 def _begin_forcing(vectors: Floats, found: Tangents, since: float, state: KernelState) -> None:
     # Store the vectors of the row in force at the beginning of a step, in body axes.
-    links, start = found.forcing.links, 3 * len(found.forcing.links) * found.row
+    links = found.derivatives.forcing.links
+    start = 3 * len(links) * found.row
     for j in range(len(links)):
         total, factor, last = _load(vectors, start + 3 * j), 1.0, j
         while links[last, 1] != 0.0:
@@ -244,11 +263,13 @@ def _begin_forcing(vectors: Floats, found: Tangents, since: float, state: Kernel
 
 
 @internal
-def _extend(latest: Floats, constants: Floats, found: Tangents, has_constants: bool,
-            has_forcing: bool, is_stiff: bool, table: Floats, order: int, seconds: float,
+def _extend(found: Tangents, group: int, has_forcing: bool, is_stiff: bool, step: SeriesStep,
             coefficients: Coefficients, loads: taylor.SeriesLoads | None) -> None:
     # Advance the tangents of a group.
-    work = found.work
+    work, derivatives = found.work, found.derivatives
+    table, order, seconds, _ = step
+    latest = found.latest[SIZE * group:SIZE * group + SIZE]
+    constants = derivatives.constants[CONSTANTS * group:CONSTANTS * group + CONSTANTS]
     for k in range(3):
         lanes.store(work, RATE + k, seconds * lanes.load(latest, RATE + k))
         lanes.store(work, ROTATION + k, lanes.load(latest, ROTATION + k))
@@ -257,7 +278,7 @@ def _extend(latest: Floats, constants: Floats, found: Tangents, has_constants: b
         torque = of(lanes.zero(mixed[0]), 0.0, 0.0)
         if has_forcing:
             torque = scale(seconds * seconds, _expand_forcing(found, table, k, seconds))
-        if has_constants:
+        if derivatives.have_constants[group]:
             torque = add(torque, _of_constants(constants, work, table, k, seconds))
             torque = add(torque, _of_fields(constants, found, k, seconds, loads))
         rate = add(gyroscopic_acceleration(coefficients, (mixed, squares)),
@@ -312,7 +333,7 @@ def _products(work: Floats, table: Floats, k: int,
 @internal
 def _expand_forcing(found: Tangents, table: Floats, k: int, seconds: float) -> Vector:
     # Return the order-k term of dtau, and store the next terms of its vectors.
-    work, links = found.work, found.forcing.links
+    work, links = found.work, found.derivatives.forcing.links
     size = 3 * len(links)
     total = of(lanes.zero(lanes.load(work, 0)), 0.0, 0.0)
     for j in range(len(links)):

@@ -248,11 +248,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
                            to_body(state[1], loads.space_torque[i]))
     # If a torque ~ t^degree acts on a body at rest, only every (degree + 2)-th term of the series
     # is nonzero. So the sum has converged only after degree + 2 small terms in a row.
-    small, powers = lanes.no_count(error_bound), degree
-    if loads is not None:
-        powers = max(degree, loads.space_degree, loads.linear_degree,
-                     field_series.lowest_order(loads.fields), lag_series.lowest_order(loads.lags),
-                     friction.lowest_order(loads.friction))
+    small, powers = lanes.no_count(error_bound), _lowest_order(degree, loads)
     past = (zero, zero, zero, zero)  # the four terms of u before the latest one
     vectors = field_series.vectors_of(_fields_of(loads))
     for k in range(MAX_ORDER):
@@ -264,16 +260,12 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
             u = euler_equations.add_gyroscopic_acceleration(
                 linear_term(k, latest, past, loads), coefficients, products)
         if in_space:
-            torque_acceleration = euler_equations.acceleration_from_torque(
-                coefficients, _torque_term(table, k, degree))
-            u = add_scaled(u, seconds * seconds, torque_acceleration)
+            u = _add_space_torque(u, table, k, degree, seconds, coefficients)
         elif k <= degree:
             u = add_scaled(u, seconds * seconds, polynomial[k])
         if loads is not None:
             if loads.space_degree >= 0:
-                torque_acceleration = euler_equations.acceleration_from_torque(
-                    coefficients, _torque_term(table, k, loads.space_degree))
-                u = add_scaled(u, seconds * seconds, torque_acceleration)
+                u = _add_space_torque(u, table, k, loads.space_degree, seconds, coefficients)
             u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients)
             u = lag_series.add_acceleration(u, loads.lags, table, k, seconds, coefficients)
             u = friction.add_acceleration(u, loads.friction, table, k, seconds, coefficients)
@@ -371,8 +363,20 @@ def linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector
 
 
 @inlined
-def _torque_term(table: Floats, k: int, degree: int) -> Vector:
-    # Return the order-k term, in body axes, of a torque in space axes.
+def _lowest_order(degree: int, loads: SeriesLoads | None) -> int:
+    # Return an upper bound on how many consecutive terms may be zero by coincidence.
+    if loads is None:
+        return degree
+    return max(degree, loads.space_degree, loads.linear_degree,
+               field_series.lowest_order(loads.fields), lag_series.lowest_order(loads.lags),
+               friction.lowest_order(loads.friction))
+
+
+@inlined
+def _add_space_torque(u: Vector, table: Floats, k: int, degree: int, seconds: float,
+                      coefficients: Coefficients) -> Vector:
+    # Add the order-k term of the acceleration due to a torque in space axes, multiplied by the
+    # square of the step.
     term = four.zero(four.load(table, U))
     for i in range(degree + 1):
         if i <= k:
@@ -380,4 +384,5 @@ def _torque_term(table: Floats, k: int, degree: int) -> Vector:
         place = TORQUES + PERMUTED * i
         store_permuted(table, row_of(table, k + 1) + place,
                        turned(table, place, row_of(table, 1), table, k))
-    return term
+    return add_scaled(u, seconds * seconds,
+                      euler_equations.acceleration_from_torque(coefficients, term))

@@ -232,9 +232,9 @@ class _Tangents:
             progress['row'] -= first
             progress['stop'] = end - first
             while result := kernels.run_tangents(
-                    progress, times_ns, _packed(rows), motion._carrier._constants,
-                    motion.problem.options.method, self._latest, constants, has_constants, acting,
-                    requested, states, work):
+                    progress, tangents.RequestedTangents(times_ns, requested, states),
+                    _packed(rows), motion._carrier._constants, motion.problem.options.method,
+                    self._latest, tangents.Derivatives(constants, has_constants, acting), work):
                 if result == layout.TOO_FAST:
                     raise motion.problem.options.too_fast(int(progress['grid_ns'][0]))
                 progress['budget'] = layout.BUDGET
