@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 from rigid_body_ros.commands.arguments import load_scene, note, read_torques
 from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked
-from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.errors import InputError, listed, located
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import progress
@@ -74,10 +74,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _requirements(options: argparse.Namespace) -> list[Requirement]:
     from rigid_body_ros.ensemble.summary import Requirement
-    try:
+    with located('--require', InputError):
         return [Requirement.read(text) for text in options.require]
-    except InputError as error:
-        raise InputError(f'--require: {error}') from error
 
 
 def _draw(options: argparse.Namespace, path: Path, report: Report) -> None:
@@ -113,11 +111,9 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     problem, end_ns = _problem(options, scene)
     times_ns = None if options.times == FINAL else \
         times_of(problem.start.time_ns, end_ns, options.times)
-    try:
+    with located(options.vary, InputError):
         ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns,
                             _controller(options, scene, problem))
-    except InputError as error:
-        raise InputError(f'{options.vary}: {error}') from error
     try:
         ensemble.check()
     except ControllerError as error:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from rigid_body_ros.commands.arguments import length_of, load_scene, read_torques, topics_of
 from rigid_body_ros.commands.command import Command, Parser, within
 from rigid_body_ros.commands.outputs import checked
-from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.errors import InputError, listed, located
 from rigid_body_ros.runtime.terminal import progress, show
 
 if TYPE_CHECKING:
@@ -49,14 +49,11 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     problem, name = _problem(options, scene)
     source, length = options.recording or options.scene, length_of(options)
     end_ns = None if length is None else problem.start.time_ns + round(1e9 * length)
-    try:
+    with located(f'{source}: {name}' if options.recording else source):
         # The problem that is measured has rotors in place of the named wheels, and its body does
         # not include the axial inertia of the wheels.
         result = measure(problem.carried(), targets=options.target or [TARGET],
                          track=progress('measuring', ' runs'), end_ns=end_ns)
-    except ValueError as error:
-        where = f'{source}: {name}' if options.recording else source
-        raise InputError(f'{where}: {error}') from error
     return result, f'{Path(source).name}: {name}'
 
 

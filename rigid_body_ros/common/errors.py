@@ -16,7 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from itertools import islice
 from reprlib import Repr
 
@@ -44,6 +45,15 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(shortened(message))
+
+
+@contextmanager
+def located(where: object, kind: type[ValueError] = ValueError) -> Iterator[None]:
+    """Report an error of the given kind as an `InputError` whose message begins with `where`."""
+    try:
+        yield
+    except kind as error:
+        raise InputError(f'{where}: {error}') from error
 
 
 def shortened(text: str, longest: int = LONGEST) -> str:

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros import messages, recording
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.comparison.predictable import predictable_s
 from rigid_body_ros.comparison.result import compared, Comparison
@@ -226,13 +226,11 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         searched = LARGEST_OFFSET if moves_clocks else 0.0
         stated, during = read_observed(path, scene, reading, searched)
         # Replace named wheels by rotors, because restarts set rotor momenta, not wheel speeds.
-        try:
+        with located(path):
             moved = stated.carried()
-        except ValueError as error:
-            raise InputError(f'{path}: {error}') from error
     else:
         moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
-    try:
+    with located(path):
         sensors = during.until_end()
         # A clock offset can move the last samples beyond the end.
         if moves_clocks and during.has_end:
@@ -240,8 +238,6 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
                                         in aligned_by(moved, sensors, align)])
         found = compare_motion(moved, sensors, align, horizons, track=track,
                                names_suspects=not faults_of(during.torques, during.sensors))
-    except ValueError as error:
-        raise InputError(f'{path}: {error}') from error
     if horizons and isinstance(moved, Problem) and is_checked(moved, scene.values):
         found = replace(found, horizons=tuple(replace(one, judgements=tuple(monitored(
             moved, sensors, settings_of(scene.values)._replace(window=one.seconds))))
@@ -280,12 +276,10 @@ def compare_sensors(path: str | Path, reading: Reading, align: Collection[str] =
     if not others:
         raise InputError(f'{path}: {best.topic}: expected a second sensor to compare with, or '
                          '--scene, found none')
-    try:
+    with located(path):
         motion = Recorded.of_attitudes(replace(best, angular_velocity=None))
         found = compare_motion(motion, others, align, track=track,
                                names_suspects=not faults_of(None, sensors))
-    except ValueError as error:
-        raise InputError(f'{path}: {error}') from error
     return replace(found, recording=Path(path).name.encode(errors='replace').decode())
 
 

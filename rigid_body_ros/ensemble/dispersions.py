@@ -25,7 +25,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.common.errors import InputError, located, quoted
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import BIG, described, entries, number, resembled
 from rigid_body_ros.scene import PARAMETERS
@@ -203,7 +203,7 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]
 
     """
     root, units = read_yaml(path, 'dispersions'), units_with(fields)
-    try:
+    with located(path, InputError):
         found = tuple(_dispersion(key.value, value, units)
                       for key, value in entries(root, 'the file', _EXAMPLE))
         if not found:
@@ -214,8 +214,6 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]
                 raise InputError(f'{key}: expected each key once, found it twice')
             if INERTIA in keys and key.startswith(f'{INERTIA}.'):
                 raise InputError(f'{key}: expected either {INERTIA} or its entries, found both')
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from error
     return found
 
 

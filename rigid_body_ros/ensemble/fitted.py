@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.common.errors import InputError, located, quoted
 from rigid_body_ros.ensemble import dispersions
 from rigid_body_ros.ensemble.applied import components
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, Dispersion, normals, units_with
@@ -141,10 +141,8 @@ def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> F
     """
     from rigid_body_ros.identification import Identification  # slow to import
     saved = Identification.load(path)
-    try:
+    with located(path, InputError):
         return _fitted(saved, {**units_with(fields), **dict.fromkeys(_ROTATION, 'rad')}, force)
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from error
 
 
 def load_varied(path: str | Path, fields: Iterable[str] = (), force: bool = False

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from rigid_body_ros.common.arrays import ENTRIES, entries
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.identification.estimation import identify
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.mechanics.fields import UniformField
@@ -79,10 +79,8 @@ def identified(paths: Sequence[str | Path], scene: Scene,
         `identify` raises this error, or the motion of a recording cannot be computed.
 
     """
-    try:
+    with located(paths[0]):
         return identify(scene.body, experiments, **options)
-    except ValueError as error:
-        raise InputError(f'{paths[0]}: {error}') from error
 
 
 def fitted_scene(scene: Scene, fit: Identification) -> str:

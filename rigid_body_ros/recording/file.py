@@ -20,7 +20,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
-from rigid_body_ros.common.errors import InputError, shortened
+from rigid_body_ros.common.errors import located, shortened
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.definitions import checked
@@ -87,7 +87,5 @@ class File(ABC):
 
     def _check_definition(self, topic: str, kind: MessageType, name: str, encoding: str,
                           definition: bytes) -> None:
-        try:
+        with located(f'{self.path}: {shortened(topic, 100)}'):
             self.encodings[topic] = checked(kind, name, encoding, definition)
-        except ValueError as error:
-            raise InputError(f'{self.path}: {shortened(topic, 100)}: {error}') from error

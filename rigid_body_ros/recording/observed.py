@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from rigid_body_ros import recording
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.account import Account
@@ -156,11 +156,9 @@ def _check_gaps(path: str | Path, problem: Problem, measurements: Measurements, 
         gaps.add(log)
         if gaps.warning:
             account.doubts.append(gaps.warning)
-    try:
+    with located(path):
         announce(str(path), max((computing_time(log, span_ns, speed, scene)
                                  for log in problem.logs), default=0.0))
-    except ValueError as error:
-        raise InputError(f'{path}: {error}') from error
 
 
 def _check_overlap(path: str | Path, problem: Problem, measurements: Measurements,

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.common.errors import InputError, listed, located, quoted
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.state import State
@@ -208,14 +208,12 @@ def _logged(path: str | Path, scene: Scene, reading: Reading, parts: Sequence[Me
     start = started(path, scene, begin, first_ns, reading.start)
     if measured is not None:
         start = _started(start, measured)
-    try:
+    with located(where):
         problem = scene.problem(start).replaced(
             log=logs, wheels=wheels, changes=changes, efforts=efforts, actuator=actuators)
         if reading.start:  # an actuator lags from its first command, not from the start
             problem = problem.replaced(start=replace(start, time_ns=first_ns)).replaced(
                 start=start)
-    except ValueError as error:
-        raise InputError(f'{where}: {error}') from error
     for part in recorded:
         if accounts[part.topic].samples < len(part):  # not a torque
             accounts[part.topic].add(part.stamps_ns)
@@ -362,10 +360,8 @@ def _from_momentum(path: str | Path, recorded: Messages,
         raise InputError(f'{where}: expected samples at most torque_timeout '
                          f'({scene.torque_timeout} s) apart, found a gap of '
                          f'{longest * 1e-9:.9g} s')
-    try:
+    with located(where):
         return measured, TorqueLog.from_momentum(measured.times_ns, measured.torques)
-    except ValueError as error:
-        raise InputError(f'{where}: {error}') from error
 
 
 def _started(start: State, measured: TorqueLog) -> State:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.common.errors import InputError, located, quoted, reason
 from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, OffAxisError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -169,10 +169,8 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
                          'messages')
     if not recorded.start:  # a node never accepts a torque without a stamp
         check_stamped(where, recorded.stamps_ns)
-    try:
+    with located(where):
         return piece.log(interpolation)
-    except ValueError as error:
-        raise InputError(f'{where}: {error}') from error
 
 
 def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],

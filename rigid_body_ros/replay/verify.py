@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
@@ -152,7 +152,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     values = np.hstack([recorded.values[:, messages.ORIENTATION],
                         recorded.values[:, messages.ANGULAR_VELOCITY]]) \
         if is_state else recorded.values
-    try:
+    with located(f'{motion_path}: {source.topic}', InputError):
         parts = []
         for one, rows in zip(epochs, _rows(epochs, recorded.stamps_ns, values)):
             stamps_ns, states = _until(one.problem.start.time_ns + until_ns,
@@ -160,8 +160,6 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
             if is_state:
                 _check_torques(one, stamps_ns)
             parts.append((one, stamps_ns, states))
-    except InputError as error:
-        raise InputError(f'{motion_path}: {source.topic}: {error}') from error
     compared = [_compared(path, *part) for part in parts]
     same, angles = (np.concatenate(each) for each in zip(*compared))
     is_node = epochs[0].is_epoch
@@ -267,10 +265,8 @@ def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
     For each recorded state and the computed state at the same time, return whether the two are
     equal in every bit, and the angle between their attitudes, rad.
     """
-    try:
+    with located(path):
         motion = epoch.problem.propagate(at=stamps_ns)
-    except ValueError as error:
-        raise InputError(f'{path}: {error}') from error
     expected = np.hstack([motion.attitude, motion.angular_velocity])[:, :values.shape[1]]
     same = np.ascontiguousarray(values).view(np.int64) \
         == np.ascontiguousarray(expected).view(np.int64)

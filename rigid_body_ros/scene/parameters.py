@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import written
-from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.common.errors import InputError, listed, located, quoted
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.mechanics.wheels import Wheel
@@ -265,10 +265,8 @@ def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | Non
                              f'{values[name]:g}, found an empty list')
     if not given:
         return None
-    try:
+    with located(_LAG):
         found = Actuator(values[_DELAY], values[_LAG], [values[name] for name in _LIMITS])
-    except ValueError as error:
-        raise InputError(f'{_LAG}: {error}') from error
     return tuple(found if name in given else None for name in known)
 
 

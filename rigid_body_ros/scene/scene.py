@@ -25,7 +25,7 @@ from typing import Any
 
 from rigid_body_ros.common.arrays import symmetric
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
-from rigid_body_ros.common.errors import listed, quoted
+from rigid_body_ros.common.errors import listed, located, quoted
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import euler, urdf
 from rigid_body_ros.mechanics.actuator import Actuator
@@ -402,10 +402,8 @@ def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
             raise InputError(f'link: expected an empty text, because robot_description is empty, '
                              f'found {quoted(link)}; set robot_description, or remove link')
         return {}
-    try:
+    with located('robot_description'):
         tensor = RigidBody.from_urdf(text, link).inertia
-    except ValueError as error:
-        raise InputError(f'robot_description: {error}') from error
     entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
                for i in range(3) for j in range(i, 3)}
     for name, entry in entries.items():
