@@ -148,7 +148,7 @@ class Run:
         The torque is logged, too. Before you apply another one, call `commit` if `must_commit` is
         true.
         """
-        epoch = self._present()
+        epoch = self.present
         try:
             self.check_age(torque.stamp_ns)
             is_replacement = epoch.apply(torque)
@@ -170,7 +170,7 @@ class Run:
     @property
     def must_commit(self) -> bool:
         """Return whether the next torque may discard states that are not committed yet."""
-        return self._present().must_commit
+        return self.present.must_commit
 
     def commit(self, until: float) -> None:
         """
@@ -196,7 +196,7 @@ class Run:
 
         """
         try:
-            return self._present().at(time_ns, until - time.monotonic())
+            return self.present.at(time_ns, until - time.monotonic())
         except ValueError as error:
             self._events.event(events.NOT_COMPUTABLE,
                                f'cannot compute the state at {time_ns} ns: {error}')
@@ -212,11 +212,11 @@ class Run:
         """
         state = sensed = self.state(time_ns, until)
         if state is not None and self._delay_ns and with_sensed:
-            start_ns = self._present().start.time_ns
+            start_ns = self.present.start.time_ns
             sensed = self.state(max(time_ns - self._delay_ns, start_ns), until)
         if state is None or sensed is None:
             return None
-        torque = self._present().applied_torque(state) \
+        torque = self.present.applied_torque(state) \
             if self._has_actuators and with_torque else _NO_TORQUE
         return Snapshot(state, sensed, torque)
 
@@ -230,7 +230,7 @@ class Run:
 
     def check_age(self, stamp_ns: int) -> None:
         """Raise RejectedError if a stamp is older than the newest torque by `history` or more."""
-        epoch = self._present()
+        epoch = self.present
         newest_ns, history_ns = epoch.newest_ns, epoch.history_ns
         if newest_ns is not None and newest_ns - stamp_ns >= history_ns:
             raise events.RejectedError(
@@ -282,7 +282,9 @@ class Run:
         return [torque for torque in self.epoch.acting_at(now_ns)
                 if (self.age(torque.source, now_ns) or 0.0) > longest]
 
-    def _present(self) -> Epoch:
+    @property
+    def present(self) -> Epoch:
+        """Return the epoch, which must have begun."""
         assert self.epoch is not None, 'no epoch has begun'
         return self.epoch
 

@@ -76,7 +76,8 @@ class AttitudeController(Node):
         self._stop_after = self.declare_parameter('stop_after', math.inf).value
         self._check_names()
         self._command = WrenchStamped()
-        self._start_ns = self._sent_at = None
+        self._start_ns: int | None = None
+        self._sent_at = math.inf
         self._began, self._settled = time.monotonic(), False
         self.done = False
         self._torque = self.create_publisher(WrenchStamped, 'torque', 10)
@@ -118,7 +119,7 @@ class AttitudeController(Node):
         self._sent_at = time.monotonic()
 
     def _resend(self) -> None:
-        if self._sent_at is not None and time.monotonic() - self._sent_at > _PATIENCE:
+        if time.monotonic() - self._sent_at > _PATIENCE:
             self._send()
 
     def _report(self, elapsed: float, error: Sequence[float], rates: Vector3) -> None:

@@ -51,9 +51,9 @@ class ClockMode(Realtime):
         self._arrivals = ArrivalStamps(is_simulated=True)
         self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
         self._factor = self._scene.real_time_factor
-        saved = self._checkpoint and self._checkpoint.start
         # A time of 0 would mean that there is no time yet.
-        self._time_ns = saved.time_ns if saved else self._given_start_ns or self._step_ns
+        self._time_ns = self._saved.time_ns if self._saved else \
+            self._given_start_ns or self._step_ns
         self._first_ns = self._next_ns = self._time_ns
         #: How far the clock is behind, s of simulated time.
         self._owed = 0.0

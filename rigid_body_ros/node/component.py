@@ -20,10 +20,10 @@ from collections.abc import Callable, Mapping
 import time
 from typing import Any
 
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.checkpoint import Checkpoint
@@ -200,14 +200,14 @@ class AttitudeComponent:
 
     def _subscribe(self) -> None:
         self._states = subscription(
-            self._node, Odometry, 'initial_state', self._on_state,
+            self._node, messages.ODOMETRY, 'initial_state', self._on_state,
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE))
         check_topics(self._node, self._sources, [self._states.topic_name, *(
             publisher.topic_name for publisher in self._outputs.publishers)])
         self._intake.listen()
 
     @property
-    def _listening(self) -> list[Subscription]:
+    def _listening(self) -> list[Subscription[Any]]:
         return [*self._intake.subscriptions, self._states]
 
     def _on_state(self, data: bytes) -> None:

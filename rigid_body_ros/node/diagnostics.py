@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import math
 import statistics
 import time
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -163,7 +163,7 @@ class Diagnostics:
 
     def connection_problems(self, problems: Mapping[int, list[str]],
                             torques: Mapping[int, DrainCallback],
-                            inputs: Iterable[Subscription], outputs: Iterable[Publisher],
+                            inputs: Iterable[Subscription[Any]], outputs: Iterable[Publisher[Any]],
                             several: str) -> Mapping[int, list[str]]:
         """
         Look for missing, surplus and incompatible connections, and add them to the problems.

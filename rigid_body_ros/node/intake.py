@@ -16,9 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from copy import copy
-from importlib import import_module
 import inspect
 import time
 from typing import Any, TYPE_CHECKING, TypeVar
@@ -33,7 +32,7 @@ from rigid_body_ros.live.events import Events, RECEIVED, RejectedError, UNSTAMPE
 from rigid_body_ros.live.inputs import Inputs, Torque, wrench_of
 from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
 from rigid_body_ros.node.parameters import one_line_errors
-from rigid_body_ros.node.sources import BODY, TorqueTopic
+from rigid_body_ros.node.sources import BODY, class_of, TorqueTopic
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL
 
@@ -57,36 +56,36 @@ _Receive = Callable[[bytes, Sender, int, int], None]
 _Message = TypeVar('_Message', Torque, messages.Stamped)
 
 
-def subscription(node: Node, kind: type, topic: str, callback: Callable[..., None],
-                 qos: QoSProfile) -> Subscription:
+def subscription(node: Node, kind: messages.MessageType, topic: str,
+                 callback: Callable[..., None], qos: QoSProfile) -> Subscription[Any]:
     """Subscribe to serialized messages, with a QoS that parameters can override."""
     # Disable events, because rmw_fastrtps can deadlock if a message is lost while an event is
     # being taken (ros2/rmw_fastrtps#890).
     return node.create_subscription(
-        kind, topic, callback, copy(qos), raw=True,
+        class_of(kind), topic, callback, copy(qos), raw=True,
         event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
 def published(node: Node, topic: str,
-              kinds: Iterable[messages.MessageType]) -> tuple[messages.MessageType, type] | None:
+              kinds: Iterable[messages.MessageType]) -> messages.MessageType | None:
     """
-    Return the type with which a topic is published, and its class; None if there is no publisher.
+    Return the type with which a topic is published, or None if there is no publisher.
 
     Raise InputError if the type is not one of `kinds`, or if its package is not installed.
     """
-    found = node.get_publishers_info_by_topic(topic)
-    names, by_name = {info.topic_type for info in found}, {kind.name: kind for kind in kinds}
+    publishers = node.get_publishers_info_by_topic(topic)
+    names, by_name = {info.topic_type for info in publishers}, {kind.name: kind for kind in kinds}
     if len(names) > 1 or not names <= by_name.keys():
-        wrong = [info for info in found if info.topic_type not in by_name] or found
+        wrong = [info for info in publishers if info.topic_type not in by_name] or publishers
         nodes = listed(sorted(f'{info.topic_type} from {full_name(info)}' for info in wrong))
         raise InputError(f'{topic}: expected one of {listed(by_name)}, found {nodes}')
     for name in names:
-        package, _, last = name.split('/')
         try:
-            return by_name[name], vars(import_module(f'{package}.msg'))[last]
+            class_of(by_name[name])
         except ModuleNotFoundError as error:
             raise InputError(f'{topic}: cannot receive {name}: {error}') from error
+        return by_name[name]
     return None
 
 
@@ -173,7 +172,7 @@ class DrainCallback:
         self.has_gap = False
         self._last_number: dict[Sender, int] = {}
         self.heard: dict[Sender, tuple[float, float]] = {}
-        self.subscription: Subscription
+        self.subscription: Subscription[Any]
 
     def __call__(self, *taken: Any) -> None:
         """Take a message that an executor has received."""
@@ -184,28 +183,28 @@ class DrainCallback:
             self.pass_on(message, info)
         self._on_passed()
 
-    def pass_on(self, message: bytes, info: dict[str, Any]) -> None:
+    def pass_on(self, message: bytes, info: Mapping[str, Any]) -> None:
         """Pass on a message that was taken, or reject it."""
         sender, number = self._sender(info), self._source.number
         self._events.count(RECEIVED, number)
         try:
-            if self._source.message and self._kind is not self._source.message:
+            if self._source.log and self._kind is not self._source.logged:
                 message = wrench_of(self._kind, message)
             self._receive(message, sender, number, info['received_timestamp'])
         except RejectedError as rejected:
             self._events.reject(rejected, number)
 
-    def waiting(self) -> Iterator[tuple[bytes, dict[str, Any]]]:
+    def waiting(self) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
         """Take the waiting messages, and yield each with its information."""
         # Without a time limit, the loop would not end if messages arrive faster than we take them.
         until, subscription = time.monotonic() + _BUDGET, self.subscription
         with subscription.handle:
-            while found := subscription.handle.take_message(subscription.msg_type, True):
-                yield found
+            while taken := subscription.handle.take_message(subscription.msg_type, True):
+                yield taken
                 if time.monotonic() > until:
                     break
 
-    def _sender(self, info: dict[str, Any]) -> Sender:
+    def _sender(self, info: Mapping[str, Any]) -> Sender:
         number, identity = info.get('publication_sequence_number'), info.get('publisher_gid')
         if number is None:
             return None
@@ -250,8 +249,8 @@ class Intake:
     sources : dict of int to TorqueTopic
     drains : dict of int to DrainCallback
         The callback of each source that has a subscription, by source number.
-    types : dict of int to tuple
-        The type of the messages of each source, and its class, once both are known.
+    types : dict of int to MessageType
+        The type of the messages of each source, once it is known.
 
     """
 
@@ -264,14 +263,14 @@ class Intake:
         self.inputs = Inputs(scene, diagnostics)
         self._is_stamped = scene.time_source != ARRIVAL
         self.sources = {source.number: source for source in sources}
-        self.types = {source.number: (source.message, source.kind) for source in sources
-                      if source.message}
+        #: Torques are expected to have their first type, until a publisher shows another one.
+        self.types = {source.number: source.logged for source in sources if source.log}
         self.drains: dict[int, DrainCallback] = {}
         #: Why messages of a source cannot be received, by source number.
-        self._mismatches = {source.number: [] for source in sources}
+        self._mismatches: dict[int, list[str]] = {source.number: [] for source in sources}
 
     @property
-    def subscriptions(self) -> list[Subscription]:
+    def subscriptions(self) -> list[Subscription[Any]]:
         """Return all subscriptions."""
         return [drain.subscription for drain in self.drains.values()]
 
@@ -294,11 +293,11 @@ class Intake:
                 self._node.polled = {*self.subscriptions}
 
     def _drain(self, number: int) -> DrainCallback:
-        source, (kind, ros_type) = self.sources[number], self.types[number]
+        source, kind = self.sources[number], self.types[number]
         drain = DrainCallback(source, kind, self._diagnostics, *self._callbacks)
         with one_line_errors():
             # An inertia is sent only once, so the connection must not lose it.
-            drain.subscription = subscription(self._node, ros_type, source.topic, drain,
+            drain.subscription = subscription(self._node, kind, source.topic, drain,
                                               RELIABLE if number == BODY else self._qos)
         return drain
 
@@ -324,27 +323,28 @@ class Intake:
 
     def _follow(self, source: TorqueTopic) -> list[str]:
         """Follow the type of a source. Return the reason if the type cannot be received."""
-        topic, (kind, _) = self.topic(source.number), self.types.get(source.number, (None, None))
+        topic, expected = self.topic(source.number), self.types.get(source.number)
         try:
-            found = published(self._node, topic, source.kinds or (source.message,))
+            kind = published(self._node, topic, source.kinds)
         except InputError as error:
             return [str(error)]
-        if found and found[0] is not kind:
-            self.types[source.number] = found
+        if kind and kind is not expected:
+            self.types[source.number] = kind
             if drain := self.drains.pop(source.number, None):
                 self._node.destroy_subscription(drain.subscription)
-                name = found[0].name
-                note = '; they are normalized, not in N m' if name.startswith('px4_msgs') else ''
-                self._node.get_logger().warning(f'{topic}: {source.what}s are {name}{note}')
-        return [] if found or kind else [f'{topic}: no publisher']
+                note = '; they are normalized, not in N m' if isinstance(
+                    kind, messages.Px4Type) else ''
+                self._node.get_logger().warning(f'{topic}: {source.what}s are {kind.name}{note}')
+        return [] if kind or expected else [f'{topic}: no publisher']
 
     def poll(self) -> None:
         """Take the waiting messages of all subscriptions, in the order of their arrival."""
-        found = [(drain, *taken) for drain in self.drains.values() for taken in drain.waiting()]
+        taken = [(drain, message, info) for drain in self.drains.values()
+                 for message, info in drain.waiting()]
         if len(self.drains) > 1:
-            found.sort(key=lambda taken: taken[2]['received_timestamp'])
-        for drain, *taken in found:
-            drain.pass_on(*taken)
+            taken.sort(key=lambda one: one[2]['received_timestamp'])
+        for drain, message, info in taken:
+            drain.pass_on(message, info)
 
     def read(self, decode: Callable[[bytes, int], _Message], data: bytes, source: int,
              arrived_ns: int) -> _Message:

@@ -83,17 +83,16 @@ class Lockstep(Mode):
                             for source in sources_of(self._parameters.scene)}
         #: `_unmet` is the number of torques since the last that arrived while the node waited.
         self._republishing, self._unmet = RepublishPolicy(), 0
-        saved = self._checkpoint and self._checkpoint.start
-        self._start = saved or self.run.initial(self._given_start_ns)
+        self._start = self._saved or self.run.initial(self._given_start_ns)
         #: The latest state, and the time at which this state began to wait for a torque, in
         #: seconds on the monotonic clock.
         self._latest, self._since = Snapshot(self._start, self._start), time.monotonic()
         #: The stamp in ns of the state that was waiting for a torque when the node was last reset.
         #: None if there was no reset, or if the new motion has reached this stamp.
         self._stale_ns: int | None = None
-        if saved or self._given_start_ns:
+        if self._saved or self._given_start_ns:
             self._begin(self._start)
-        if saved:
+        if self._checkpoint and self._saved:
             self._warn_away(self._checkpoint.age)
 
     def activate(self) -> None:

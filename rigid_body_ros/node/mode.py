@@ -67,6 +67,7 @@ class Mode:
         self.intake = Intake(node, scene, sources_of(scene), diagnostics, self.qos, self.is_polled,
                              self.enqueue, self.work)
         self._given_start_ns = scene.start.time_ns
+        self._saved = checkpoint.start if checkpoint else None
         self.run = Run(scene, outputs, diagnostics)
         self._queue = TorqueQueue(diagnostics, is_patient=self._scene.mode == LOCKSTEP)
         #: The torque that is being processed, followed by whether this torque has been applied,

@@ -81,8 +81,8 @@ class MonitorInputs:
         self._scene = scene
         parts = [measurements.parts_of('', name) for name in scene.values['monitor.measured']]
         kinds = tuple(kind for kind in KINDS if not kind.is_list)
-        measured = [TorqueTopic(_FIRST_MEASURED + number, topic, '', f'measured {topic}', None,
-                                'measurement', None, kinds)
+        measured = [TorqueTopic(_FIRST_MEASURED + number, topic, '', f'measured {topic}',
+                                'measurement', kinds)
                     for number, (_, topic, _) in enumerate(parts)]
         #: What is not used of each measured topic, and how its frames are interpreted.
         self._unused = {source.number: {*QUANTITIES} - {quantity} if quantity else ()
@@ -168,8 +168,10 @@ class MonitorInputs:
         if not now_ns:
             raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
         is_torque = source < _FIRST_MEASURED
-        decode = self.intake.inputs.torque if is_torque else self._measurement
-        message = self.intake.read(decode, data, source, received_ns or self._arrivals.stamp())
+        arrived_ns = received_ns or self._arrivals.stamp()
+        message: Torque | messages.Stamped = self.intake.read(
+            self.intake.inputs.torque, data, source, arrived_ns) if is_torque else \
+            self.intake.read(self._measurement, data, source, arrived_ns)
         self._check_stamp(message.stamp_ns, now_ns)
         stamps_ns, found = self._waiting[source]
         drain = self.intake.drains[source]
@@ -248,7 +250,7 @@ class MonitorInputs:
     def _measure(self, source: int, stamps_ns: NDArray[np.int64],
                  found: Sequence[messages.Stamped]) -> None:
         """Pass measurements to the monitor, converted to body axes."""
-        topic, (kind, _) = self.intake.topic(source), self.intake.types[source]
+        topic, kind = self.intake.topic(source), self.intake.types[source]
         attitude, rates = np.full((len(found), 4), np.nan), np.full((len(found), 3), np.nan)
         pairs = [(message.frame_id, message.child_frame_id) for message in found]
         for pair in dict.fromkeys(pairs):
@@ -298,7 +300,7 @@ class MonitorInputs:
             The message is malformed, or is in another frame.
 
         """
-        kind, _ = self.intake.types[source]
+        kind = self.intake.types[source]
         message = decoded(kind, data)
         if text := self._options.other_frames(kind, message.frame_id, message.child_frame_id):
             raise events.RejectedError(events.FRAME, text)

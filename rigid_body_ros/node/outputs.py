@@ -24,8 +24,6 @@ from functools import partial
 import time
 from typing import Any
 
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
-from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -42,9 +40,8 @@ from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.sources import BODY, COMMANDS, TorqueTopic
+from rigid_body_ros.node.sources import BODY, class_of, COMMANDS, TorqueTopic
 from rigid_body_ros.scene import Scene
-from sensor_msgs.msg import Imu, JointState
 
 try:
     from rclpy.event_handler import PublisherEventCallbacks
@@ -84,40 +81,47 @@ class Publishers:
         imu, variances = scene.imu, scene.odometry_variances
         #: The publisher of each state topic, and the function that encodes a snapshot for it.
         #: Odometry comes first, because controllers in lockstep are waiting for it.
-        self._states: dict[str, tuple[Publisher, _Encode]] = {}
+        self._states: dict[str, tuple[Publisher[Any], _Encode]] = {}
 
-        def add(kind: type, topic: str, encode: _Encode) -> None:
+        def add(kind: messages.MessageType, topic: str, encode: _Encode) -> None:
             self._states[topic] = self._publisher(kind, topic), encode
-        add(Odometry, 'odometry', lambda state, *_: (
+        add(messages.ODOMETRY, 'odometry', lambda state, *_: (
             messages.odometry(state, space, body, *variances)))
-        add(QuaternionStamped, 'attitude', lambda state, *_: (
+        add(messages.QUATERNION, 'attitude', lambda state, *_: (
             messages.QUATERNION.encode(state.time_ns, space, state.attitude)))
-        add(Vector3Stamped, 'euler_angles', lambda state, *_: (
+        add(messages.VECTOR3, 'euler_angles', lambda state, *_: (
             messages.VECTOR3.encode(state.time_ns, space,
                                     euler.from_quaternion(state.attitude, sequence))))
-        add(Vector3Stamped, 'angular_velocity', lambda state, *_: (
+        add(messages.VECTOR3, 'angular_velocity', lambda state, *_: (
             messages.VECTOR3.encode(state.time_ns, body, state.angular_velocity)))
-        add(Imu, IMU, lambda state, sensed, _: messages.imu(state.time_ns, body, sensed, imu))
+        add(messages.IMU, IMU, lambda state, sensed, _: (
+            messages.imu(state.time_ns, body, sensed, imu)))
         if scene.wheels:
-            add(Vector3Stamped, 'rotor_momentum', lambda state, *_: (
+            add(messages.VECTOR3, 'rotor_momentum', lambda state, *_: (
                 messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum)))
         if scene.actuators:
-            add(WrenchStamped, APPLIED_TORQUE, lambda state, _, torque: (
+            add(messages.WRENCH, APPLIED_TORQUE, lambda state, _, torque: (
                 messages.wrench(state.time_ns, body, torque)))
         if scene.named_wheels:
-            add(JointState, 'wheel_states', _wheel_states(scene.named_wheels))
+            kind = messages.joint_states([wheel.name for wheel in scene.named_wheels])
+            add(kind, 'wheel_states', _wheel_states(scene.named_wheels, kind))
         if scene.publish_tf:
-            add(_transform_type(), '/tf', lambda state, *_: messages.transform(state, space, body))
+            try:
+                add(messages.TRANSFORM, '/tf', lambda state, *_: (
+                    messages.transform(state, space, body)))
+            except ModuleNotFoundError as error:
+                raise InputError('publish_tf: needs the package tf2_msgs, which is not '
+                                 'installed') from error
         self._sources, self._on_log = {source.number: source for source in sources}, on_log
         #: The publisher of each log, and what it has not sent yet, because nobody listens. A
         #: listener that comes later gets it.
-        self._logs: dict[str, tuple[Publisher, deque[Callable[[], bytes]]]] = {
+        self._logs: dict[str, tuple[Publisher[Any], deque[Callable[[], bytes]]]] = {
             log: (self._publisher(kind, log, _LOG_QOS), deque(maxlen=LOG_DEPTH))
-            for log, kind in (*((source.log, source.kind) for source in sources),
-                              (COMMITTED, Odometry))}
+            for log, kind in (*((source.log, source.logged) for source in sources),
+                              (COMMITTED, messages.ODOMETRY))}
 
     @property
-    def publishers(self) -> list[Publisher]:
+    def publishers(self) -> list[Publisher[Any]]:
         """Return all publishers of states and logs."""
         return [publisher for publisher, _ in (*self._states.values(), *self._logs.values())]
 
@@ -142,14 +146,15 @@ class Publishers:
     def begin_log(self, start: State) -> None:
         """Publish the marker of a new epoch, with its start state, to every torque log."""
         for source in self._sources.values():
-            self._log(source.log, messages.epoch_marker, start, source.message)
+            self._log(source.log, messages.epoch_marker, start, source.logged)
 
     def log_torque(self, torque: Torque) -> None:
         """Publish an accepted torque in the log of its source."""
         source = self._sources[torque.source]
-        encode = {BODY: messages.inertia, COMMANDS: source.message.encode}.get(
-            source.number, messages.wrench)
-        self._log(source.log, encode, torque.stamp_ns, self._frames[torque.frame], torque.values)
+        encoders: dict[int, Callable[..., bytes]] = {
+            BODY: messages.inertia, COMMANDS: source.logged.encode}
+        self._log(source.log, encoders.get(source.number, messages.wrench), torque.stamp_ns,
+                  self._frames[torque.frame], torque.values)
 
     def log_state(self, state: State) -> None:
         """Publish a committed state, which no later torque can change, in the log."""
@@ -184,26 +189,26 @@ class Publishers:
                 is_delivered &= publisher.wait_for_all_acked(Duration(seconds=remaining))
         return is_delivered
 
-    def _send(self, publisher: Publisher, data: bytes) -> None:
+    def _send(self, publisher: Publisher[Any], data: bytes) -> None:
         try:
             publisher.publish(data)
         except RuntimeError as error:
             self._diagnostics.event(UNSENT, f'{publisher.topic_name}: publishing failed: '
                                     f'{" ".join(str(error).split())}')
 
-    def _publisher(self, kind: type, topic: str, qos: QoSProfile = _STATE_QOS) -> Publisher:
+    def _publisher(self, kind: messages.MessageType, topic: str,
+                   qos: QoSProfile = _STATE_QOS) -> Publisher[Any]:
         # Pass a copy, because rclpy writes the overrides for a topic into the profile. Disable the
         # event handlers, because rclpy would check each of them in every cycle, and `Diagnostics`
         # reports the same problems anyway.
         return self._node.create_publisher(
-            kind, topic, copy(qos),
+            class_of(kind), topic, copy(qos),
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
-def _wheel_states(wheels: Sequence[Wheel]) -> _Encode:
+def _wheel_states(wheels: Sequence[Wheel], kind: messages.MessageType) -> _Encode:
     """Return a function that encodes the speeds and efforts of named wheels."""
-    kind = messages.joint_states([wheel.name for wheel in wheels])
     speeds = np.array([wheel.initial_speed for wheel in wheels])
 
     def encode(state: State, *_: object) -> bytes:
@@ -214,12 +219,3 @@ def _wheel_states(wheels: Sequence[Wheel]) -> _Encode:
         return kind.encode(state.time_ns, '', messages.joint_values(*(
             each[None] for each in values))[0])
     return encode
-
-
-def _transform_type() -> type:
-    try:
-        from tf2_msgs.msg import TFMessage
-    except ModuleNotFoundError as error:
-        raise InputError('publish_tf: needs the package tf2_msgs, which is not installed') \
-            from error
-    return TFMessage

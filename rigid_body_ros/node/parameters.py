@@ -160,7 +160,7 @@ class NodeParameters:
             self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return checked
 
-    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _on_set(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
         values = {parameter.name: parameter.value for parameter in parameters}
         for name, value in values.items():
             if value != self._fixed.get(name, value):
@@ -221,8 +221,8 @@ def given_parameters(node: Node) -> dict[str, Any]:
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
 
-def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
-                        publishers: Iterable[Publisher]) -> list[str]:
+def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription[Any]],
+                        publishers: Iterable[Publisher[Any]]) -> list[str]:
     """
     Return the names of the given QoS overrides that are meant for other nodes.
 
@@ -251,7 +251,7 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
     return others
 
 
-def _with_float_rate(parameters: list[Parameter]) -> list[Parameter]:
+def _with_float_rate(parameters: list[Parameter[Any]]) -> list[Parameter[Any]]:
     """Convert an integer rate such as 50 to a float, and leave all other parameters unchanged."""
     return [Parameter(_RATE, value=float(one.value))
             if one.name == _RATE and one.type_ == Parameter.Type.INTEGER else one

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import inspect
 import os
 from pathlib import Path
@@ -32,7 +32,7 @@ from rigid_body_ros.node.attitude_node import AttitudeNode
 from rigid_body_ros.node.spinning import executor_of, spin
 
 
-def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode,
+def main(arguments: Sequence[str] | None = None, kind: Callable[[], Node] = AttitudeNode,
          command: str = 'attitude_node') -> None:
     """
     Run a node until it receives SIGINT or SIGTERM.

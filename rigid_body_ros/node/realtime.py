@@ -27,7 +27,7 @@ import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rclpy.clock import JumpHandle, JumpThreshold
+from rclpy.clock import JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.timer import Timer
 from rigid_body_ros.common.errors import InputError
@@ -86,11 +86,14 @@ class Realtime(Mode):
                 JumpThreshold(min_forward=ahead, min_backward=Duration(nanoseconds=-1),
                               on_clock_change=False),
                 pre_callback=self.work,
-                post_callback=lambda jump: self.now_ns())
+                post_callback=self._on_jump)
         # A timer on a wall clock stops when the clock is set back, so use a steady timer instead.
         self._timer = timer(self._node, 1.0 / self._rate, self._publish_now,
                             node_clock if self._is_simulated else None)
         self._poll_timer()
+
+    def _on_jump(self, jump: TimeJump) -> None:
+        self.now_ns()
 
     def _poll_timer(self) -> None:
         timer(self._node, _POLL_PERIOD, self._poll)
@@ -165,7 +168,7 @@ class Realtime(Mode):
         start = replace(state, time_ns=state.time_ns or now_ns)
         self._check_stamp(start.time_ns, now_ns)
         torques = self.run.torques_since(start.time_ns)
-        start = self.run.with_rotor_momentum(start, start.time_ns, self.run.epoch.start)
+        start = self.run.with_rotor_momentum(start, start.time_ns, self.run.present.start)
         return self._begin(start, torques, 'initial_state received')
 
     def reset(self) -> str:
@@ -191,7 +194,7 @@ class Realtime(Mode):
         problems = self.intake.problems()
         problems[next(iter(problems))] += self._clock.problems()
         for source in problems if now_ns else ():
-            newest = self.run.epoch.newest_of(source)
+            newest = self.run.present.newest_of(source)
             silence = (now_ns - newest.stamp_ns) * 1e-9 if newest else 0.0
             if silence > timeout > 0.0:
                 problems[source].append(
@@ -230,7 +233,7 @@ class Realtime(Mode):
     def _publish_now(self) -> None:
         self._deferred_ns = 0
         self.work()
-        if self._now_ns and self._now_ns >= self.run.epoch.start.time_ns:
+        if self._now_ns and self._now_ns >= self.run.present.start.time_ns:
             self._publish(self._now_ns)
         if not self._deferred_ns:
             self._on_time = time.monotonic(), time.process_time()
@@ -296,16 +299,16 @@ class Realtime(Mode):
 
     def _start(self, now_ns: int) -> None:
         """Begin the first epoch with the state in the checkpoint, or else the initial state."""
-        state = self._checkpoint and self._checkpoint.start
-        if not state:
+        if not self._saved:
             self._begin(self.run.initial(self._given_start_ns or now_ns), (), 'start')
             return
-        away_ns = now_ns - state.time_ns
+        away_ns = now_ns - self._saved.time_ns
         if away_ns < -self._max_future_ns:
             raise InputError(f'checkpoint {self._checkpoint}: expected a state from before '
-                             f'{now_ns} ns, the present time, found one from {state.time_ns} ns; '
-                             'remove the file to start from the initial state')
-        self._begin(state, (), f'start from the checkpoint {self._checkpoint}')
+                             f'{now_ns} ns, the present time, found one from '
+                             f'{self._saved.time_ns} ns; remove the file to start from the '
+                             'initial state')
+        self._begin(self._saved, (), f'start from the checkpoint {self._checkpoint}')
         self._warn_away(max(0, away_ns) * 1e-9)
 
     def _jump(self, latest_ns: int, now_ns: int) -> None:
@@ -333,7 +336,7 @@ class Realtime(Mode):
         # Shift the stamps by the jump, so that the torques keep their age. The age matters for the
         # torque timeout.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
-                   for torque in self.run.epoch.torques_since(latest_ns)
+                   for torque in self.run.present.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]
         start = State(now_ns, state.attitude, state.angular_velocity, state.rotor_momentum,
                       state.wheel_speeds)

@@ -106,9 +106,7 @@ class RecordedNode:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        if self._node:
-            self._executor.shutdown()
-            self._node.destroy_node()
+        self._end_node()
         self._listener.destroy_node()
         rclpy.shutdown(context=self._context)
 
@@ -175,12 +173,16 @@ class RecordedNode:
             There is no committed state at the stamp of some torque.
 
         """
-        self._executor.shutdown()
-        self._node.destroy_node()
+        self._end_node()
         if pending := self._pending():
             raise InputError(f'expected a committed state at each torque, found none at '
                              f'{len(pending)} of them, the first at {min(pending)} ns; choose a '
                              'shorter history in the scene')
+
+    def _end_node(self) -> None:
+        if self._node:
+            self._executor.shutdown()
+            self._node.destroy_node()
 
     def _pending(self) -> set[int]:
         """Return the stamps of torques in the current epoch at which no state is committed yet."""
@@ -218,4 +220,4 @@ def _base(name: str) -> str:
 
 def _message_type(source: TorqueTopic | None) -> messages.MessageType:
     """Return the message type of a source's log; without a source, that of the state log."""
-    return source.message if source else messages.ODOMETRY
+    return source.logged if source else messages.ODOMETRY

@@ -17,9 +17,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
-from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from rclpy.node import Node
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
@@ -28,7 +28,6 @@ from rigid_body_ros.propagation.segment import COMMANDS as COMMANDS
 from rigid_body_ros.propagation.segment import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP
-from sensor_msgs.msg import JointState
 
 #: The topic for the torque that the motors exert on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'
@@ -44,23 +43,24 @@ _TORQUES = (messages.WRENCH, messages.BARE_WRENCH, messages.TORQUE_VECTOR,
 
 
 class TorqueTopic(NamedTuple):
-    """A topic that carries torques, wheel commands, or the inertia."""
+    """A topic that carries torques, wheel commands, the inertia, or measurements."""
 
     #: The number of the source: a source number as in `Propagator.apply`, or COMMANDS, WHEELS or
     #: BODY.
     number: int
     topic: str
-    #: The topic on which accepted messages from the source are logged.
+    #: The topic on which accepted messages from the source are logged, or '' for measurements.
     log: str
-    #: The name of the source in diagnostics.
+    #: The name of the source in diagnostics, followed by a word for the contents of a message.
     status: str
-    #: The ROS type of the messages, followed by a word for the contents of a message.
-    kind: type | None = WrenchStamped
-    what: str = 'torque'
-    #: How the messages are encoded, and the types that publishers may have, if there are several.
-    #: For a measurement, `kind` and `message` are None until a publisher has shown its type.
-    message: messages.MessageType | None = messages.WRENCH
-    kinds: tuple[messages.MessageType, ...] = ()
+    what: str
+    #: The types that publishers may have. Torques are converted to the first one.
+    kinds: tuple[messages.MessageType, ...]
+
+    @property
+    def logged(self) -> messages.MessageType:
+        """Return the type in which accepted torques are logged."""
+        return self.kinds[0]
 
 
 def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
@@ -72,20 +72,26 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
     suffixes = ['', *(f'_{number}' for number in range(1, len(scene.torque_topics)))]
     kinds = _LOCKSTEP_TORQUES if scene.mode == LOCKSTEP else _TORQUES
     sources = [TorqueTopic(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}',
-                           kinds=kinds)
+                           'torque', kinds)
                for number, (topic, suffix) in enumerate(zip(scene.torque_topics, suffixes))]
     if scene.wheels:
         sources.append(TorqueTopic(WHEELS, _WHEEL_TORQUE, '~/accepted_wheel_torque',
-                                   'wheel torques', kinds=kinds))
+                                   'wheel torques', 'torque', kinds))
     if scene.inertia_topic:
         sources.append(TorqueTopic(BODY, _INERTIA, '~/accepted_inertia', 'inertia',
-                                   InertiaStamped, 'inertia', messages.INERTIA))
+                                   'inertia', (messages.INERTIA,)))
     if scene.named_wheels:
         names = [wheel.name for wheel in scene.named_wheels]
         sources.append(TorqueTopic(COMMANDS, _WHEEL_COMMAND, '~/accepted_wheel_command',
-                                   'wheel commands', JointState, 'command',
-                                   messages.joint_commands(names)))
+                                   'wheel commands', 'command',
+                                   (messages.joint_commands(names),)))
     return tuple(sources)
+
+
+def class_of(kind: messages.MessageType) -> type[Any]:
+    """Return the ROS class of a message type; raise ModuleNotFoundError without its package."""
+    package, _, name = kind.name.split('/')
+    return vars(import_module(f'{package}.msg'))[name]
 
 
 def check_topics(node: Node, sources: Iterable[TorqueTopic], others: Iterable[str]) -> None:

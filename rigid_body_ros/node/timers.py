@@ -32,7 +32,7 @@ def timer(node: Node, period: float, callback: Callable[[], None],
     def tick() -> None:
         callback()
     # In each period, rclpy inspects the signature of the callback, which takes 20 us otherwise.
-    tick.__signature__ = _NO_ARGUMENTS
+    vars(tick)['__signature__'] = _NO_ARGUMENTS
     # Give each timer its own clock. When a timer is reset, EventsExecutor calls the overdue timers
     # on the same clock twice, and these timers then pause to make up for the extra calls.
     return node.create_timer(period, tick,
