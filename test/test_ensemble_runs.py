@@ -143,7 +143,7 @@ def test_runs_with_fields_have_the_bits_of_propagate(monkeypatch, vary, of_field
             'inertia', 'pivot', 'magnet', 'orbit', 'damping', 'initial_attitude',
             'initial_angular_velocity', 'initial_rotor_momentum')}}
         applied = found.applied(np.array([run]))
-        logs, wheels = found.torques.recorded(applied, 0)
+        logs, wheels = found.recorded(applied, 0)
         problem = Scene.from_values(values).problem()
         motion = problem.replaced(start=applied.starts[0], log=logs, wheels=wheels).propagate(
             at=[2 * SECOND])
@@ -322,7 +322,7 @@ def test_a_long_coast_is_no_long_way():
 def test_noise_differs_from_sample_to_sample_and_from_run_to_run():
     found = ensemble(NOISE, TILT)
     applied = found.applied(np.arange(100))
-    noise = np.concatenate([found.torques.recorded(applied, row)[0][0].torques - TORQUES
+    noise = np.concatenate([found.recorded(applied, row)[0][0].torques - TORQUES
                             for row in range(100)])
     assert abs(noise.mean()) < 4 * 1e-4 / np.sqrt(noise.size)
     assert abs(noise.std() - 1e-4) < 4 * 1e-4 / np.sqrt(2 * noise.size)

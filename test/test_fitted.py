@@ -23,8 +23,7 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import RigidBody, State
 from rigid_body_ros.commands import main
-from rigid_body_ros.ensemble import fitted
-from rigid_body_ros.ensemble.dispersions import UNITS
+from rigid_body_ros.ensemble.dispersions import load_fitted, UNITS
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording import read_problem
@@ -56,7 +55,7 @@ def rows_of(fit, count, seed=1):
 
 
 def test_draws_have_the_means_deviations_and_correlations_of_the_fit(tmp_path):
-    rows, runs = rows_of(fitted.load(written(tmp_path / 'fitted.json')), 100_000), 100_000
+    rows, runs = rows_of(load_fitted(written(tmp_path / 'fitted.json')), 100_000), 100_000
     assert np.all(np.abs(rows.mean(0) - MEAN) < 4 * SIGMA / np.sqrt(runs))
     assert np.all(np.abs(rows.std(0) - SIGMA) < 4 * SIGMA / np.sqrt(2 * runs))
     error = (1.0 - CORRELATION ** 2) / np.sqrt(runs)
@@ -69,13 +68,13 @@ def test_the_systematic_part_of_an_interval_widens_the_distribution(tmp_path):
     data['estimates']['torque_gain']['systematic'] = np.sqrt(3.0) * SIGMA[2]
     path.write_text(json.dumps(data))
     wider = np.array([1.0, 1.0, np.sqrt(2.0), 1.0])
-    np.testing.assert_allclose(fitted.load(path).covariance,
+    np.testing.assert_allclose(load_fitted(path).covariance,
                                COVARIANCE * np.outer(wider, wider), rtol=1e-14)
 
 
 def test_a_run_depends_on_seed_and_number_only(tmp_path):
     names = (*ATTITUDE, 'inertia.ixx')
-    fit = fitted.load(written(tmp_path / 'fitted.json', names, np.full(4, 0.1), CORRELATION))
+    fit = load_fitted(written(tmp_path / 'fitted.json', names, np.full(4, 0.1), CORRELATION))
     rows = rows_of(fit, 100)
     assert np.array_equal(rows[::-1], np.stack([*fit.draw(1, np.arange(99, -1, -1)).values()], 1))
     assert np.array_equal(rows[7:8], np.stack([*fit.draw(1, np.array([7])).values()], 1))
@@ -87,16 +86,16 @@ def test_sensors_and_later_recordings_do_not_change_the_distribution_of_the_othe
     names = ('mount.x@/imu', *NAMES, *sensors, 'initial_attitude.x[2]')
     matrix = np.full((10, 10), np.nan)  # of what the recording does not determine
     matrix[1:5, 1:5] = COVARIANCE
-    fit = fitted.load(written(tmp_path / 'more.json', names, [9, *MEAN, 9, 9, 9, 9, 9],
+    fit = load_fitted(written(tmp_path / 'more.json', names, [9, *MEAN, 9, 9, 9, 9, 9],
                               matrix))
     assert fit.ignored == ('mount.x@/imu', *sensors, 'initial_attitude.x[2]')
-    alone = fitted.load(written(tmp_path / 'fitted.json'))
+    alone = load_fitted(written(tmp_path / 'fitted.json'))
     assert np.array_equal(rows_of(fit, 9), rows_of(alone, 9))
 
 
 def test_estimates_that_depend_on_each_other_exactly_stay_so(tmp_path):
     matrix = np.outer(SIGMA, SIGMA) * [[1, 0, 1, 0], [0, 0, 0, 0], [1, 0, 1, 0], [0, 0, 0, 1]]
-    fit = fitted.load(written(tmp_path / 'fitted.json', matrix=matrix))
+    fit = load_fitted(written(tmp_path / 'fitted.json', matrix=matrix))
     drawn = (rows_of(fit, 50) - MEAN) / SIGMA
     np.testing.assert_allclose(drawn[:, 0], drawn[:, 2], atol=1e-9)
     assert np.ptp(drawn[:, 1]) == 0.0
@@ -104,7 +103,7 @@ def test_estimates_that_depend_on_each_other_exactly_stay_so(tmp_path):
 
 def test_the_attitude_is_the_guess_turned_by_the_rotation_vector(tmp_path):
     vector, sigma = np.array([0.3, -0.2, 0.1]), np.array([1e-3, 2e-3, 3e-3])
-    fit = fitted.load(written(tmp_path / 'fitted.json', ATTITUDE, vector, np.diag(sigma ** 2)))
+    fit = load_fitted(written(tmp_path / 'fitted.json', ATTITUDE, vector, np.diag(sigma ** 2)))
     drawn = fit.draw(1, np.arange(2000))
     rows = np.stack([drawn[f'initial_attitude.{axis}'] for axis in 'xyzw'], axis=1)
     vectors = so3.log(so3.multiply(so3.conjugate(GUESS), rows))
@@ -116,7 +115,7 @@ def test_the_attitude_is_the_guess_turned_by_the_rotation_vector(tmp_path):
 
 def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
     names, moments = ('inertia.ixx', 'inertia.iyy', 'inertia.izz'), [0.02, 0.03, 0.045]
-    fit = fitted.load(written(tmp_path / 'fitted.json', names, moments, np.eye(3) * 0.01 ** 2))
+    fit = load_fitted(written(tmp_path / 'fitted.json', names, moments, np.eye(3) * 0.01 ** 2))
     scene = Scene.from_values({'inertia.ixx': 1, 'inertia.iyy': 1, 'inertia.izz': 1,
                                'initial_angular_velocity.x': 1.0})
     rows = Ensemble(scene.problem(), 10 ** 9, (), 1, fit).rows(0, 50)
@@ -182,7 +181,7 @@ def test_a_file_that_is_not_json_is_one_line(tmp_path, text):
     path = tmp_path / 'fitted.json'
     path.write_bytes(text.encode('utf-8', 'surrogateescape'))
     with pytest.raises(ValueError, match=r'fitted\.json: expected (a )?JSON'):
-        fitted.load(path)
+        load_fitted(path)
 
 
 @pytest.fixture(scope='module')

@@ -25,7 +25,7 @@ import pytest
 from rigid_body_ros import messages, Problem, RigidBody, State, TorqueLog
 from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble import band, dispersions
-from rigid_body_ros.ensemble.fitted import Fitted
+from rigid_body_ros.ensemble.dispersions import Fitted
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording import read_problem, Source

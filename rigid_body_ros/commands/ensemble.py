@@ -102,7 +102,7 @@ def _pool(options: argparse.Namespace) -> Pool:
 
 def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     from rigid_body_ros.ensemble.controller import ControllerError
-    from rigid_body_ros.ensemble.fitted import load_varied
+    from rigid_body_ros.ensemble.dispersions import load_varied
     from rigid_body_ros.ensemble.motions import times_of
     from rigid_body_ros.ensemble.runs import Ensemble
     varied, estimates = load_varied(options.vary, scene.values['fields'], options.force)

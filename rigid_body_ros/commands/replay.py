@@ -79,7 +79,7 @@ def _uncertain(options: argparse.Namespace, path: str, scene: Scene) -> tuple[Lo
     """Return the torques with the mean values of --uncertain, and the band."""
     from rigid_body_ros import recording
     from rigid_body_ros.ensemble.band import band_of
-    from rigid_body_ros.ensemble.fitted import load_varied
+    from rigid_body_ros.ensemble.dispersions import load_varied
     from rigid_body_ros.ensemble.runs import Ensemble
     from rigid_body_ros.replay.batches import end_of
     reading = recording.Reading(

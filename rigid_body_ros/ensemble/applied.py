@@ -12,31 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameter values, fields and torques that the runs of an ensemble use."""
+"""The parameter values and fields that the runs of an ensemble use."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
-from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.elementary import exponentials
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, INERTIA
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.states import States
-from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.scene.fields import values_of, with_values
-
-#: A function that takes the torque from a controller and returns the applied torque, both in N m.
-Actuated = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +52,14 @@ class Applied:
         The constant torque that is added in each run.
     clock_offset : array, shape (n,), s
         The time that is added to the torque stamps in each run, rounded to whole nanoseconds.
-    fields : Fields
-        The fields of each run.
+    fields : sequence of n tuples of Field
+        The fields of each run. If the values drawn for a run are impossible, the nominal fields
+        take the place of the run's fields.
+    messages : sequence of n str
+        For each run, a message that explains why the fields of the run are impossible. The message
+        is empty if the fields are possible.
+    field_values : dict
+        The values that define the fields, as columns of shape (n,), by key.
 
     """
 
@@ -69,7 +69,9 @@ class Applied:
     torque_gain: Floats
     torque_bias: Floats
     clock_offset: Floats
-    fields: Fields
+    fields: Sequence[tuple[Field, ...]]
+    messages: Sequence[str]
+    field_values: Mapping[str, Floats]
 
     @classmethod
     def nominal(cls, problem: Problem) -> Applied:
@@ -78,7 +80,7 @@ class Applied:
         return cls(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
                    States(start.time_ns, start.attitude, start.angular_velocity,
                           start.rotor_momentum), np.ones(1), np.zeros((1, 3)), np.zeros(1),
-                   Fields.with_values(problem.fields, {}, 1))
+                   *_fields(problem.fields, {}, 1))
 
     @classmethod
     def with_values(cls, problem: Problem, runs: NDArray[np.int64], values: Mapping[str, Floats],
@@ -110,8 +112,7 @@ class Applied:
         return cls(runs, RigidBodies(inertia, _tensors('damping.d', values)), starts,
                    values['torque_gain'], _vectors('torque_bias', values),
                    np.rint(values['clock_offset'] * 1e9) / 1e9,
-                   Fields.with_values(problem.fields, {
-                       key: values[key] for key in of_fields}, len(runs)))
+                   *_fields(problem.fields, {key: values[key] for key in of_fields}, len(runs)))
 
     def columns(self) -> dict[str, Floats]:
         """Return the parameter values as columns of shape (n,), one column for each key."""
@@ -122,121 +123,22 @@ class Applied:
                 **components('initial_rotor_momentum', self.starts.rotor_momentum),
                 **components('torque_bias', self.torque_bias),
                 'torque_gain': self.torque_gain, 'clock_offset': self.clock_offset,
-                **self.fields.columns}
+                **self.field_values}
 
 
-@dataclass(frozen=True, eq=False)
-class Fields:
-    """
-    The fields of n runs.
-
-    Attributes
-    ----------
-    of_each : sequence of n tuples of Field
-        The fields of each run. If the values drawn for a run are impossible, the nominal fields
-        take the place of the run's fields.
-    messages : sequence of n str
-        For each run, a message that explains why the fields of the run are impossible. The message
-        is empty if the fields are possible.
-    columns : dict
-        The values that define the fields, as columns of shape (n,), by key.
-
-    """
-
-    of_each: Sequence[tuple[Field, ...]]
-    messages: Sequence[str]
-    columns: Mapping[str, Floats]
-
-    @classmethod
-    def with_values(cls, nominal: tuple[Field, ...], values: Mapping[str, Floats],
-                    count: int) -> Fields:
-        """Return the fields of `count` runs; `values`, shape (count,), replace nominal values."""
-        columns = {key: np.full(count, value) for one in nominal
-                   for key, value in values_of(one).items()} | dict(values)
-        if not values:
-            return cls([nominal] * count, [''] * count, columns)
-        of_each, messages = [], []
-        for row in range(count):
-            own = {key: float(column[row]) for key, column in values.items()}
-            try:
-                of_each.append(tuple([with_values(one, own) for one in nominal]))
-                messages.append('')
-            except ValueError as error:
-                of_each.append(nominal)
-                messages.append(str(error))
-        return cls(of_each, messages, columns)
-
-    def speed(self, least: Floats, largest: Floats) -> Floats:
-        """
-        Return an upper bound on the speed that the fields of each run add, rad/s, shape (n,).
-
-        The bound is the sum of the bounds of the single fields.
-        """
-        return np.array([sum(one.speed(*moments) for one in fields)
-                         for fields, *moments in zip(self.of_each, least, largest)], float)
-
-
-@dataclass(frozen=True)
-class Torques:
-    """
-    The dispersed torques in the runs of an ensemble.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal motion.
-    end_ns : int, ns
-        The end of every run.
-    seed : int
-        The seed of the random numbers.
-    noise : float, N m
-        Standard deviation of the noise in each component of the torque.
-
-    """
-
-    problem: Problem
-    end_ns: int
-    seed: int
-    noise: float
-
-    def recorded(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
-        """
-        Return the recorded torques in a run: first those on the body, then those on the rotors.
-
-        Raises
-        ------
-        ValueError
-            A torque is not finite, or a stamp does not fit into 64 bits.
-
-        """
-        gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
-        torques = [gain * log.torques for log in self.problem.logs]
-        if self.noise:
-            random = self._random(int(applied.runs[row]))
-            torques = [torque + random.normal(0.0, self.noise, torque.shape)
-                       for torque in torques]
-        logs = [_later(log, offset, torque) for log, torque in zip(self.problem.logs, torques)]
-        bias, wheels = applied.torque_bias[row], self.problem.wheels
-        if bias.any():
-            logs.append(TorqueLog.constant(bias, self.problem.start.time_ns, self.end_ns,
-                                           self.problem.options.timeout_ns))
-        return logs, wheels and (_later(wheels, offset, wheels.torques) if offset else wheels)
-
-    def commands(self, applied: Applied, row: int) -> EffortLog | None:
-        """Return the commands for named wheels in a run; raise the same errors as `recorded`."""
-        offset, log = float(applied.clock_offset[row]), self.problem.efforts
-        return log and EffortLog(_later_ns(log.times_ns, offset), log.efforts)
-
-    def actuated(self, applied: Applied, row: int) -> Actuated:
-        """Return a function that applies the gain and noise of a run to a controller's torque."""
-        gain, noise = applied.torque_gain[row], self.noise
-        if not noise:
-            return lambda torque: np.asarray(gain * torque)
-        random = self._random(int(applied.runs[row]), 1)
-        return lambda torque: np.asarray(gain * torque + random.normal(0.0, noise, 3))
-
-    def _random(self, *key: int) -> np.random.Generator:
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+def _fields(nominal: tuple[Field, ...], values: Mapping[str, Floats], count: int
+            ) -> tuple[list[tuple[Field, ...]], list[str], dict[str, Floats]]:
+    """Return the last attributes of `Applied`; `values`, shape (count,), replace nominal ones."""
+    columns = {key: np.full(count, value) for field in nominal
+               for key, value in values_of(field).items()} | dict(values)
+    fields, messages = [nominal] * count, [''] * count
+    for row in range(count if values else 0):
+        own = {key: float(column[row]) for key, column in values.items()}
+        try:
+            fields[row] = tuple([with_values(field, own) for field in nominal])
+        except ValueError as error:
+            messages[row] = str(error)
+    return fields, messages, columns
 
 
 def components(prefix: str, vectors: Floats) -> dict[str, Floats]:
@@ -272,21 +174,6 @@ def _relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     # Do not use BLAS here. Its order of summation depends on the processor, so the rounding errors
     # would be different on another processor.
     return (axes[:, None] * axes * varied[:, None, None]).sum(axis=-1)
-
-
-def _later(log: TorqueLog, offset: float, torques: Floats) -> TorqueLog:
-    """Return a log of other torques, N m, whose stamps are `offset` seconds later."""
-    return TorqueLog(_later_ns(log.times_ns, offset), torques, log.in_space, log.interpolation)
-
-
-def _later_ns(times_ns: NDArray[np.int64], offset: float) -> NDArray[np.int64]:
-    if not abs(offset) < NEVER_NS / 1e9:
-        raise ValueError(f'clock_offset: expected less than 292 years, found {offset:g} s')
-    offset_ns = round(offset * 1e9)
-    ends = [int(stamp) + offset_ns for stamp in times_ns[[0, -1]]] if len(times_ns) else []
-    if any(abs(end) >= NEVER_NS for end in ends):
-        raise ValueError(f'clock_offset: expected stamps that fit 64 bits, found {offset:g} s')
-    return times_ns + offset_ns
 
 
 def _entries(prefix: str, tensors: Floats) -> dict[str, Floats]:

@@ -42,7 +42,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.ensemble.applied import Actuated
 from rigid_body_ros.ensemble.reach import FARTHEST
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import all_finite, State
@@ -53,6 +52,8 @@ from rigid_body_ros.runtime import interrupts
 #: A control law: a function of the state and the time since the start, s, that returns a torque in
 #: body axes, N m, shape (3,).
 Law = Callable[[State, float], Any]
+#: A function that takes the torque from a controller and returns the applied torque, both in N m.
+Actuated = Callable[[Floats], Floats]
 #: An input of a motion: the stamp of the input, ns, and a function that applies the input.
 _Input = tuple[int, Callable[[], object]]
 

@@ -12,26 +12,46 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read the distributions of the parameters that vary, and draw values from them."""
+"""
+Read what varies in an ensemble, and draw values for each run.
+
+This is either independent distributions of single parameters, from a YAML file, or the joint
+distribution that `attitude_identify` estimated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from pathlib import Path
+import re
+from typing import TYPE_CHECKING
 import zlib
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, located, quoted
+from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.inference.noise import with_bound
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import BIG, described, entries, number, resembled
 from rigid_body_ros.scene import PARAMETERS
 from rigid_body_ros.scene.fields import of_names, ORBIT
-from rigid_body_ros.scene.quantities import along, quantity_of
+from rigid_body_ros.scene.quantities import (
+    along,
+    components_of,
+    MOMENT,
+    OF_SENSORS,
+    quantity_of,
+    split_topic,
+)
 import yaml
+
+if TYPE_CHECKING:
+    from rigid_body_ros.identification.result import Saved
 
 
 def units_of(*groups: str) -> dict[str, str]:
@@ -50,10 +70,21 @@ UNITS = {**units_of('inertia', 'damping', 'initial_angular_velocity', 'initial_r
 #: torque sample.
 INERTIA, ATTITUDE, NOISE = 'inertia', 'initial_attitude', 'torque_noise'
 _EXAMPLE = 'torque_gain: {normal: 0.03}'
-#: For each key that accepts only one kind of distribution, this kind.
-_SPECIAL = {INERTIA: 'relative', ATTITUDE: 'tilt', NOISE: 'normal'}
+#: For each key that accepts only one kind of distribution, this kind and its unit.
+_SPECIAL = {INERTIA: ('relative', ''), ATTITUDE: ('tilt', 'rad'), NOISE: ('normal', 'N m')}
 #: Philox produces this many random numbers for each value of its counter.
 _AT_ONCE = 4
+#: The keys of the rotation vector that describes an estimated initial attitude.
+_ROTATION = along(ATTITUDE)
+#: Estimates that do not affect the motion: those of sensors, and the starts of further recordings.
+_OF_SENSORS = {component for name in OF_SENSORS for component in components_of(name)}
+_OF_LATER_START = re.compile(r'.*\[\d+\]')
+#: The keys of an estimated weight, which the fitted scene describes as a field.
+_WEIGHT = re.compile(r'^weight(\.[xyz])$')
+#: Eigenvalues and pivots of a correlation matrix below this limit are taken to be rounding errors.
+_ROUNDING = 1e-12
+#: The scale of an estimate that has no spread.
+_TINY = 1e-150
 
 
 @dataclass(frozen=True)
@@ -107,35 +138,101 @@ class Dispersion:
         return np.tile(moments, (count, 1))
 
 
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """
+    Estimated parameters and their joint normal distribution.
+
+    Attributes
+    ----------
+    estimates : dict of str to float
+        The estimates by key, in the units of `units_with`. The three keys `initial_attitude.x`,
+        `.y` and `.z` are the components of a rotation vector in body axes, rad.
+    guess_attitude : array, shape (4,)
+        The attitude to which the rotation vector in `estimates` is relative, as a quaternion
+        x y z w.
+    covariance : array, shape (n, n)
+        The covariance of the estimates, in the order of `estimates`. It is positive semidefinite.
+    ignored : tuple of str
+        The names of estimates that are ignored because they do not affect the motion.
+
+    """
+
+    estimates: Mapping[str, float]
+    guess_attitude: Floats
+    covariance: Floats
+    ignored: tuple[str, ...] = ()
+
+    @cached_property
+    def nominal(self) -> dict[str, float]:
+        """Return a mapping from scene keys to estimates, with the attitude as a quaternion."""
+        return {key: float(column[0]) for key, column in self.values(self.mean[None]).items()}
+
+    def draw(self, seed: int, runs: NDArray[np.int64]) -> dict[str, Floats]:
+        """Return values drawn for some runs, shape (n,), for each of the keys of `nominal`."""
+        numbers = normals(seed, runs, 'fitted', len(self.mean))
+        changes = np.zeros_like(numbers)
+        # Add the terms one by one, because the order in which BLAS would add the terms depends on
+        # the processor.
+        for drawn, column in zip(numbers.T, self.factor.T):
+            changes += np.multiply.outer(drawn, column)
+        return self.values(self.mean + changes)
+
+    @cached_property
+    def mean(self) -> Floats:
+        """Return the estimates as an array, shape (n,)."""
+        return np.array([*self.estimates.values()])
+
+    @cached_property
+    def factor(self) -> Floats:
+        """Return the Cholesky factor of the covariance, computed without BLAS."""
+        scale, rest = _scaled(self.covariance)
+        factor = np.zeros_like(rest)
+        for k in range(len(rest)):
+            if rest[k, k] > _ROUNDING:
+                factor[k:, k] = rest[k:, k] / math.sqrt(rest[k, k])
+                rest = rest - np.multiply.outer(factor[:, k], factor[:, k])
+        return scale[:, None] * factor
+
+    def values(self, numbers: Floats) -> dict[str, Floats]:
+        """Return the values for each of the keys of `nominal` from estimates, shape (m, n)."""
+        values = dict(zip(self.estimates, numbers.T))
+        if _ROTATION[0] in values:
+            rotation = np.stack([values[name] for name in _ROTATION], axis=-1)
+            attitude = so3.multiply(self.guess_attitude, so3.exp(rotation))
+            values.update(zip(along(ATTITUDE, 'xyzw'), attitude.T))
+        return values
+
+
 def draws(dispersions: Sequence[Dispersion], seed: int,
           runs: NDArray[np.int64]) -> dict[str, Floats]:
     """
     Draw the numbers of all keys for the given runs.
 
     The numbers of a key depend only on the seed, the key and the run number. They stay the same
-    when other keys are added or removed. Torque noise is not included, because `Torques` draws the
-    noise for each torque sample.
+    when other keys are added or removed. Torque noise is not included, because it is drawn for
+    each torque sample.
     """
-    return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
+    return {dispersion.key: dispersion.draw(seed, runs) for dispersion in dispersions
+            if dispersion.key != NOISE}
 
 
-def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float], seed: int,
-              runs: NDArray[np.int64], drawn: Mapping[str, Floats] | None = None
-              ) -> dict[str, Floats]:
+def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
+              drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
     """
-    Return the values of each key in the given runs, shape (n,).
+    Return the values of each key in some runs, shape (count,).
 
-    If the numbers of all keys are given in `drawn`, they take the place of those of `draws`.
-    The values are dispersed if the key varies. Otherwise, all of them equal the nominal value. For
-    keys without a nominal value, such as the inertia, the result contains the drawn numbers.
+    The values are dispersed if the key varies, and are then computed from the numbers in `drawn`.
+    Otherwise, all of them equal the nominal value. For keys without a nominal value, such as the
+    inertia, the result contains the drawn numbers.
     """
-    drawn = drawn or draws(dispersions, seed, runs)
-    values = {**{key: np.full(len(runs), value) for key, value in nominal.items()}, **drawn}
-    for one in dispersions:
-        if one.key in nominal:
-            draw, value = drawn[one.key][:, 0], nominal[one.key]
-            values[one.key] = value * (1.0 + draw) if one.relative \
-                else draw + (one.kind == 'normal') * value
+    values = {**{key: np.full(count, value) for key, value in nominal.items()}, **drawn}
+    for dispersion in dispersions:
+        key = dispersion.key
+        if key in nominal:
+            draw, value = drawn[key][:, 0], nominal[key]
+            values[key] = value * (1.0 + draw) if dispersion.relative \
+                else draw + (dispersion.kind == 'normal') * value
     return values
 
 
@@ -203,18 +300,57 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]
 
     """
     root, units = read_yaml(path, 'dispersions'), units_with(fields)
-    with located(path, InputError):
-        found = tuple(_dispersion(key.value, value, units)
-                      for key, value in entries(root, 'the file', _EXAMPLE))
-        if not found:
+    try:
+        dispersions = tuple(_dispersion(key.value, value, units)
+                            for key, value in entries(root, 'the file', _EXAMPLE))
+        if not dispersions:
             raise InputError('expected a parameter that varies, found none')
-        keys = [one.key for one in found]
+        keys = [dispersion.key for dispersion in dispersions]
         for key in keys:
             if keys.count(key) > 1:
                 raise InputError(f'{key}: expected each key once, found it twice')
             if INERTIA in keys and key.startswith(f'{INERTIA}.'):
                 raise InputError(f'{key}: expected either {INERTIA} or its entries, found both')
-    return found
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from error
+    return dispersions
+
+
+def load_fitted(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> Fitted:
+    """
+    Read the estimates and their covariance from a JSON file written by `attitude_identify`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    fields : iterable of str
+        The names of the uniform fields in the scene.
+    force : bool
+        Whether to accept the fit even if its verdict is 'rejected'.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or was not written by `attitude_identify`; the fit did not
+        converge, or was rejected and `force` is False; an estimate is not determined by the data
+        or cannot vary; or the covariance is invalid.
+
+    """
+    from rigid_body_ros.identification import Identification  # slow to import
+    saved = Identification.load(path)
+    try:
+        return _fitted(saved, {**units_with(fields), **dict.fromkeys(_ROTATION, 'rad')}, force)
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from error
+
+
+def load_varied(path: str | Path, fields: Iterable[str] = (), force: bool = False
+                ) -> tuple[tuple[Dispersion, ...], Fitted | None]:
+    """Read estimates from a JSON file (see `load_fitted`), or dispersions from a YAML file."""
+    if Path(path).suffix == '.json':
+        return (), load_fitted(path, fields, force)
+    return load(path, fields), None
 
 
 def _dispersion(key: str, node: yaml.Node, units: Mapping[str, str]) -> Dispersion:
@@ -223,25 +359,26 @@ def _dispersion(key: str, node: yaml.Node, units: Mapping[str, str]) -> Dispersi
         close = resembled(key, known)
         raise InputError(f'{key}: unknown key' + (f'; did you mean {close}?' if close else
                                                   f'; expected one of {", ".join(known)}'))
-    given = [(name.value, value) for name, value in entries(node, key, _EXAMPLE)]
-    values = dict(given)
-    kinds = [name for name, _ in given if name != 'relative' or key == INERTIA]
-    expected = (_SPECIAL[key],) if key in _SPECIAL else ('normal', 'uniform')
-    if len(kinds) != 1 or kinds[0] not in expected or len(values) != len(given):
-        raise InputError(f'{key}: expected {" or ".join(expected)}, found '
-                         f'{quoted([name for name, _ in given])}')
-    if key in _SPECIAL and len(given) > 1:
-        raise InputError(f'{key}: expected only {expected[0]}, found relative as well')
-    return Dispersion(key, kinds[0], _bounds(key, kinds[0], values[kinds[0]], units),
-                      key not in _SPECIAL and _flag(key, values.get('relative')))
+    pairs = [(name.value, value) for name, value in entries(node, key, _EXAMPLE)]
+    names, values = [name for name, _ in pairs], dict(pairs)
+    kinds = [name for name in names if name != 'relative' or key == INERTIA]
+    only, unit = _SPECIAL.get(key, ('', ''))
+    expected = [only] if only else ['normal', 'uniform']
+    if len(kinds) != 1 or kinds[0] not in expected or len(values) != len(names):
+        raise InputError(f'{key}: expected {" or ".join(expected)}, found {quoted(names)}')
+    if only and len(names) > 1:
+        raise InputError(f'{key}: expected only {only}, found relative as well')
+    return Dispersion(key, kinds[0], _bounds(key, kinds[0], values[kinds[0]],
+                                             unit or units.get(key, '')),
+                      not only and _flag(key, values.get('relative')))
 
 
-def _bounds(key: str, kind: str, node: yaml.Node,
-            units: Mapping[str, str]) -> tuple[float, ...]:
-    unit = {ATTITUDE: 'rad', NOISE: 'N m'}.get(key, units.get(key, ''))
+def _bounds(key: str, kind: str, node: yaml.Node, unit: str) -> tuple[float, ...]:
     nodes = node.value if isinstance(node, yaml.SequenceNode) else [node]
-    texts = [one.value if isinstance(one, yaml.ScalarNode) else described(one) for one in nodes]
-    numbers = tuple(one for one in map(number, texts) if one is not None and abs(one) < BIG)
+    texts = [item.value if isinstance(item, yaml.ScalarNode) else described(item)
+             for item in nodes]
+    numbers = tuple(value for value in map(number, texts)
+                    if value is not None and abs(value) < BIG)
     possible = len(numbers) == len(texts) and (
         len(numbers) == 2 and numbers[0] < numbers[1] if kind == 'uniform' else
         len(numbers) == 1 and numbers[0] > 0.0)
@@ -258,3 +395,70 @@ def _flag(key: str, node: yaml.Node | None) -> bool:
     if node.value not in ('true', 'false'):
         raise InputError(f'{key}: relative: expected true or false, found {described(node)}')
     return bool(node.value == 'true')
+
+
+def _fitted(saved: Saved, units: Mapping[str, str], force: bool) -> Fitted:
+    if saved.converged is not True:
+        raise InputError('expected a fit that converged, found one that did not')
+    if saved.level not in ('explained', 'approximate') and not force:
+        raise InputError('expected a fit that explains the measurements, found one that is '
+                         f'{saved.level} (attitude_ensemble --force takes it)')
+    for name, unit in saved.units.items():
+        if unit != units.get(name, unit):
+            raise InputError(f'{name}: expected the unit {quoted(units[name])}, found '
+                             f'{quoted(unit)}')
+    ignored = tuple(name for name in saved.values if split_topic(name)[0] in _OF_SENSORS
+                    or _OF_LATER_START.fullmatch(name))
+    estimates = {_WEIGHT.sub(rf'weight.{MOMENT}\1', name): value
+                 for name, value in saved.values.items() if name not in ignored}
+    _check_estimates(estimates, units)
+    # The intervals of a model that is a little wrong have a systematic part.
+    with np.errstate(invalid='ignore', divide='ignore'):
+        wider = with_bound(1.0, np.nan_to_num(
+            saved.systematic / np.sqrt(np.diag(saved.covariance)), posinf=0.0))
+    rows = [name not in ignored for name in saved.values]
+    covariance = (saved.covariance * np.multiply.outer(wider, wider))[np.ix_(rows, rows)]
+    _check_covariance([*estimates], covariance)
+    return Fitted(estimates, saved.guess_attitude, covariance, ignored)
+
+
+def _check_estimates(estimates: Mapping[str, float], known: Collection[str]) -> None:
+    if not estimates:
+        raise InputError('expected estimates of inertia, start, torque or damping, found none')
+    for name, value in estimates.items():
+        if name not in known:
+            close = resembled(name, known)
+            raise InputError(f'{name}: expected an estimate that can vary, found another'
+                             + (f'; did you mean {close}?' if close else ''))
+        if not math.isfinite(value):
+            raise InputError(f'{name}: expected a finite value, found {value}')
+    if 0 < len({*_ROTATION} & {*estimates}) < 3:
+        raise InputError(f'{ATTITUDE}: expected three components, found fewer')
+
+
+def _check_covariance(names: Sequence[str], covariance: Floats) -> None:
+    for name, row in zip(names, covariance):
+        if np.isnan(row).all():
+            raise InputError(f'{name}: expected an estimate that the recording determines, found '
+                             'one that it does not')
+    if not np.isfinite(covariance).all():
+        raise InputError('covariance: expected finite numbers, found others')
+    with np.errstate(over='ignore', invalid='ignore'):
+        correlation = _scaled(covariance)[1].clip(-2.0, 2.0)
+    if np.abs(correlation - correlation.T).max() > _ROUNDING:
+        raise InputError('covariance: expected a symmetric matrix, found another')
+    least = float(np.linalg.eigvalsh(correlation)[0])
+    if least < -_ROUNDING:
+        raise InputError('covariance: expected a positive semidefinite matrix, found correlations '
+                         f'with the eigenvalue {least:.3g}')
+
+
+def _scaled(covariance: Floats) -> tuple[Floats, Floats]:
+    """
+    Split a covariance matrix into standard deviations and a correlation matrix.
+
+    Standard deviations that are 0 are returned as a tiny number.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, _TINY)
+    return scale, covariance / np.multiply.outer(scale, scale)

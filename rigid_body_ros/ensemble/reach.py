@@ -62,12 +62,23 @@ class Reach:
         The end of every run.
     noise : float, N m
         Standard deviation of the noise in each component of the torque.
+    nominal : Applied
+        The parameters of the nominal run.
 
     """
 
     problem: Problem
     end_ns: int
     noise: float
+    nominal: Applied
+
+    def messages(self, applied: Applied) -> list[str]:
+        """Return a message for each run whose body would turn too far, and '' for the others."""
+        farthest = self._farthest
+        text = 'the body may turn by {:.3g} rad, too far to be computed (limit {:.3g} rad): ' \
+            'check the dispersions'
+        return [text.format(turned, farthest) if farthest < turned < math.inf else ''
+                for turned in self.turned(applied).tolist()]
 
     def turned(self, applied: Applied) -> Floats:
         """
@@ -90,13 +101,14 @@ class Reach:
             too_fast = _norm(applied.starts.angular_velocity) > FASTEST
         return np.where(impossible | too_fast, np.nan, turned)
 
-    def limit(self, nominal: Applied) -> float:
+    @cached_property
+    def _farthest(self) -> float:
         """
         Return the largest angle through which a body may turn in a run, rad.
 
         This limit is larger than usual if the body turns far in the nominal run.
         """
-        turned, = replace(self, noise=0.0).turned(nominal).tolist()
+        turned, = replace(self, noise=0.0).turned(self.nominal).tolist()
         return max(FARTHEST, _TIMES_NOMINAL * turned)
 
     def _rates(self, applied: Applied) -> Floats:
@@ -113,7 +125,8 @@ class Reach:
         terms = (_norm(applied.starts.rotor_momentum) + motors
                  + np.trace(applied.bodies.damping, axis1=1, axis2=2))
         return np.sqrt(energy / least) + (impulse + terms) / least \
-            + applied.fields.speed(least, moments.max(-1))
+            + [sum(field.speed(*moments) for field in fields)
+               for fields, *moments in zip(applied.fields, least, moments.max(-1))]
 
     def _seconds(self, applied: Applied) -> Floats:
         """

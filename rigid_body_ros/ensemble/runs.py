@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -27,21 +27,24 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, reason
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.binding import LANES
-from rigid_body_ros.ensemble.applied import Applied, components, Torques
-from rigid_body_ros.ensemble.controller import closed_loop, Controller
+from rigid_body_ros.ensemble.applied import Applied, components
+from rigid_body_ros.ensemble.controller import Actuated, closed_loop, Controller
 from rigid_body_ros.ensemble.dispersions import (
     dispersed,
     Dispersion,
+    draws,
+    Fitted,
     INERTIA,
     NOISE,
     units_of,
     units_with,
 )
-from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
@@ -68,7 +71,7 @@ Columns = dict[str, NDArray[Any]]
 Span = tuple[int, int]
 #: The motions of n runs, shape (n, m, 7), and a message for each run. The message is empty if the
 #: run did not fail.
-_Found = tuple[Floats, list[str]]
+_Motions = tuple[Floats, list[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +119,10 @@ class Ensemble:
     controller: Controller | None = None
 
     def __post_init__(self) -> None:
-        for one in self.dispersions:
-            if one.relative and self.nominal.get(one.key) == 0.0:
-                raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
+        for dispersion in self.dispersions:
+            key = dispersion.key
+            if dispersion.relative and self.nominal.get(key) == 0.0:
+                raise InputError(f'{key}: relative: expected a nominal value other than 0')
         for key in self.keys:
             if key.startswith(f'{ORBIT}.') and key not in self.nominal:
                 raise InputError(f'{key}: expected a scene with an orbit, found none')
@@ -134,7 +138,7 @@ class Ensemble:
     def keys(self) -> list[str]:
         """Return the keys of the parameters that vary."""
         estimates = self.fitted.estimates if self.fitted else ()
-        return [*(one.key for one in self.dispersions), *estimates]
+        return [*(dispersion.key for dispersion in self.dispersions), *estimates]
 
     @cached_property
     def nominal(self) -> dict[str, float]:
@@ -193,8 +197,8 @@ class Ensemble:
     @cached_property
     def columns(self) -> dict[str, str]:
         """Return the unit of each numeric column: first the parameters, then the final state."""
-        names = [one.name for one in self.problem.fields
-                 if isinstance(one, UniformField) and one.name]
+        names = [field.name for field in self.problem.fields
+                 if isinstance(field, UniformField) and field.name]
         more = {key: unit for key, unit in units_with(names).items()
                 if key in self.keys and key not in _START}
         return {**_START, **more, **_END}
@@ -233,10 +237,8 @@ class Ensemble:
 
         The result contains a message for each run whose body or start is impossible.
         """
-        values = dispersed(self.dispersions, self.nominal, self.seed, runs)
-        if self.fitted:
-            values.update(self.fitted.draw(self.seed, runs))
-        return Applied.with_values(self.problem, runs, values, self._of_fields)
+        return self._applied(runs, draws(self.dispersions, self.seed, runs),
+                             self.fitted.draw(self.seed, runs) if self.fitted else {})
 
     @property
     def moments(self) -> tuple[Floats, Floats]:
@@ -247,16 +249,21 @@ class Ensemble:
         """
         if self.fitted:
             return self.fitted.mean, self.fitted.factor
-        mean, sigma = np.vstack([one.moments for one in self.dispersions]).T
+        mean, sigma = np.vstack([dispersion.moments for dispersion in self.dispersions]).T
         return mean, np.diag(sigma)
 
     def with_numbers(self, numbers: Floats) -> Applied:
         """Return the parameters of runs that draw the given numbers, shape (n, p)."""
-        runs, sizes = np.arange(len(numbers)), [len(one.moments) for one in self.dispersions]
-        drawn = dict(zip(self.keys, np.split(numbers, np.cumsum(sizes, dtype=int), axis=1)))
-        values = dispersed((), self.nominal, 0, runs) | self.fitted.values(numbers) \
-            if self.fitted else dispersed(self.dispersions, self.nominal, 0, runs, drawn)
-        return Applied.with_values(self.problem, runs, values, self._of_fields)
+        ends = np.cumsum([len(dispersion.moments) for dispersion in self.dispersions], dtype=int)
+        drawn = {dispersion.key: columns for dispersion, columns in zip(
+            self.dispersions, np.split(numbers, ends, axis=1))}
+        return self._applied(np.arange(len(numbers)), drawn,
+                             self.fitted.values(numbers) if self.fitted else {})
+
+    def _applied(self, runs: NDArray[np.int64], drawn: Mapping[str, Floats],
+                 estimates: Mapping[str, Floats]) -> Applied:
+        values = dispersed(self.dispersions, self.nominal, drawn, len(runs))
+        return Applied.with_values(self.problem, runs, {**values, **estimates}, self._of_fields)
 
     @cached_property
     def _nominal(self) -> tuple[Floats, Problem]:
@@ -265,14 +272,13 @@ class Ensemble:
 
         The problem includes the torques of the controller.
         """
-        return replace(self, dispersions=()).solved(self._applied_without, 0)
+        return replace(self, dispersions=()).solved(self._without, 0)
 
     @cached_property
-    def _applied_without(self) -> Applied:
+    def _without(self) -> Applied:
         """Return the parameters of a run without any dispersion."""
-        run = np.zeros(1, np.int64)
-        values = dispersed((), self.nominal, self.seed, run)
-        return Applied.with_values(self.problem, run, values, self._of_fields)
+        values = dispersed((), self.nominal, {}, 1)
+        return Applied.with_values(self.problem, np.zeros(1, np.int64), values, self._of_fields)
 
     @property
     def _at(self) -> NDArray[np.int64]:
@@ -287,19 +293,19 @@ class Ensemble:
         This is necessary if the logs of different runs differ by more than a gain.
         """
         varied = {name.split('.')[0] for name in self.columns}
-        return self.torques.noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
+        return self._noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
 
     @cached_property
     def _of_fields(self) -> list[str]:
         """Return the keys of field parameters that are varied or estimated."""
-        known = {key for one in self.problem.fields for key in values_of(one)}
-        return [key for key in self.keys if key in known]
+        of_fields = {key for field in self.problem.fields for key in values_of(field)}
+        return [key for key in self.keys if key in of_fields]
 
     @cached_property
-    def torques(self) -> Torques:
-        """Return the dispersed torques of the runs."""
-        noise = sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
-        return Torques(self.problem, self.end_ns, self.seed, noise)
+    def _noise(self) -> float:
+        """Return the standard deviation of the noise in each component of the torque, N m."""
+        return sum(dispersion.bounds[0] for dispersion in self.dispersions
+                   if dispersion.key == NOISE)
 
     @cached_property
     def _at_once(self) -> int:
@@ -319,73 +325,59 @@ class Ensemble:
         failed = np.array([bool(message) for message in messages])
         end, angle = motions[:, -1], np.full(len(runs), np.nan)
         angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_motion[-1, :4])
-        found = {**applied.columns(), **components('attitude', end[:, :4]),
-                 **components('angular_velocity', end[:, 4:]), ANGLE: angle}
+        numbers = {**applied.columns(), **components('attitude', end[:, :4]),
+                   **components('angular_velocity', end[:, 4:]), ANGLE: angle}
         return {'run': runs, 'status': np.where(failed, 'failed', 'ok'),
                 'message': np.array(messages),
-                **{name: np.where(failed, np.nan, found[name]) for name in self.columns},
+                **{name: np.where(failed, np.nan, numbers[name]) for name in self.columns},
                 **({} if self.times_ns is None else {MOTION: motions})}
 
-    def _motions(self, applied: Applied) -> _Found:
+    def _motions(self, applied: Applied) -> _Motions:
         """
         Return the motions of some runs.
 
         Runs that are impossible, or whose body would turn too far, are not computed.
         """
-        messages = [one or other for one, other in zip(applied.fields.messages,
-                                                       self._too_far(applied))]
+        messages = [impossible or too_far for impossible, too_far in zip(
+            applied.messages, self._reach.messages(applied))]
         rows = np.flatnonzero([not message for message in messages])
         if len(rows) == len(messages):
             return self._computed(applied)
         motions = np.full((len(messages), len(self._at), 7), np.nan)
         if len(rows):
-            motions[rows], found = self._computed(self.applied(applied.runs[rows]))
-            for row, message in zip(rows.tolist(), found):
+            motions[rows], of_rows = self._computed(self.applied(applied.runs[rows]))
+            for row, message in zip(rows.tolist(), of_rows):
                 messages[row] = message
         return motions, messages
 
     @cached_property
-    def _farthest(self) -> float:
-        """Return the largest angle through which the body may turn in a run, rad."""
-        return self._reach.limit(self._applied_without)
-
-    def _too_far(self, applied: Applied) -> list[str]:
-        """Return a message for each run whose body would turn too far, and '' for the others."""
-        farthest = self._farthest
-        text = 'the body may turn by {:.3g} rad, too far to be computed (limit {:.3g} rad): ' \
-            'check the dispersions'
-        return [text.format(turned, farthest) if farthest < turned < math.inf else ''
-                for turned in self._reach.turned(applied).tolist()]
-
-    @cached_property
     def _reach(self) -> Reach:
-        return Reach(self.problem, self.end_ns, self.torques.noise)
+        return Reach(self.problem, self.end_ns, self._noise, self._without)
 
-    def _computed(self, applied: Applied) -> _Found:
+    def _computed(self, applied: Applied) -> _Motions:
         if not (self.controller or self.problem.changes or self.problem.named_wheels
                 or self.problem.actuators):
             with suppress(ValueError):  # otherwise, find out which of the runs fail, and why
                 return self._together(applied)
         return self._one_by_one(applied)
 
-    def _together(self, applied: Applied) -> _Found:
+    def _together(self, applied: Applied) -> _Motions:
         count = len(applied.runs)
         shared = self.problem.logs
         logs: LogsOfRuns = [shared] * count if len(shared) > 1 else next(iter(shared), None)
         wheels: Sequence[TorqueLog] | TorqueLog | None = self.problem.wheels
         gains = applied.torque_gain if 'torque_gain' in self.columns else None
         if self._have_own_logs:
-            each = [self.torques.recorded(applied, row) for row in range(count)]
-            logs, gains = [one for one, _ in each], None
-            wheels = [motors for _, motors in each if motors] or None
+            logs, motors = zip(*(self.recorded(applied, row) for row in range(count)))
+            wheels, gains = [log for log in motors if log] or None, None
         motions = propagate_many(
             applied.bodies, applied.starts, logs, at=self._at, wheels=wheels,
-            fields=applied.fields.of_each if self._of_fields else self.problem.fields,
+            fields=applied.fields if self._of_fields else self.problem.fields,
             torque_gains=gains, **asdict(self.problem.options))
         return np.concatenate([motions.attitude, motions.angular_velocity], axis=-1), [
             message and reason(ValueError(message)) for message in motions.messages]
 
-    def _one_by_one(self, applied: Applied) -> _Found:
+    def _one_by_one(self, applied: Applied) -> _Motions:
         motions, messages = np.full((len(applied.runs), len(self._at), 7), np.nan), []
         for row in range(len(applied.runs)):
             interrupts.check()
@@ -406,19 +398,69 @@ class Ensemble:
         problem = self.problem_of(applied, row)
         if self.controller:
             motion, log = closed_loop(problem, self.controller, self._at,
-                                      self.torques.actuated(applied, row))
+                                      self._actuated(applied, row))
             return motion, problem.replaced(log=[*problem.logs, log], actuator=[
                 *(problem.actuators or [None] * len(problem.logs)), self.controller.actuator])
-        found = problem.propagate(at=self._at)
-        return np.concatenate([found.attitude, found.angular_velocity], axis=-1), problem
+        states = problem.propagate(at=self._at)
+        return np.concatenate([states.attitude, states.angular_velocity], axis=-1), problem
 
     def problem_of(self, applied: Applied, row: int) -> Problem:
         """Return the problem of a run, without the torques of the controller."""
-        logs, wheels = self.torques.recorded(applied, row)
+        logs, wheels = self.recorded(applied, row)
         # A torque bias acts directly on the body, even if the other torques act through actuators.
         actuators = [*(self.problem.actuators or [None] * len(self.problem.logs)), None]
         start = replace(applied.starts[row], wheel_speeds=self.problem.start.wheel_speeds)
+        offset, efforts = float(applied.clock_offset[row]), self.problem.efforts
         return self.problem.replaced(
             body=applied.bodies[row], start=start, log=logs, wheels=wheels,
-            actuator=actuators[:len(logs)], fields=applied.fields.of_each[row],
-            efforts=self.torques.commands(applied, row))
+            actuator=actuators[:len(logs)], fields=applied.fields[row],
+            efforts=efforts and EffortLog(_later_ns(efforts.times_ns, offset), efforts.efforts))
+
+    def recorded(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
+        """
+        Return the recorded torques in a run: first those on the body, then those on the rotors.
+
+        Raises
+        ------
+        ValueError
+            A torque is not finite, or a stamp does not fit into 64 bits.
+
+        """
+        gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
+        torques = [gain * log.torques for log in self.problem.logs]
+        if self._noise:
+            random = self._random(int(applied.runs[row]))
+            torques = [torque + random.normal(0.0, self._noise, torque.shape)
+                       for torque in torques]
+        logs = [_later(log, offset, torque) for log, torque in zip(self.problem.logs, torques)]
+        bias, wheels = applied.torque_bias[row], self.problem.wheels
+        if bias.any():
+            logs.append(TorqueLog.constant(bias, self.problem.start.time_ns, self.end_ns,
+                                           self.problem.options.timeout_ns))
+        return logs, wheels and (_later(wheels, offset, wheels.torques) if offset else wheels)
+
+    def _actuated(self, applied: Applied, row: int) -> Actuated:
+        """Return a function that applies the gain and noise of a run to a controller's torque."""
+        gain, noise = applied.torque_gain[row], self._noise
+        if not noise:
+            return lambda torque: np.asarray(gain * torque)
+        random = self._random(int(applied.runs[row]), 1)
+        return lambda torque: np.asarray(gain * torque + random.normal(0.0, noise, 3))
+
+    def _random(self, *key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+
+def _later(log: TorqueLog, offset: float, torques: Floats) -> TorqueLog:
+    """Return a log of other torques, N m, whose stamps are `offset` seconds later."""
+    return TorqueLog(_later_ns(log.times_ns, offset), torques, log.in_space, log.interpolation)
+
+
+def _later_ns(times_ns: NDArray[np.int64], offset: float) -> NDArray[np.int64]:
+    if not abs(offset) < NEVER_NS / 1e9:
+        raise ValueError(f'clock_offset: expected less than 292 years, found {offset:g} s')
+    offset_ns = round(offset * 1e9)
+    ends = [int(stamp) + offset_ns for stamp in times_ns[[0, -1]]] if len(times_ns) else []
+    if any(abs(end) >= NEVER_NS for end in ends):
+        raise ValueError(f'clock_offset: expected stamps that fit 64 bits, found {offset:g} s')
+    return times_ns + offset_ns
