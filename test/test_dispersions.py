@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from rigid_body_ros.ensemble import dispersions
 from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
-from rigid_body_ros.ensemble.distributions import percentiles
+from rigid_body_ros.ensemble.summary import percentiles
 from rigid_body_ros.scene import InputError
 from scipy import stats
 

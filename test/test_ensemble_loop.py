@@ -43,9 +43,8 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble import worst
 from rigid_body_ros.ensemble.controller import Controller
 from rigid_body_ros.ensemble.dispersions import Dispersion
-from rigid_body_ros.ensemble.distributions import _explained
 from rigid_body_ros.ensemble.runs import Ensemble
-from rigid_body_ros.ensemble.summary import interval, Requirement
+from rigid_body_ros.ensemble.summary import _explained, interval, Requirement
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.scene import load, Scene

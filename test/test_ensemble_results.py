@@ -27,8 +27,8 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import propagate, scene
 from rigid_body_ros.commands import main
-from rigid_body_ros.ensemble import distributions, summary
-from rigid_body_ros.ensemble.distributions import histogram, percentiles
+from rigid_body_ros.ensemble import report, summary
+from rigid_body_ros.ensemble.summary import histogram, percentiles
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report import picture
 from rigid_body_ros.report.page import write
@@ -81,7 +81,7 @@ def heights(panel):
 
 def draw(folder, found):
     """Draw the picture of some results."""
-    picture.draw(folder / 'b.png', Report('title', '', [], [*summary.panels_of(found)]))
+    picture.draw(folder / 'b.png', Report('title', '', [], [*report.panels_of(found)]))
 
 
 def marks(panel):
@@ -111,8 +111,8 @@ def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
 @pytest.mark.parametrize('kept', [0, 2 ** 24], ids=['passes', 'in memory'])
 def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path, monkeypatch,
                                                       kept):
-    monkeypatch.setattr(distributions, '_KEPT', kept)
-    monkeypatch.setattr(distributions, '_TIMES', 9)
+    monkeypatch.setattr(summary, '_KEPT', kept)
+    monkeypatch.setattr(summary, '_TIMES', 9)
     assert main.attitude_ensemble([*arguments, '--times', '3.3']) == 0
     ensemble = zarr.open_group(tmp_path / 'out' / 'motion.zarr', mode='r')
     rows = [0, 2, 4, 6, 8, 10, 12, 14, 17]
@@ -164,7 +164,7 @@ def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
 def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, kind):
     found = results_of(np.linspace(0.0, 1.0, 900) ** (9 if kind == 'logx' else 1), failures={
         '<b>': 7}, rank_correlation={'a': 0.5, 'b': -0.75})
-    made = summary.report_of(found, 'name', str)
+    made = report.report_of(found, 'name', str)
     panel, = made.panels
     curves, = panel.curves
     assert panel.kind == kind

@@ -44,7 +44,7 @@ FINAL = 'final'
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rigid_body_ros.ensemble import driver, summary, worst
+    from rigid_body_ros.ensemble import driver, report, summary, worst
     from rigid_body_ros.ensemble.lock import opened
     requirements = _requirements(options)
     with checked(options) as outputs:
@@ -59,12 +59,12 @@ def _run(options: argparse.Namespace) -> int:
             worst.write(folder.path / worst.FOLDER, ensemble, scene, {
                 one['run'] for each in found.get('requirements', ()) for one in each['worst']})
             replay = partial(worst.command, ensemble)
-            report = summary.report_of(found, Path(options.recording or options.scene).name,
-                                       partial(replay, folder.path.name))
-            _draw(options, folder.picture, report)
+            shown = report.report_of(found, Path(options.recording or options.scene).name,
+                                     partial(replay, folder.path.name))
+            _draw(options, folder.picture, shown)
             folder.finish({**identity, **found})
-            outputs.write_asked(scene, lambda: report)
-    outputs.show(summary.text_of(found, partial(replay, options.output)), 17,
+            outputs.write_asked(scene, lambda: shown)
+    outputs.show(report.text_of(found, partial(replay, options.output)), 17,
                  [options.output, *outputs.names])
     if found['failed'] == found['runs']:
         raise InputError(f'{options.output}: expected runs that can be computed, found that all '

@@ -12,13 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Judge requirements on the final states, and summarize the results as text and as a report."""
+"""Summarize the runs of a complete ensemble: distributions, requirements, and what matters."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import zip_longest
 import math
 import operator
 import re
@@ -27,27 +29,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted
-from rigid_body_ros.ensemble import distributions
+from rigid_body_ros.common.errors import CUT, InputError, quoted
 from rigid_body_ros.ensemble.folder import Folder
+from rigid_body_ros.ensemble.motions import Motions
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
-from rigid_body_ros.report.charts import Curves, Panel
-from rigid_body_ros.report.report import Markup, Report, table
-from rigid_body_ros.report.text import lines
+from rigid_body_ros.mechanics import so3
 
-#: Maximum number of parameters to list in the text.
-_PRINTED = 5
-#: An R^2 may be due to chance if it is smaller than this number divided by the number of runs.
-_CHANCE = 10.0
-#: `_WIDTH` is the length of a bar for a rank correlation or R^2 of 1. `_HEIGHT` is the height of
-#: all bars. Both are in units of the drawing.
-_WIDTH, _HEIGHT = 100.0, 10.0
-
-#: For each band in the plot over time: the lower and upper percentile, the name and the style.
-_BANDS = ((5, 95, '5 % to 95 %', 'band'), (25, 75, '25 % to 75 %', 'band'),
-          (50, 50, 'median', 'line'))
-#: The percentiles to mark in a histogram, and their names.
-_MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
+#: The percentiles of the final states that are reported, and those of the angles over time.
+PERCENTILES, _BANDS = (1, 5, 25, 50, 75, 95, 99, 100), (5, 25, 50, 75, 95)
+#: Maximum number of bars in a histogram.
+_BARS = 60
+#: The axis is logarithmic if the 99th percentile exceeds the 5th by more than this factor.
+_DECADES = 100.0
+#: Maximum number of points in time for which percentiles are computed. A picture needs no more.
+_TIMES = 500
+#: Maximum number of angles to hold in memory, at 8 bytes each. If an ensemble has more runs than
+#: this, each pass through the motions covers only one point in time.
+_KEPT = 2 ** 24
+#: The effects are computed from at most this many runs, beginning with the first run.
+_SAMPLE = 100_000
+#: A term of the quadratic is ignored as a rounding error if its mean square is below this fraction
+#: of the square of the largest deviation.
+_ROUNDING = 1e-20
+#: A number, unless it is part of a word or of a unit such as 'kg m^2'.
+_NUMBER = re.compile(r'(?<![\w^.])[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan)(?![\w^])')
+#: The placeholder for a number that differs between messages, and a pattern that matches a list of
+#: placeholders.
+_OTHER = '...'
+_OTHERS = re.compile(r'\.\.\.(, \.\.\.)+')
 #: The quantities that a requirement can limit, and their units.
 UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
 #: How many of the worst runs are reported.
@@ -83,10 +92,10 @@ class Requirement:
     @classmethod
     def read(cls, text: str) -> Requirement:
         """Parse a requirement such as 'rate < 0.05'; raise InputError if the text is invalid."""
-        found = _EXPRESSION.fullmatch(text)
+        match = _EXPRESSION.fullmatch(text)
         with suppress(ValueError):
-            if found and found[1] in UNITS and math.isfinite(limit := float(found[3])):
-                return cls(found[1], found[2], limit)
+            if match and match[1] in UNITS and math.isfinite(limit := float(match[3])):
+                return cls(match[1], match[2], limit)
         raise InputError(f'expected one of {", ".join(UNITS)}, then <, <=, > or >=, and a '
                          f"number, such as 'rate < 0.05', found {quoted(text)}")
 
@@ -107,16 +116,16 @@ class Requirement:
             'effects' says how much each parameter affects the quantity.
 
         """
-        numbers = distributions.final(folder, self.quantity)
+        numbers = final(folder, self.quantity)
         with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
             met = int(_RELATIONS[self.relation](numbers, self.limit).sum())
-        values, bars = distributions.distribution(numbers)
+        values, bars = distribution(numbers)
         return {'require': str(self), 'unit': UNITS[self.quantity], 'met': met,
                 'share': met / folder.runs, 'interval_95': interval(met, folder.runs),
                 'percentiles': values,
                 'histogram': bars and {'edges': bars['edges_rad'], 'runs': bars['runs']},
                 'worst': self._worst(numbers),
-                'effects': distributions.effects(ensemble, folder, numbers)}
+                'effects': effects(ensemble, folder, numbers)}
 
     def _worst(self, numbers: Floats) -> list[dict[str, Any]]:
         """
@@ -149,15 +158,16 @@ def summarized(ensemble: Ensemble, folder: Folder,
     """
     angles = folder.numbers(ANGLE)
     succeeded = int(np.isfinite(angles).sum())
-    found, bars = distributions.distribution(angles)
+    values, bars = distribution(angles)
     results = {'runs': folder.runs, 'failed': folder.runs - succeeded,
-               'failures': distributions.causes(folder.messages()),
-               'angle_from_nominal_rad': found, 'histogram': bars}
+               'failures': causes(folder.messages()),
+               'angle_from_nominal_rad': values, 'histogram': bars}
     if succeeded and folder.motions:
-        results['bands'] = distributions.bands(folder.motions, ensemble.nominal_motion, succeeded)
-    results['rank_correlation'] = distributions.correlations(ensemble, folder, angles)
+        results['bands'] = bands(folder.motions, ensemble.nominal_motion, succeeded)
+    results['rank_correlation'] = correlations(ensemble, folder, angles)
     if requirements:
-        results['requirements'] = [one.judged(ensemble, folder) for one in requirements]
+        results['requirements'] = [requirement.judged(ensemble, folder)
+                                   for requirement in requirements]
     return results
 
 
@@ -168,158 +178,231 @@ def interval(met: int, runs: int) -> list[float]:
             float(betaincinv(met + 1, runs - met, 1.0 - _TAIL)) if met < runs else 1.0]
 
 
-def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
+def distribution(numbers: Floats) -> tuple[dict[str, float], dict[str, Any]]:
     """
-    Return the results as text to print in a terminal.
+    Return percentiles and a histogram of numbers, as JSON types.
 
     Parameters
     ----------
-    found : mapping
-        The results that `summarized` returns.
-    replay : function
-        A function that takes a run number and returns the command that recomputes this run.
+    numbers : array, shape (n,)
+        The number of each run, NaN in failed runs.
+
+    Returns
+    -------
+    percentiles : dict
+        The percentiles 'p1', 'p5', and so on. Empty if all runs failed.
+    histogram : dict
+        The result of `histogram`. Empty if all runs failed.
 
     """
-    shown, requirements = rows(found), found.get('requirements', ())
-    if not requirements:  # otherwise, the rows of each requirement list the effects
-        shown += _named('depends on', [f'{name} (rank correlation {value:.2f})'
-                                       for name, value in strongest(found['rank_correlation'])])
-    for one in requirements:
-        shown += required(one) + _named('worst', [
-            f'run {worst["run"]}, {worst["value"]:.3g} {one["unit"]}: {replay(worst["run"])}'
-            for worst in one['worst']])
-        shown += _named('depends on', [f'{name} (R^2 {value:.2f})'
-                                       for name, value in strongest(one['effects'])
-                                       if value * found['runs'] > _CHANCE])
-    return lines(f'{name:17}{text}' for name, text in shown)
+    numbers = numbers[np.isfinite(numbers)]
+    if not numbers.size:
+        return {}, {}
+    values = dict(zip([f'p{k}' for k in PERCENTILES], percentiles(numbers, PERCENTILES).tolist()))
+    return values, histogram(numbers, values)
 
 
-def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return rows of the form (name, text) that say how well the runs meet a requirement."""
-    low, high = (f'{100.0 * limit:.3g}' for limit in found['interval_95'])
-    quantity, unit = found['require'].split()[0], found['unit']
-    facts = [('required', f'{found["require"]} {unit}: met by {100.0 * found["share"]:.3g} % of '
-              f'the runs (95 % interval {low} % to {high} %)')]
-    if found['percentiles']:
-        facts.append(('', f'{quantity} at the end: {_spread(found["percentiles"], unit)}'))
-    return facts
-
-
-def _named(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the first few texts as rows (name, text), of which only the first has a name."""
-    return [*zip([name, *[''] * _PRINTED], texts[:_PRINTED])]
-
-
-def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return rows of the form (name, text) on the number of runs, the failures and the angles."""
-    facts = [('runs', str(found['runs'])),
-             *(('failed', f'{count}: {cause}') for cause, count in found['failures'].items())]
-    if angles := found['angle_from_nominal_rad']:
-        facts.append(('from nominal end', _spread(angles, 'rad')))
-    return facts
-
-
-def _spread(percentiles: Mapping[str, float], unit: str) -> str:
-    median, most, largest = (f'{percentiles[name]:.3g} {unit}' for name in ('p50', 'p95', 'p100'))
-    return f'median {median}, 95 % below {most}, largest {largest}'
-
-
-def strongest(found: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Return pairs of names and numbers, beginning with the number of largest magnitude."""
-    return sorted(found.items(), key=lambda item: -abs(item[1]))
-
-
-def report_of(found: Mapping[str, Any], name: str, replay: Callable[[int], str]) -> Report:
+def percentiles(numbers: Floats, wanted: Sequence[int]) -> Floats:
     """
-    Return the report of an ensemble.
+    Return percentiles of some numbers, as `numpy.percentile` does with method='inverted_cdf'.
+
+    NumPy has supported this method since version 1.22, but `numpy.percentile` is several times
+    slower than this function.
 
     Parameters
     ----------
-    found : mapping
-        The results, as in summary.json.
-    name : str
-        Name of the recording, or of the scene.
-    replay : function
-        A function that takes a run number and returns the command that recomputes this run.
+    numbers : array, shape (..., n)
+        The numbers. The last axis must have at least one element. The array is sorted in place
+        along this axis.
+    wanted : sequence of int
+        The percentiles to compute, from 1 to 100.
+
+    Returns
+    -------
+    array, shape (..., len(wanted))
+        For each percentile k, the smallest number x in the array such that at least k percent of
+        the numbers are less than or equal to x.
 
     """
-    requirements = found.get('requirements', ())
-    facts = [*rows(found), *(fact for one in requirements for fact in required(one))]
-    tables = [part for one in requirements for part in _tables(one, replay)]
-    angle = f'parameter: {ANGLE}' if requirements else 'parameter'
-    tables += _bars(angle, 'rank correlation', strongest(found['rank_correlation']))
-    return Report(f'{name}: {found["runs"]} runs', _headline(found), facts, [*panels_of(found)],
-                  table=''.join(tables))
+    ranks = [-(-k * numbers.shape[-1] // 100) - 1 for k in wanted]
+    numbers.sort(axis=-1)
+    return numbers[..., ranks]
 
 
-def _headline(found: Mapping[str, Any]) -> str:
+def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any]:
     """
-    Return a headline that tells how many runs meet each requirement.
+    Return a histogram of angles, as JSON types.
 
-    If there are no requirements, the headline gives the final angles from the nominal attitude.
+    Parameters
+    ----------
+    angles : array, shape (n,), rad
+        The angle of each run. There must be at least one.
+    percentiles : mapping
+        The percentiles 'p1', 'p5', 'p99' and 'p100' of the angles, rad.
+
+    Returns
+    -------
+    dict
+        'edges_rad', shape (m + 1,), contains the edges of the intervals, and 'runs', shape (m,),
+        the number of runs in each interval. Normally, the intervals have equal widths and range
+        from 0 to the largest angle. If the angles span several decades, the intervals instead have
+        equal widths on a logarithmic axis. The first of these intervals begins at a tenth of the
+        first percentile or at the smallest angle, whichever is larger, and also counts all smaller
+        angles.
+
     """
-    runs, angles = found['runs'], found['angle_from_nominal_rad']
-    said = [f'{100.0 * one["share"]:.3g} % of {runs} runs meet {one["require"]} {one["unit"]}'
-            for one in found.get('requirements', ())]
-    if not said and angles:
-        said = [f'half of {runs - found["failed"]} runs end within {angles["p50"]:.3g} rad of the '
-                f'nominal attitude, 95 % within {angles["p95"]:.3g} rad']
-    if found['failed']:
-        said.append(f'{found["failed"]} of {runs} runs failed')
-    return '; '.join(said)
+    bars = min(math.isqrt(angles.size), _BARS)
+    largest = max(percentiles['p100'], float(np.finfo(float).tiny))
+    if percentiles['p1'] > 0.0 and _DECADES * percentiles['p5'] < percentiles['p99']:
+        edges = np.geomspace(max(0.1 * percentiles['p1'], angles.min()), largest, bars + 1)
+    else:
+        edges = np.linspace(0.0, largest, bars + 1)
+    counts, _ = np.histogram(np.maximum(angles, edges[0]), edges)
+    return {'edges_rad': edges.tolist(), 'runs': counts.tolist()}
 
 
-def _tables(one: Mapping[str, Any], replay: Callable[[int], str]) -> Iterator[str]:
+def bands(motions: Motions, nominal: Floats, runs: int) -> dict[str, Any]:
     """
-    Generate two tables for a requirement.
+    Return percentiles of the angle between the attitude of a run and the nominal attitude.
 
-    The first table shows the effects of the parameters, and the second the worst runs.
+    Parameters
+    ----------
+    motions : Motions
+        The motions of all runs.
+    nominal : array, shape (m, 7)
+        The nominal motion at the same times.
+    runs : int
+        Number of runs that did not fail, at least one.
+
+    Returns
+    -------
+    dict
+        The percentiles as JSON types. 'times_s' contains some of the times of the motions,
+        including the first and the last. For each percentile k, 'pk_rad' contains the percentile
+        at each of these times.
+
     """
-    yield from _bars(f'parameter: {one["require"]}', 'explains (R²)', strongest(one['effects']))
-    worst = [(str(each['run']), f'{each["value"]:.3g} {one["unit"]}', replay(each['run']))
-             for each in one['worst']]
-    if worst:
-        yield table((f'worst run: {one["require"]}', 'at the end', 'computed again by'), worst)
+    rows = np.unique(np.linspace(0, len(motions.times) - 1, _TIMES).astype(int))
+    passes = math.ceil(len(rows) / max(_KEPT // runs, 1))
+    angles = np.concatenate([percentiles(_angles(motions, nominal, some, runs), _BANDS)
+                             for some in np.array_split(rows, passes)])
+    return {'times_s': motions.times[rows].tolist(),
+            **{f'p{k}_rad': column.tolist() for k, column in zip(_BANDS, angles.T)}}
 
 
-def _bars(name: str, number: str, found: Sequence[tuple[str, float]]) -> Iterator[str]:
-    cells = [(key, f'{round(value, 2) + 0.0:.2f}', _bar(value)) for key, value in found]
-    if cells:
-        yield table((name, number, ''), cells)
+def _angles(motions: Motions, nominal: Floats, rows: NDArray[np.int64], runs: int) -> Floats:
+    """
+    Return the angles from the nominal motion at some times, shape (times, runs).
+
+    Only the runs that did not fail are included.
+    """
+    angles, end = np.empty((len(rows), runs)), 0
+    for chunk in motions.chunks():
+        attitudes = chunk[np.isfinite(chunk[:, 0, 0])][:, rows, :4]
+        first, end = end, end + len(attitudes)
+        angles[:, first:end] = so3.angle_between(attitudes, nominal[rows, :4]).T
+    return angles
 
 
-def panels_of(found: Mapping[str, Any]) -> Iterator[Panel]:
-    """Generate the panels of the results: angles over time, and histograms."""
-    histogram, bands = found['histogram'], found.get('bands')
-    if bands:
-        angles = {k: np.array(bands[f'p{k}_rad'])[:, None] for k in (5, 25, 50, 75, 95)}
-        yield Panel('angle from the nominal attitude', 'rad', [
-            Curves(np.array(bands['times_s']), angles[low], angles[high], [name], style=style)
-            for low, high, name, style in _BANDS],
-            kind='log' if histogram['edges_rad'][0] > 0.0 else 'linear')
-    if histogram:
-        yield _bins(histogram['edges_rad'], histogram['runs'], found['angle_from_nominal_rad'],
-                    'angle from the nominal final attitude', 'rad')
-    for one in found.get('requirements', ()):
-        quantity, _, limit = one['require'].split()
-        if one['histogram']:
-            panel = _bins(**one['histogram'], percentiles=one['percentiles'],
-                          label=f'{quantity} at the end', unit=one['unit'])
-            yield replace(panel, lines={**panel.lines, 'limit': float(limit)})
+def final(folder: Folder, quantity: str) -> Floats:
+    """Return the final value of a quantity in each run. The values of failed runs are NaN."""
+    def columns(name: str, axes: str) -> Floats:
+        return np.stack([folder.numbers(f'{name}.{axis}') for axis in axes], axis=-1)
+    if quantity == ANGLE:
+        return folder.numbers(ANGLE)
+    if quantity == 'rate':
+        return np.asarray(np.sqrt((columns('angular_velocity', 'xyz') ** 2).sum(axis=-1)))
+    with np.errstate(invalid='ignore'):
+        return np.asarray(so3.angle_between(columns('attitude', 'xyzw'), [0.0, 0.0, 0.0, 1.0]))
 
 
-def _bins(edges: Sequence[float], runs: Sequence[int], percentiles: Mapping[str, float],
-          label: str, unit: str) -> Panel:
-    counts = np.array([*runs, 0], float)[:, None]
-    return Panel(f'runs by {label}', '', [Curves(np.array(edges), 0.0 * counts, counts, ['runs'],
-                                                 step=True, style='band')],
-                 f'{label} ({unit})', 'logx' if edges[0] > 0.0 else 'linear',
-                 {name: percentiles[key] for key, name in _MARKED})
+def correlations(ensemble: Ensemble, folder: Folder, angles: Floats) -> dict[str, float]:
+    """
+    Return the rank correlation between the deviation of each parameter and the final angle.
+
+    The final angle, in `angles` for each run, is the angle between the final attitude and the
+    nominal final attitude. This angle is correlated with the absolute deviation of the parameter
+    from its nominal value.
+    """
+    from scipy.stats import spearmanr  # slow to import
+    return {name: float(spearmanr(*columns)[0])
+            for name, *columns in _varied(ensemble, folder, angles, np.abs)}
 
 
-def _bar(correlation: float) -> Markup:
-    """Draw a bar for a rank correlation or an R^2. Negative values have a different colour."""
-    colour = 'c1' if correlation < 0.0 else 'c0'
-    return Markup(f'<svg class="share" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" aria-hidden="true">'
-                  f'<rect class="bar {colour}" width="{_WIDTH * abs(correlation):.1f}" '
-                  f'height="{_HEIGHT:g}"/></svg>')
+def effects(ensemble: Ensemble, folder: Folder, numbers: Floats) -> dict[str, float]:
+    """
+    Return the fraction of the variance of a quantity that each parameter explains.
+
+    `numbers` contains the quantity in each run. The fraction is the adjusted R^2 of a quadratic in
+    the parameter, fitted to the ranks of the quantity. The fraction shows effects that change sign
+    with the deviation, such as the effect of a gain on a final rate. The fraction also shows
+    effects that depend only on the size of the deviation, such as the effect of an initial rate
+    that varies about zero. A rank correlation with the deviation would miss effects of this second
+    kind.
+    """
+    return {name: _explained(*columns)
+            for name, *columns in _varied(ensemble, folder, numbers, np.asarray)}
+
+
+def causes(messages: Iterable[str]) -> dict[str, int]:
+    """
+    Return the number of messages for each cause, in the order in which the causes first occur.
+
+    A cause is the common text of its messages, with '...' in place of numbers that differ.
+    """
+    counts, common = Counter[str](), dict[str, list[str]]()
+    for message in messages:
+        text = message.partition(CUT)[0]  # if a message was shortened, keep only its beginning
+        pattern, numbers = _NUMBER.sub('\0', text), _NUMBER.findall(text)
+        counts[pattern] += 1
+        common[pattern] = [number if number == before else _OTHER for number, before in
+                           zip(numbers, common.get(pattern, numbers))]
+    merged = Counter[str]()  # causes that differ only in the length of a list of numbers are one
+    for pattern, count in counts.items():
+        pieces = zip_longest(pattern.split('\0'), common[pattern], fillvalue='')
+        merged[_OTHERS.sub(_OTHER, ''.join(text + number for text, number in pieces))] += count
+    return dict(merged)
+
+
+def _varied(ensemble: Ensemble, folder: Folder, numbers: Floats,
+            measure: Callable[[Floats], Floats]) -> Iterator[tuple[str, Floats, Floats]]:
+    """
+    Generate the name of each parameter that varies, its measured deviations, and the numbers.
+
+    Both arrays have one element for each of the first runs that did not fail.
+    """
+    numbers = numbers[:_SAMPLE]
+    for name, deviation in _deviations(ensemble, folder):
+        succeeded = np.isfinite(numbers) & np.isfinite(deviation)
+        columns = measure(deviation[succeeded]), numbers[succeeded]
+        if succeeded.sum() > 3 and all(np.ptp(column) > 0.0 for column in columns):
+            yield name, *columns
+
+
+def _explained(deviation: Floats, numbers: Floats) -> float:
+    from scipy.stats import rankdata  # slow to import
+    ranks = rankdata(numbers) - 0.5 * (1.0 + len(numbers))
+    linear = deviation - deviation.mean()
+    linear /= np.abs(linear).max()
+    square = linear ** 2 - (linear ** 2).mean()
+    square -= linear * ((square * linear).sum() / (linear ** 2).sum())
+    share = sum(float((term * ranks).sum() ** 2 / ((term ** 2).sum() * (ranks ** 2).sum()))
+                for term in (linear, square) if (term ** 2).sum() > _ROUNDING * len(ranks))
+    return max(1.0 - (1.0 - share) * (len(ranks) - 1) / (len(ranks) - 3), 0.0)
+
+
+def _deviations(ensemble: Ensemble, folder: Folder) -> Iterator[tuple[str, Floats]]:
+    """
+    Generate the name of each parameter, with its deviations from the nominal value.
+
+    The deviations are an array with one number for each run.
+    """
+    nominal = ensemble.nominal
+    attitude = [f'initial_attitude.{axis}' for axis in 'xyzw']
+    tilted = np.stack([folder.numbers(name, _SAMPLE) for name in attitude], axis=-1)
+    with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
+        yield 'initial_attitude', np.asarray(
+            so3.angle_between(tilted, [nominal[name] for name in attitude]))
+    for name in ensemble.columns:
+        if name in nominal and name not in attitude:
+            yield name, folder.numbers(name, _SAMPLE) - nominal[name]
