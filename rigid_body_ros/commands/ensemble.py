@@ -54,7 +54,7 @@ def _run(options: argparse.Namespace) -> int:
         with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
                     note=partial(note, options)) as folder:
             driver.compute(ensemble, folder, _pool(options), progress(
-                'runs', ' runs', driver.runs_of))
+                'runs', ' runs', lambda rows: len(rows['run'])))
             found = summary.summarized(ensemble, folder, requirements)
             worst.write(folder.path / worst.FOLDER, ensemble, scene, {
                 one['run'] for each in found.get('requirements', ()) for one in each['worst']})

@@ -37,8 +37,6 @@ if TYPE_CHECKING:  # never imported at run time, so that workers need neither Pa
     from rigid_body_ros.ensemble.folder import Folder
     from rigid_body_ros.runtime.terminal import Track
 
-#: A block: its first run, the run after its last run, and its rows.
-Block = tuple[int, int, Columns]
 #: A context manager that yields the workers to compute with.
 Pool = AbstractContextManager[Workers]
 
@@ -52,7 +50,7 @@ def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[st
     controller, fitted, problem = ensemble.controller, ensemble.fitted, ensemble.problem
     varied = {'vary': dict(fitted.estimates), 'covariance': _hash(
         fitted.covariance.tobytes() + fitted.guess_attitude.tobytes())} if fitted else {
-            'vary': [asdict(one) for one in ensemble.dispersions]}
+            'vary': [*map(asdict, ensemble.dispersions)]}
     # Convert to JSON and back, so that the result can be compared with the content of a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **varied,
@@ -91,15 +89,10 @@ def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> Non
     spans = folder.missing(_IN_LOOP if ensemble.controller else None)
     if spans:
         with pool as workers:
-            blocks = workers.results(partial(_block, ensemble), _divided(spans, workers), _died)
-            for block in track(blocks, sum(stop - first for first, stop in spans)):
-                folder.add(*block)
+            blocks = workers.results(partial(_rows, ensemble), _divided(spans, workers), _died)
+            for rows in track(blocks, sum(stop - first for first, stop in spans)):
+                folder.add(rows)
     folder.complete()
-
-
-def runs_of(block: Block) -> int:
-    """Return the number of runs in a block."""
-    return block[1] - block[0]
 
 
 def _hash(data: bytes) -> str:
@@ -111,8 +104,8 @@ def _died(span: Span, error: WorkerError) -> NoReturn:
                      'command again to compute what is missing') from error
 
 
-def _block(ensemble: Ensemble, span: Span) -> Block:
-    return *span, ensemble.rows(*span)
+def _rows(ensemble: Ensemble, span: Span) -> Columns:
+    return ensemble.rows(*span)
 
 
 def _divided(spans: Sequence[Span], workers: Workers) -> Iterator[Span]:

@@ -140,17 +140,16 @@ class Folder:
         return [(first, min(first + longest, end)) for begin, end in gaps
                 for first in range(begin, end, longest)]
 
-    def add(self, first: int, stop: int, rows: Mapping[str, NDArray[Any]]) -> None:
+    def add(self, rows: Mapping[str, NDArray[Any]]) -> None:
         """
         Add a block to the folder: write its motions first, and then its rows.
 
         Parameters
         ----------
-        first, stop : int
-            The first run, and the run after the last one.
         rows : mapping
-            An array of shape (n,) for each column, with NaN in place of missing numbers. If the
-            folder keeps states, `rows` must also contain 'motion', an array of shape (n, m, 7).
+            The rows of consecutive runs: an array of shape (n,) for each column, with NaN in place
+            of missing numbers. If the folder keeps states, `rows` must also contain 'motion', an
+            array of shape (n, m, 7).
 
         Raises
         ------
@@ -158,6 +157,7 @@ class Folder:
             The file cannot be written.
 
         """
+        span = first, _ = int(rows['run'][0]), int(rows['run'][-1]) + 1
         if self.motions:
             self.motions.write(first, rows[MOTION])
         table = arrow.Table.from_arrays(
@@ -166,10 +166,10 @@ class Folder:
         buffer = io.BytesIO()
         parquet.write_table(table, buffer, use_dictionary=_REPEATED)
         data = buffer.getvalue()
-        path = self.path / 'blocks' / self._name((first, stop), data, rows.get(MOTION))
+        path = self.path / 'blocks' / self._name(span, data, rows.get(MOTION))
         with files.atomic_output(path, '.parquet') as temporary:
             temporary.write_bytes(data)
-        self._blocks[first, stop] = path
+        self._blocks[span] = path
 
     def complete(self) -> None:
         """
@@ -228,14 +228,14 @@ class Folder:
         if not record.exists():
             return 0
         try:
-            known = json.loads(record.read_text(encoding='utf-8'))
-            runs = int(known['runs'])
+            before = json.loads(record.read_text(encoding='utf-8'))
+            runs = int(before['runs'])
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f'{record}: cannot read the ensemble: {reason(error)}') from error
         for name, value in identity.items():
-            if known.get(name) != value:
+            if before.get(name) != value:
                 raise InputError(f'{self.path}: expected the {name} of its runs, '
-                                 f'{quoted(known.get(name))}, found {quoted(value)}; choose '
+                                 f'{quoted(before.get(name))}, found {quoted(value)}; choose '
                                  'another folder')
         if runs > self.runs:
             raise InputError(f'{self.path}: expected at least the {runs} runs that it was begun '
@@ -304,9 +304,9 @@ class Folder:
             return path.name == self._name(span, path.read_bytes(), motions)
 
     def _name(self, span: Span, data: bytes, motions: Floats | None) -> str:
-        digests = [self._digest(span, each)
-                   for each in (data, *([] if motions is None else [motions.tobytes()]))]
-        return f'{span[0]:09d}-{span[1]:09d}-{"-".join(digests)}.parquet'
+        parts = [data] if motions is None else [data, motions.tobytes()]
+        digests = '-'.join(self._digest(span, part) for part in parts)
+        return f'{span[0]:09d}-{span[1]:09d}-{digests}.parquet'
 
     def _digest(self, span: Span, data: bytes) -> str:
         digest = hashlib.sha256(f'{self._identity}\n{span}\n'.encode())
