@@ -34,8 +34,7 @@ from rigid_body_ros.commands.regress import attitude_regress
 from rigid_body_ros.commands.replay import attitude_replay
 from rigid_body_ros.commands.tradeoff import attitude_tradeoff
 from rigid_body_ros.runtime.parameters import limits
-from rigid_body_ros.scene import fields
-from rigid_body_ros.scene.parameters import WHEEL_NAMES, wheel_parameters
+from rigid_body_ros.scene.parameters import NAMED, of_names
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 INERTIA = 'geometry_msgs/msg/InertiaStamped'
@@ -420,8 +419,7 @@ def commands():
 
 def parameters():
     """Return all parameters; those of a field or wheel follow the parameter with its name."""
-    named = {fields.FIELDS: fields.of_names(['NAME']),
-             WHEEL_NAMES: wheel_parameters(['NAME'])}
+    named = {key: of_names(key, ['NAME']) for key in NAMED}
     return [one for parameter in scene.PARAMETERS.values() for one in (
         parameter, *named.get(parameter.name, {}).values())]
 

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import scene, State
 from rigid_body_ros.scene import InputError, Scene
-from rigid_body_ros.scene.fields import at_start
+from rigid_body_ros.scene.parts import at_start
 from robots import robot
 
 INERTIA = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}

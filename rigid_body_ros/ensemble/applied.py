@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.scene.fields import values_of, with_values
+from rigid_body_ros.scene.parts import values_of, with_values
 
 
 @dataclass(frozen=True, eq=False)

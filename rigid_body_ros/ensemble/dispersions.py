@@ -39,7 +39,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import BIG, described, entries, number, resembled
 from rigid_body_ros.scene import PARAMETERS
-from rigid_body_ros.scene.fields import of_names, ORBIT
+from rigid_body_ros.scene.parameters import FIELDS, of_names
 from rigid_body_ros.scene.quantities import (
     along,
     components_of,
@@ -63,7 +63,7 @@ def units_of(*groups: str) -> dict[str, str]:
 #: The keys that can have a normal or a uniform distribution, and their units. The keys of fields
 #: are not included.
 UNITS = {**units_of('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
-                    ORBIT),
+                    'orbit'),
          **{name: quantity_of(name).unit
             for name in ('torque_gain', *along('torque_bias'), 'clock_offset')}}
 #: Keys for which each run draws three numbers. For `NOISE`, a run draws three numbers for each
@@ -279,7 +279,7 @@ def normals(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
 def units_with(fields: Iterable[str]) -> dict[str, str]:
     """Return `UNITS` together with the keys and units of the uniform fields with these names."""
     return {**UNITS, **{name: parameter.unit
-                        for name, parameter in of_names(fields).items()}}
+                        for name, parameter in of_names(FIELDS, fields).items()}}
 
 
 def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]:

@@ -50,7 +50,7 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.propagation.many import LogsOfRuns
 from rigid_body_ros.runtime import interrupts
-from rigid_body_ros.scene.fields import ORBIT, values_of
+from rigid_body_ros.scene.parts import values_of
 
 _START = units_of('inertia', 'initial_attitude', 'initial_angular_velocity')
 ANGLE, MOTION = 'angle_from_nominal', 'motion'
@@ -124,7 +124,7 @@ class Ensemble:
             if dispersion.relative and self.nominal.get(key) == 0.0:
                 raise InputError(f'{key}: relative: expected a nominal value other than 0')
         for key in self.keys:
-            if key.startswith(f'{ORBIT}.') and key not in self.nominal:
+            if key.startswith('orbit.') and key not in self.nominal:
                 raise InputError(f'{key}: expected a scene with an orbit, found none')
             if (key in ('torque_gain', NOISE) and not (self.problem.logs or self.controller)) \
                     or (key == 'clock_offset'

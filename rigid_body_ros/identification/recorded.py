@@ -33,7 +33,8 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.observed import Measurements, read_observed
 from rigid_body_ros.recording.selection import Reading
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.scene.fields import FIELDS, values_of
+from rigid_body_ros.scene.parameters import FIELDS
+from rigid_body_ros.scene.parts import values_of
 from rigid_body_ros.scene.quantities import QUANTITIES, split_topic, WEIGHT
 from rigid_body_ros.scene.scene import text_of
 

@@ -41,8 +41,8 @@ from rigid_body_ros.runtime.parameters import checked as checked_value
 from rigid_body_ros.runtime.parameters import Parameter as SceneParameter
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene import PARAMETERS, Scene
-from rigid_body_ros.scene.fields import at_start, FIELDS
-from rigid_body_ros.scene.parameters import checked_names, parameters_with, QOS, WHEEL_NAMES
+from rigid_body_ros.scene.parameters import checked_names, NAMED, parameters_with, QOS
+from rigid_body_ros.scene.parts import at_start
 
 _RATE = 'publish_rate'
 #: The names of QoS overrides for rclpy's own topics begin with `QOS`, followed by one of these
@@ -138,7 +138,7 @@ class NodeParameters:
         # A managed node has already declared its parameters, and the user may have changed them
         # since then.
         given = given_parameters(self._node)
-        for key in (FIELDS, WHEEL_NAMES):
+        for key in NAMED:
             if self._node.has_parameter(key):
                 given[key] = self._node.get_parameter(key).value
         declared = {name: self._node.get_parameter(name).value for name in _known(given)

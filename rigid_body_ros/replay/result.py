@@ -28,8 +28,8 @@ from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.check import Check, LastDigits
 from rigid_body_ros.replay.saturation import Saturation
 from rigid_body_ros.report.text import lines, numbers
-from rigid_body_ros.scene import fields, Scene
-from rigid_body_ros.scene.parameters import described_wheels
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.parts import described
 
 #: The effect of the last digits is reported if it exceeds this many times the rounding error.
 _REPORTED = 10.0
@@ -141,8 +141,7 @@ class Replay:
             ('interpolation', f'{self.interpolation} (attitude_tradeoff shows what another would '
                               'change)'),
             ('body', self.scene.body.symmetry),
-            *(('fields', text) for text in fields.described(self.scene.values)),
-            *(('wheels', text) for text in described_wheels(self.scene.values)),
+            *described(self.scene.values),
             *([('rotors', self.wheel_source)] if self.scene.has_rotors else []),
             *(('solver', text) for text in _solvers(self)),
             ('final state', f'{_span(self):.9g} s after the start'),

@@ -16,8 +16,9 @@
 Scenes: a body, its initial state and the options for a run, read from a ROS 2 parameter file.
 
 The node and the commands use the same table of parameters, so that a scene file means the same to
-all of them. The table is in `parameters`. The module `fields` contains the parameters for torques
-that depend on the attitude, and `scene` reads and checks scene files.
+all of them. The table is in `parameters`. The module `parts` creates the body, the fields, the
+wheels and the actuators from it, `scene` reads and checks scene files, and `quantities` is what
+scenes, fits and ensembles have in common.
 """
 
 from rigid_body_ros.scene.parameters import PARAMETERS

@@ -12,25 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The table of all scene parameters, and what the parameters of actuators and wheels describe."""
+"""The table of all scene parameters, including those of named fields and wheels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 import math
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-from rigid_body_ros.common.arrays import written
-from rigid_body_ros.common.errors import InputError, listed, located, quoted
-from rigid_body_ros.mechanics.actuator import Actuator
+from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
-from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
-from rigid_body_ros.scene import fields
-from rigid_body_ros.scene.quantities import QUANTITIES, RATE
+from rigid_body_ros.scene.quantities import FIELD, FIELD_MOMENT, MOMENT, QUANTITIES, RATE
 
 _BODY, _DRAG, _ROTORS = (QUANTITIES[name] for name in ('inertia', 'damping', 'rotor_momentum'))
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
@@ -42,47 +37,51 @@ TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 #: The names of the quantities that can stay the same when the inertia changes; see `BodyLog`.
 INERTIA_CHANGES = KEEP_RATE, KEEP_MOMENTUM = 'keep_rate', 'keep_momentum'
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
+#: The parameters that list the names of the uniform fields and of the wheels.
+FIELDS, WHEEL_NAMES = 'fields', 'wheel_names'
 
-_TOPICS, _DELAY, _LAG = 'actuator.topics', 'actuator.delay', 'actuator.time_constant'
-_LIMITS = tuple(f'actuator.limit.{axis}' for axis in 'xyz')
+
+def along(name: str, unit: str, text: str, largest: float = BIG,
+          default: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Parameter]:
+    """Return the parameters of the components of a vector or a quaternion."""
+    return [Parameter(f'{name}.{axis}', value, unit, text, (-largest, largest))
+            for axis, value in zip('xyzw', default)]
+
+
 ACTUATOR = (
-    Parameter(_TOPICS, [], '', 'the torque_topics that carry actuator commands; an actuator has a '
-              'delay, a limit and a lag'),
-    Parameter(_DELAY, 0.0, 's', 'time from the stamp of an actuator command until the command '
-              'takes effect', (0.0, LONGEST)),
-    Parameter(_LAG, 0.0, 's', 'time constant of the first-order lag with which the actuator '
-              'torque follows its command; 0 means no lag, and any other value must be at least '
-              '1e-9',
-              (0.0, LONGEST)),
-    *(Parameter(name, 0.0, 'N m', 'largest torque about this axis, in the axes (body or space) of '
-                'the command; larger commands are clipped; 0 means no limit', (0.0, BIG))
-      for name in _LIMITS),
+    Parameter('actuator.topics', [], '', 'the torque_topics that carry actuator commands; an '
+              'actuator has a delay, a limit and a lag'),
+    Parameter('actuator.delay', 0.0, 's', 'time from the stamp of an actuator command until the '
+              'command takes effect', (0.0, LONGEST)),
+    Parameter('actuator.time_constant', 0.0, 's', 'time constant of the first-order lag with '
+              'which the actuator torque follows its command; 0 means no lag, and any other value '
+              'must be at least 1e-9', (0.0, LONGEST)),
+    *(Parameter(f'actuator.limit.{axis}', 0.0, 'N m', 'largest torque about this axis, in the '
+                'axes (body or space) of the command; larger commands are clipped; 0 means no '
+                'limit', (0.0, BIG)) for axis in 'xyz'),
 )
-#: The parameter that lists the names of the wheels.
-WHEEL_NAMES = 'wheel_names'
-_WHEELS = (
-    Parameter(WHEEL_NAMES, [], '', 'names of the wheels, in the order in which outputs list their '
-              'speeds; each wheel has the parameters NAME.axis, NAME.inertia, NAME.initial_speed, '
-              'NAME.friction, NAME.max_torque and NAME.max_speed'),
-)
-_AXIS = 'axis'
-_INERTIA = Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, which is included in '
-                     'the inertia of the body', (TINY, BIG))
-_OTHERS = (
-    Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
-              (-1e9, 1e9)),
-    Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel: a torque equal to '
-              'friction times speed slows the wheel, and the opposite torque acts on the body',
-              (0.0, BIG)),
-    Parameter('max_torque', 0.0, 'N m', 'largest motor torque; larger commands are clipped to it; '
-              '0 means no limit', (0.0, BIG)),
-    Parameter('max_speed', 0.0, 'rad/s', 'at this speed or above, a command that would speed up '
-              'the wheel acts as zero; the node checks the speed only when the command takes '
-              'effect; 0 means no limit', (0.0, BIG)),
-)
-#: Matches the full names of all wheel parameters except the inertia, whether or not the wheel is
-#: listed in `wheel_names`.
-OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
+#: The parameters of each uniform field and of each wheel, whose names begin with the name of the
+#: field or wheel.
+NAMED = {
+    FIELDS: (
+        *along(MOMENT, FIELD_MOMENT.unit, 'moment on which the field acts, body axes; for a '
+               'weight, the mass times the vector from the pivot to the centre of mass'),
+        *along(FIELD, 'm/s^2 or T', 'the field, space axes')),
+    WHEEL_NAMES: (
+        *along('axis', '', 'wheel axis, in body axes; the length of this vector has no effect'),
+        Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, which is included in '
+                  'the inertia of the body', (TINY, BIG)),
+        Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
+                  (-1e9, 1e9)),
+        Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel: a torque equal to '
+                  'friction times speed slows the wheel, and the opposite torque acts on the body',
+                  (0.0, BIG)),
+        Parameter('max_torque', 0.0, 'N m', 'largest motor torque; larger commands are clipped to '
+                  'it; 0 means no limit', (0.0, BIG)),
+        Parameter('max_speed', 0.0, 'rad/s', 'at this speed or above, a command that would speed '
+                  'up the wheel acts as zero; the node checks the speed only when the command '
+                  'takes effect; 0 means no limit', (0.0, BIG))),
+}
 PARAMETERS = {parameter.name: parameter for parameter in (
     *(Parameter(name, None, _BODY.unit, _MOMENT, (TINY, BIG)) for name in _BODY.components[:3]),
     *(Parameter(name, 0.0, _BODY.unit, _PRODUCT, (-BIG, BIG)) for name in _BODY.components[3:]),
@@ -92,14 +91,13 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'weld links to it; if empty, the root of the only body that has an inertia'),
     *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (0.0, BIG)) for name in _DRAG.components[:3]),
     *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (-BIG, BIG)) for name in _DRAG.components[3:]),
-    *fields.along('initial_attitude', '', 'initial attitude quaternion, body to space',
-                  default=(0.0, 0.0, 0.0, 1.0)),
-    *fields.along('initial_angular_velocity', RATE.unit, 'initial angular velocity, body axes',
-                  1e9),
+    *along('initial_attitude', '', 'initial attitude quaternion, body to space',
+           default=(0.0, 0.0, 0.0, 1.0)),
+    *along('initial_angular_velocity', RATE.unit, 'initial angular velocity, body axes', 1e9),
     Parameter('plausible_speed', 10.0, 'rad/s', 'initial angular speed above which the node and '
               'the commands warn that the numbers may be degrees per second', (0.0, 1e10)),
-    *fields.along('initial_rotor_momentum', _ROTORS.unit, 'initial momentum of the rotors '
-                  'relative to the body, body axes'),
+    *along('initial_rotor_momentum', _ROTORS.unit, 'initial momentum of the rotors relative to '
+           'the body, body axes'),
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0 means the stamp of the first '
               'torque (replay, lockstep) or the first valid clock reading (realtime); a running '
               'node reports the actual time in this parameter', (0, 2 ** 31 * 10 ** 9 - 1)),
@@ -107,9 +105,20 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'the torques from all of them'),
     Parameter('wheels', False, '', 'whether the body has motor-driven rotors, which are described '
               'by their total momentum'),
-    *_WHEELS,
+    Parameter(WHEEL_NAMES, [], '', 'names of the wheels, in the order in which outputs list their '
+              'speeds; each wheel has the parameters NAME.axis, NAME.inertia, NAME.initial_speed, '
+              'NAME.friction, NAME.max_torque and NAME.max_speed'),
     *ACTUATOR,
-    *fields.PARAMETERS,
+    Parameter(FIELDS, [], '', 'names of uniform fields; each field has the parameters NAME.moment '
+              'and NAME.field, and exerts the torque NAME.moment x NAME.field (cross product) on '
+              'the body'),
+    Parameter('orbit.mean_motion', 0.0, 'rad/s', 'mean motion of a circular orbit, in which the '
+              'gravity gradient exerts a torque on the body; 0 means no orbit', (0.0, BIG)),
+    *along('orbit.position', '', 'direction from the planet to the body, in space axes, at '
+           'start_time or, if start_time is 0, at the start of each epoch',
+           default=(1.0, 0.0, 0.0)),
+    *along('orbit.normal', '', 'orbit normal, about which the body revolves, space axes',
+           default=(0.0, 0.0, 1.0)),
     Parameter('inertia_topic', False, '', 'whether messages on the topic inertia change the '
               'inertia of the body'),
     Parameter('inertia_change', KEEP_RATE, '', 'what is kept when the inertia changes: keep_rate '
@@ -175,8 +184,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'angular velocity of imu/data', (0.0, 1e9)),
     Parameter('imu.gyro_random_walk', 0.0, 'rad/s^2/sqrt(Hz)', 'density of the random walk of the '
               'gyro bias in imu/data', (0.0, 1e9)),
-    *fields.along('imu.gyro_bias', QUANTITIES['gyro_bias'].unit, 'constant bias of the angular '
-                  'velocity in imu/data, body axes', 1e9),
+    *along('imu.gyro_bias', QUANTITIES['gyro_bias'].unit, 'constant bias of the angular velocity '
+           'in imu/data, body axes', 1e9),
     Parameter('imu.attitude_noise', 0.0, 'rad', 'standard deviation of the attitude error in '
               'imu/data, about each body axis', (0.0, math.pi)),
     Parameter('imu.delay', 0.0, 's', 'delay of imu/data: each message contains the state from '
@@ -204,89 +213,55 @@ PARAMETERS = {parameter.name: parameter for parameter in (
 #: Parameters that ROS declares on every node or on every managed node. These parameters are
 #: accepted because parameter dumps contain them.
 OF_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
+_NAME = re.compile('[A-Za-z_][A-Za-z0-9_]*')
+#: Matches the full names of the parameters of any field or wheel, except the inertia of a wheel.
+_OF_NAMED = {key: re.compile('(.+)[.](' + '|'.join(
+    re.escape(parameter.name) for parameter in parameters if parameter.name != 'inertia') + ')')
+    for key, parameters in NAMED.items()}
 
 
-class Names(NamedTuple):
-    """The names of the uniform fields in a scene, and the names of the wheels in the scene."""
-
-    fields: Sequence[str] = ()
-    wheels: Sequence[str] = ()
-
-
-def parameters_with(names: Names) -> dict[str, Parameter]:
-    """Return all parameters, keyed by full name, including those of named fields and wheels."""
-    return {**PARAMETERS, **wheel_parameters(names.wheels), **fields.of_names(names.fields)}
+def of_names(key: str, names: Iterable[str]) -> dict[str, Parameter]:
+    """Return the parameters of the fields or wheels with these names, keyed by full name."""
+    return {f'{name}.{parameter.name}': parameter._replace(name=f'{name}.{parameter.name}')
+            for name in names for parameter in NAMED[key]}
 
 
-def checked_names(given: Mapping[str, Any]) -> Names:
-    """Return the names of the fields and wheels; raise InputError if a name is not valid."""
-    names = Names(*(checked(PARAMETERS[key], given.get(key))
-                    for key in (fields.FIELDS, WHEEL_NAMES)))
-    others = *PARAMETERS, *OF_ROS, QOS
-    fields.check_names(names.fields, others)
-    fields.check_names(names.wheels, (*others, *names.fields), WHEEL_NAMES)
-    return names
+def parameters_with(names: Mapping[str, Any]) -> dict[str, Parameter]:
+    """Return all parameters, keyed by full name, with those of the named fields and wheels."""
+    return {**PARAMETERS, **of_names(WHEEL_NAMES, names[WHEEL_NAMES]),
+            **of_names(FIELDS, names[FIELDS])}
 
 
-def check_named(key: str, names: Names) -> None:
-    """Raise InputError if an unknown parameter seems to belong to an unknown field or wheel."""
-    for pattern, listing, known in ((fields.OF_FIELD, fields.FIELDS, names.fields),
-                                    (OF_WHEEL, WHEEL_NAMES, names.wheels)):
-        if member := pattern.fullmatch(key):
-            raise InputError(f'{key}: expected {quoted(member[1])} among the names in {listing}, '
-                             f'found {listed(known)}')
-
-
-def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | None:
+def checked_names(given: Mapping[str, Any]) -> dict[str, list[str]]:
     """
-    Return the actuator for each topic in `torque_topics`, or None if no topic has one.
+    Return the names of the fields and wheels, by the parameter that lists them.
 
     Raises
     ------
     InputError
-        A topic in `actuator.topics` is not a torque topic, or is given twice; `actuator.topics`
-        is empty although other `actuator` parameters are set; or the time constant is too short.
+        A name is not an identifier, is given twice, or is the first part of another parameter's
+        name.
 
     """
-    topics, given = values[_TOPICS], [name.removeprefix('/') if isinstance(name, str) else name
-                                      for name in values[_TOPICS]]
-    known = [str(name).removeprefix('/') for name in values['torque_topics']]
-    for number, name in enumerate(given):
-        if name not in known:
-            raise InputError(f'{_TOPICS}: expected topics among torque_topics '
-                             f'({listed(values["torque_topics"])}), found '
-                             f'{quoted(topics[number])}')
-        if name in given[:number]:
-            raise InputError(f'{_TOPICS}: expected each topic once, found {topics[number]!r} '
-                             'twice')
-    for name in (_DELAY, _LAG, *_LIMITS):
-        if values[name] and not given:
-            raise InputError(f'{_TOPICS}: expected at least one topic, because {name} is '
-                             f'{values[name]:g}, found an empty list')
-    if not given:
-        return None
-    with located(_LAG):
-        found = Actuator(values[_DELAY], values[_LAG], [values[name] for name in _LIMITS])
-    return tuple(found if name in given else None for name in known)
+    names: dict[str, list[str]] = {key: checked(PARAMETERS[key], given.get(key)) for key in NAMED}
+    taken = {name.split('.')[0] for name in (*PARAMETERS, *OF_ROS, QOS)}
+    for key, own in names.items():
+        for number, name in enumerate(own):
+            if not isinstance(name, str) or not _NAME.fullmatch(name):
+                raise InputError(f'{key}: expected names of letters, digits and _, found '
+                                 f'{quoted(name)}')
+            if name in taken:
+                raise InputError(f'{key}: expected a name with which no other parameter begins, '
+                                 f'found {name!r}')
+            if name in own[:number]:
+                raise InputError(f'{key}: expected each name once, found {name!r} twice')
+        taken.update(own)
+    return names
 
 
-def wheel_parameters(names: Iterable[str]) -> dict[str, Parameter]:
-    """Return the parameters of the wheels with these names, keyed by full name."""
-    return {parameter.name: parameter for name in names for parameter in (
-        *fields.along(f'{name}.{_AXIS}', '', 'wheel axis, in body axes; the length of this vector '
-                      'has no effect'),
-        *(each._replace(name=f'{name}.{each.name}') for each in (_INERTIA, *_OTHERS)))}
-
-
-def wheels_of(values: Mapping[str, Any]) -> tuple[Wheel, ...]:
-    """Create the wheels from a scene's parameters; raise InputError if a wheel has no axis."""
-    return tuple(Wheel(name, fields.vector(values, f'{name}.{_AXIS}'), *(
-        values[f'{name}.{each.name}'] for each in (_INERTIA, *_OTHERS)))
-        for name in values[WHEEL_NAMES])
-
-
-def described_wheels(values: Mapping[str, Any]) -> list[str]:
-    """Return a line of text for each wheel in a scene."""
-    return [f'{wheel.name}: wheel of {wheel.inertia:.9g} kg m^2 about '
-            f'{written(np.asarray(wheel.axis))}, initially at {wheel.initial_speed:.9g} rad/s'
-            for wheel in wheels_of(values)]
+def check_named(key: str, names: Mapping[str, Sequence[str]]) -> None:
+    """Raise InputError if an unknown parameter seems to belong to an unknown field or wheel."""
+    for listing, pattern in _OF_NAMED.items():
+        if member := pattern.fullmatch(key):
+            raise InputError(f'{key}: expected {quoted(member[1])} among the names in {listing}, '
+                             f'found {listed(names[listing])}')

@@ -23,11 +23,10 @@ from pathlib import Path
 import re
 from typing import Any
 
-from rigid_body_ros.common.arrays import symmetric
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import listed, located, quoted
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.mechanics import euler, urdf
+from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
@@ -38,23 +37,19 @@ from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, parameters_of, Value
-from rigid_body_ros.scene.fields import at_start, FIELDS, fields_of
+from rigid_body_ros.scene import parts
 from rigid_body_ros.scene.parameters import (
-    actuators_of,
     ARRIVAL,
     check_named,
     checked_names,
     CLOCK,
     HEADER,
     LOCKSTEP,
-    Names,
     OF_ROS,
-    PARAMETERS,
     parameters_with,
     QOS,
     REALTIME,
     WHEEL_NAMES,
-    wheels_of,
 )
 import yaml
 
@@ -128,28 +123,28 @@ class Scene:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Return all parameters, keyed by full name, with those of uniform fields and wheels."""
-        return parameters_with(Names(self.values['fields'], self.values[WHEEL_NAMES]))
+        return parameters_with(self.values)
 
     @property
     def fields(self) -> tuple[Field, ...]:
         """Return the fields; an orbit has its orbital position at `start_time`."""
-        return fields_of(self.values)
+        return parts.fields_of(self.values)
 
     @property
     def actuators(self) -> tuple[Actuator | None, ...] | None:
         """Return the actuator for each torque topic, or None if no topic has one."""
-        return actuators_of(self.values)
+        return parts.actuators_of(self.values)
 
     def fields_from(self, start_ns: int) -> tuple[Field, ...]:
         """Return the fields; an orbit has its orbital position at the start time `start_ns`."""
-        moved = at_start(self.values, start_ns)
-        return fields_of({**self.values, **moved, 'start_time': start_ns}) \
+        moved = parts.at_start(self.values, start_ns)
+        return parts.fields_of({**self.values, **moved, 'start_time': start_ns}) \
             if moved else self.fields
 
     @property
     def imu(self) -> ImuErrors:
         """Return the errors of the IMU."""
-        x, y, z = (self.values[f'imu.gyro_bias.{axis}'] for axis in 'xyz')
+        x, y, z = parts.numbers(self.values, 'imu.gyro_bias')
         names = 'gyro_noise_density', 'gyro_random_walk', 'attitude_noise', 'delay', 'seed'
         return ImuErrors(gyro_bias=(x, y, z), **{name: self.values[f'imu.{name}']
                                                  for name in names})
@@ -162,7 +157,7 @@ class Scene:
     @property
     def named_wheels(self) -> tuple[Wheel, ...]:
         """Return the named wheels."""
-        return wheels_of(self.values)
+        return parts.wheels_of(self.values)
 
     @property
     def options(self) -> Options:
@@ -254,14 +249,14 @@ class Scene:
                         if not name.startswith(QOS) and is_foreign(name, value, known))
         for name in ignored:
             check_named(name, names)
-        given = {**given, **inertia_of_robot(given)}
+        given = {**given, **parts.inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in table.items()}
         try:
-            start = State(values['start_time'], [*group(values, 'initial_attitude').values()],
-                          [*group(values, 'initial_angular_velocity').values()],
-                          [*group(values, 'initial_rotor_momentum').values()])
-            scene = cls(body_of(values), start, values, links=links_of(values), ignored=ignored)
+            start = State(values['start_time'], *(parts.numbers(values, group) for group in (
+                'initial_attitude', 'initial_angular_velocity', 'initial_rotor_momentum')))
+            scene = cls(parts.body_of(values), start, values, links=parts.links_of(values),
+                        ignored=ignored)
             scene._check()
         except ValueError as error:
             raise InputError(str(error)) from error
@@ -278,7 +273,7 @@ class Scene:
             raise InputError('torque_topics: expected at least one topic, found an empty list')
         for name in ('torque_topics', 'monitor.measured'):
             _check_topics(name, self.values[name])
-        actuators_of(self.values)
+        parts.actuators_of(self.values)
         euler.check_sequence(self.euler_sequence)
         for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):
             _check_text(name, self.values[name])
@@ -325,11 +320,11 @@ class Scene:
             yield (f'body_frame: {quoted(name.removeprefix(self.frame_prefix))} is a link of '
                    f'robot_description, but its axes are not those of link {link}, whose axes '
                    f'are the body axes; expected {link}')
-        norm = math.hypot(*group(self.values, 'initial_attitude').values())
+        norm = math.hypot(*parts.numbers(self.values, 'initial_attitude'))
         if abs(norm - 1.0) > UNIT:
             yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
                    f'{norm:.3g}; it is normalised; are the numbers angles?')
-        rate = math.hypot(*group(self.values, 'initial_angular_velocity').values())
+        rate = math.hypot(*parts.numbers(self.values, 'initial_angular_velocity'))
         if rate > self.values['plausible_speed']:
             yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
                    'turns per second; if the numbers are degrees per second, multiply them by '
@@ -366,8 +361,7 @@ def text_of(scene: Scene, changed: Mapping[str, Any]) -> str:
     The inertia is written with all digits. If the inertia is among the changed values,
     `robot_description` is left out, because it would specify the old inertia.
     """
-    parameters = parameters_with(Names(changed.get(FIELDS, scene.values[FIELDS]),
-                                       scene.values[WHEEL_NAMES]))
+    parameters = parameters_with({**scene.values, **changed})
     values = {name: value for name, value in scene.values.items()
               if value != parameters[name].default or name.startswith('inertia')}
     if any(name.startswith('inertia') for name in changed):
@@ -380,62 +374,6 @@ def text_of(scene: Scene, changed: Mapping[str, Any]) -> str:
             group, _, key = name.rpartition('.')
             (tree.setdefault(group, {}) if group else tree)[key] = values[name]
     return yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
-
-
-def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
-    """
-    Return the entries of the inertia tensor that `robot_description` specifies.
-
-    The result is {} if `robot_description` is empty.
-
-    Raises
-    ------
-    InputError
-        The URDF is not valid; a given `inertia.*` parameter differs from the URDF; or `link` is
-        set but `robot_description` is not.
-
-    """
-    text, link = (checked(PARAMETERS[name], given.get(name, ''))
-                  for name in ('robot_description', 'link'))
-    if not text:
-        if link:
-            raise InputError(f'link: expected an empty text, because robot_description is empty, '
-                             f'found {quoted(link)}; set robot_description, or remove link')
-        return {}
-    with located('robot_description'):
-        tensor = RigidBody.from_urdf(text, link).inertia
-    entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
-               for i in range(3) for j in range(i, 3)}
-    for name, entry in entries.items():
-        # A parameter dump of a running node contains both the URDF and all tensor entries. Entries
-        # that were not given are zero in the dump.
-        if given.get(name, 0.0) not in (0.0, entry):
-            raise InputError(f'{name}: expected {entry!r} as in robot_description, or no '
-                             f'value, found {quoted(given[name])}')
-    return entries
-
-
-def group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the values whose names are `prefix`.KEY, as a dictionary with the keys KEY."""
-    return {name.split('.')[1]: value for name, value in values.items()
-            if name.startswith(prefix + '.')}
-
-
-def links_of(values: Mapping[str, Any]) -> Frames:
-    """Return the frames in `robot_description`, with `frame_prefix` in front of their names."""
-    robot = values['robot_description']
-    links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
-    return links.prefixed(values['frame_prefix'])
-
-
-def body_of(values: Mapping[str, Any]) -> RigidBody:
-    """Return the body; raise InputError if no body can have its inertia and damping."""
-    try:
-        return RigidBody(*(symmetric([*group(values, name).values()])
-                           for name in ('inertia', 'damping')))
-    except ValueError as error:
-        keys = 'damping.dxx ... damping.dyz:'
-        raise InputError(str(error).replace('damping:', keys, 1)) from error
 
 
 def _other_node(node: str) -> list[str]:
