@@ -31,7 +31,7 @@ import numpy as np
 import psutil
 from pyarrow import parquet
 import pytest
-from rigid_body_ros.ensemble import lock
+from rigid_body_ros.ensemble.folder import LOCK
 from test_ensemble import (
     arguments,
     COMMAND,
@@ -137,8 +137,8 @@ def test_a_folder_of_something_else_gets_no_lock(inputs, capsys, name):
 def test_a_link_in_place_of_the_lock_is_not_followed(inputs, capsys):
     run(inputs, 'out', 5)
     (inputs / 'mine').write_text('precious')
-    (inputs / 'out' / lock.NAME).unlink()
-    (inputs / 'out' / lock.NAME).symlink_to(inputs / 'mine')
+    (inputs / 'out' / LOCK).unlink()
+    (inputs / 'out' / LOCK).symlink_to(inputs / 'mine')
     assert 'cannot write' in error_of(capsys, inputs, 'out', 5)
     assert (inputs / 'mine').read_text() == 'precious'
 

@@ -45,7 +45,7 @@ FINAL = 'final'
 
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.ensemble import driver, report, summary, worst
-    from rigid_body_ros.ensemble.lock import opened
+    from rigid_body_ros.ensemble.folder import opened
     requirements = _requirements(options)
     with checked(options) as outputs:
         scene = load_scene(options)
