@@ -25,7 +25,7 @@ from rigid_body_ros import recording, scene
 from rigid_body_ros.comparison import read_measured
 from rigid_body_ros.comparison.comparison import compare_recording, read_motion
 from rigid_body_ros.replay import replay
-from rigid_body_ros.runtime import files, protection
+from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.scene import InputError
 
@@ -297,7 +297,7 @@ def test_what_changes_while_a_file_is_written_is_checked_again(tmp_path):
     source, output = tmp_path / 'source', tmp_path / 'output'
     source.write_text('input')
     with pytest.raises(InputError, match='output: would overwrite the input .*source'), \
-            protection.reading(source), files.atomic_output(output, '.json') as part:
+            files.reading(source), files.atomic_output(output, '.json') as part:
         part.write_text('new')
         source.rename(output)
     assert [path.read_text() for path in tmp_path.iterdir()] == ['input']
@@ -307,7 +307,7 @@ def test_a_link_that_changes_while_a_file_is_written_leads_nowhere_else(tmp_path
     source, output = tmp_path / 'source', tmp_path / 'output'
     source.write_text('input')
     output.symlink_to('elsewhere')
-    with pytest.raises(InputError, match='would overwrite'), protection.reading(source), \
+    with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
             files.atomic_output(output, '.json'):
         output.unlink()
         output.symlink_to(source)
@@ -318,7 +318,7 @@ def test_an_input_that_takes_the_place_of_the_target_of_a_link_is_not_replaced(t
     source, output = tmp_path / 'source', tmp_path / 'output'
     source.write_text('input')
     output.symlink_to('elsewhere')
-    with pytest.raises(InputError, match='would overwrite'), protection.reading(source), \
+    with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
             files.atomic_output(output, '.json'):
         source.rename(tmp_path / 'elsewhere')
         output.unlink()
@@ -329,7 +329,7 @@ def test_an_input_that_takes_the_place_of_the_target_of_a_link_is_not_replaced(t
 def test_what_is_read_no_longer_may_be_replaced(tmp_path):
     path = tmp_path / 'file'
     path.write_text('old')
-    with protection.reading(path), pytest.raises(InputError):
+    with files.reading(path), pytest.raises(InputError):
         write(path)
     write(path)
     assert path.read_text() == 'new'
@@ -338,7 +338,7 @@ def test_what_is_read_no_longer_may_be_replaced(tmp_path):
 def test_journals_of_sqlite_are_read_with_their_file(tmp_path):
     journal = tmp_path / 'bag.db3-wal'
     journal.write_text('old')
-    with protection.reading(tmp_path / 'bag.db3'), \
+    with files.reading(tmp_path / 'bag.db3'), \
             pytest.raises(InputError, match='overwrite the in'):
         write(journal)
 
@@ -364,7 +364,7 @@ def test_an_incomplete_file_gets_a_free_name(tmp_path):
     lambda path: recording.Writer(path).__enter__(),
     lambda path: recording.FolderWriter(path).__enter__(),
     lambda path: files.check((path, '.png')),
-    lambda path: protection.protected('scene', path).__enter__()])
+    lambda path: files.protected('scene', path).__enter__()])
 def test_a_path_with_a_null_byte_is_one_line(tmp_path, use, suffix):
     words = r'a\\x00b.*: .*null (byte|character)|expected a name ending in'
     with pytest.raises(InputError, match=words):

@@ -27,7 +27,7 @@ import shlex
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.common.errors import printable
-from rigid_body_ros.runtime import files, protection
+from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def checked(options: argparse.Namespace,
 
     """
     inputs = *_given(options, *_INPUTS), *_measured_files(options)
-    with protection.reading(*inputs, scene=options.scene):
+    with files.reading(*inputs, scene=options.scene):
         yield Outputs(options, *outputs)
 
 
@@ -88,7 +88,7 @@ class Outputs:
     @contextmanager
     def writing(self, name: str | None = None) -> Iterator[None]:
         """Within the context, allow `name` to be written, but protect all other outputs."""
-        with protection.protected('output', *(other for other in self.names if other != name)), \
+        with files.protected('output', *(other for other in self.names if other != name)), \
                 files.overwriting(self._options.overwrite):
             yield
 

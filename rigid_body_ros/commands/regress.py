@@ -28,7 +28,7 @@ from rigid_body_ros.commands.arguments import load_scene
 from rigid_body_ros.commands.command import Command, imported, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, reason
-from rigid_body_ros.runtime import files, protection
+from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ _SUFFIX = '.mcap'
 
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.regress.report import report_of
-    with protection.protected('scene', options.scene), \
+    with files.protected('scene', options.scene), \
             TemporaryDirectory(prefix='attitude_regress.') as folder:
         _check(options)
         with checked(options) as outputs:

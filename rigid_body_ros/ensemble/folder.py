@@ -56,7 +56,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason
 from rigid_body_ros.ensemble.motions import Motions
 from rigid_body_ros.ensemble.runs import MOTION, Span
-from rigid_body_ros.runtime import files, protection
+from rigid_body_ros.runtime import files
 
 #: If possible, the missing runs are divided into at least `BLOCKS` blocks, so that there is enough
 #: work for every worker. No block contains more than `LONGEST` runs, so that little work is lost
@@ -354,7 +354,7 @@ def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Ite
         A signal was received while the folder was open. The message says how to continue.
 
     """
-    protection.check_apart(path)
+    files.check_apart(path)
     # Check that the folder belongs to an ensemble before creating a lock file there.
     if not (Path(path) / LOCK).exists():
         _check_kind(Path(path))

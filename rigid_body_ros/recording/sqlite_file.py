@@ -30,8 +30,8 @@ from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.definitions import LONGEST
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import copy_file, temporary
+from rigid_body_ros.runtime.files import real_path
 from rigid_body_ros.runtime.limits import open_file
-from rigid_body_ros.runtime.protection import real_path
 
 #: Largest number of messages in a block, and approximate amount of data in a block, bytes.
 _BLOCK, _BYTES = 8192, 2 ** 24

@@ -30,7 +30,7 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.replay.single import replay
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.runtime import files, protection
+from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.pool import Processes, WorkerError
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
@@ -85,7 +85,7 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         contains their names.
 
     """
-    with protection.reading(*paths, scene=scene.path):
+    with files.reading(*paths, scene=scene.path):
         outputs = outputs_in(folder, paths)
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
     ------
     InputError
         Two recordings have the same name; `folder` has the suffix of a file format, but is not a
-        folder; an output is protected (see `protection.protected`); or an output exists and must
+        folder; an output is protected (see `files.protected`); or an output exists and must
         not be overwritten.
 
     """
@@ -122,9 +122,9 @@ def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
             if output in outputs:
                 raise InputError(f'{output}: expected recordings with different names, found '
                                  f'{outputs[output]} and {path}')
-            protection.check_apart(output)
+            files.check_apart(output)
             files.check_new(output)
-            earlier.enter_context(protection.protected('output', output))
+            earlier.enter_context(files.protected('output', output))
             outputs[output] = path
     return [*outputs]
 
@@ -184,7 +184,7 @@ class _Replay:
         # tqdm's default lock has a semaphore that would outlive a killed process, so use another.
         tqdm.set_lock(threading.RLock())
         # Only the main process shows a progress bar.
-        with redirect_stderr(io.StringIO()), protection.reading(*self.inputs), \
+        with redirect_stderr(io.StringIO()), files.reading(*self.inputs), \
                 files.overwriting(self.overwrite):
             try:
                 result = replay(path, self.scene, output, **self.options)

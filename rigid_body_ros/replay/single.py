@@ -41,7 +41,7 @@ from rigid_body_ros.replay import outputs
 from rigid_body_ros.replay.batches import Batch, Batches, INPUT, Request
 from rigid_body_ros.replay.check import drift, last_digits
 from rigid_body_ros.replay.result import Replay
-from rigid_body_ros.runtime import files, interrupts, protection
+from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
@@ -148,7 +148,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None,
     topics.check(scene)
     reading = Reading(topics=topics, **_taken(options, _READING))
     request = Request(path, scene, output, reading, **options)
-    with protection.reading(path, scene=scene.path), ExitStack() as stack:
+    with files.reading(path, scene=scene.path), ExitStack() as stack:
         if output is not None:
             files.check((output, outputs.suffix_of(output)))
         topics = topics.found_in(path, scene)

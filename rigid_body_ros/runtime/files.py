@@ -15,13 +15,14 @@
 """
 Write output files and folders safely.
 
-An output gets its final name only when it is complete. An output never replaces an input. A
-command replaces an existing file only if you pass --overwrite.
+An output gets its final name only when it is complete. It never replaces an input or another
+output, whichever way they are named: by relative paths, symbolic links or hard links. A command
+replaces an existing file only if you pass --overwrite.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, ExitStack, suppress
 from contextvars import ContextVar
 import errno
@@ -31,10 +32,10 @@ from pathlib import Path
 import secrets
 import shutil
 import stat
+from types import MappingProxyType
 import weakref
 
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.runtime.protection import check_apart, protected, real_path
 
 #: The value that takes the place of the suffix if an output is a folder.
 FOLDER = ''
@@ -49,6 +50,84 @@ _FORMATS = frozenset([
 #: The error numbers with which file systems report that they cannot flush a folder.
 _CANNOT_FLUSH = (errno.EINVAL, errno.EACCES, errno.ENOTSUP)
 _may_overwrite: ContextVar[bool] = ContextVar('_may_overwrite', default=True)
+#: Suffixes of the files that SQLite keeps next to a database.
+_JOURNALS = ('-wal', '-shm', '-journal')
+#: An identifier of a file or folder: either the real path, or the device and inode.
+_Identity = str | tuple[int, int]
+#: The files and folders that no output may replace, and what to call them in error messages.
+_protected: ContextVar[Mapping[_Identity, str]] = ContextVar(
+    '_protected', default=MappingProxyType({}))
+
+
+@contextmanager
+def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
+    """
+    Within the context, reject any output that would replace these files or be in these folders.
+
+    Parameters
+    ----------
+    role : str
+        What to call the paths in error messages, such as 'scene'.
+    paths : str or Path or None
+        The files and folders to protect; None is ignored.
+
+    """
+    roles = {identity: f'{role} {path}' for path in paths if path is not None
+             for identity in _path_and_inode(path)}
+    token = _protected.set({**roles, **_protected.get()})
+    try:
+        yield
+    finally:
+        _protected.reset(token)
+
+
+@contextmanager
+def reading(*recordings: str | Path | None, scene: str | Path | None = None) -> Iterator[None]:
+    """
+    Protect the inputs of a command.
+
+    Parameters
+    ----------
+    recordings : str or Path or None
+        Recordings. If you name one file of a bag, the whole bag is protected.
+    scene : str or Path, optional
+        The scene file.
+
+    """
+    paths = [member for path in recordings if path is not None
+             for member in _paths_of_recording(os.fspath(path))]
+    with protected('input', *paths), protected('scene', scene):
+        yield
+
+
+def check_apart(path: str | Path) -> None:
+    """
+    Check that an output would not replace a protected file or be in a protected folder.
+
+    Raises
+    ------
+    InputError
+        The output would replace a protected file, or be in a protected folder.
+
+    """
+    roles = _protected.get()
+    for identity in _path_and_inode(path):
+        if identity in roles:
+            raise InputError(f'{path}: would overwrite the {roles[identity]}; '
+                             'choose another name')
+    for folder in filter(os.path.isdir, Path(real_path(path)).parents):
+        for identity in _path_and_inode(folder):
+            if identity in roles:
+                raise InputError(f'{path}: would be written into the folder of the '
+                                 f'{roles[identity]}; choose another folder')
+
+
+def real_path(path: str | Path) -> str:
+    """Resolve the symbolic links in a path; raise InputError if the path contains a null byte."""
+    try:
+        return os.path.realpath(path)
+    except ValueError as error:
+        raise InputError(f'{path}: expected a path, found one with a null byte') from error
 
 
 @contextmanager
@@ -261,31 +340,31 @@ class Part:
 
     def _check_target(self) -> os.stat_result | None:
         """Return the status of the file that will be replaced; None if no file has that name."""
-        found = None
+        status = None
         paths = self._name, self.target  # these differ if a link has been changed in the meantime
         for path in paths:
             check_apart(path)
         for path in paths:
             self._check_name(path)
             with suppress(FileNotFoundError):
-                found = os.stat(path)
-                self._check_replaced(found)
-        return found
+                status = os.stat(path)
+                self._check_replaced(status)
+        return status
 
     def _check_name(self, path: str | Path) -> None:
-        found = format_of(path)
-        if found and found != self._suffix:
+        suffix = format_of(path)
+        if suffix and suffix != self._suffix:
             expected = self._suffix or '.mcap, or a folder name without a suffix'
-            raise InputError(f'{self._name}: expected a name ending in {expected}, found {found}')
+            raise InputError(f'{self._name}: expected a name ending in {expected}, found {suffix}')
 
-    def _check_replaced(self, found: os.stat_result) -> None:
+    def _check_replaced(self, status: os.stat_result) -> None:
         if self._suffix == FOLDER:
             raise InputError(f'{self._name}: output exists; choose a new folder, or a name ending '
                              'in .mcap')
-        if not stat.S_ISREG(found.st_mode):
-            kind = 'a folder' if stat.S_ISDIR(found.st_mode) else 'a device, pipe or socket'
+        if not stat.S_ISREG(status.st_mode):
+            kind = 'a folder' if stat.S_ISDIR(status.st_mode) else 'a device, pipe or socket'
             raise InputError(f'{self._name}: expected a regular file, found {kind}')
-        if not (found.st_mode & 0o222 and os.access(self.target, os.W_OK)):
+        if not (status.st_mode & 0o222 and os.access(self.target, os.W_OK)):
             raise InputError(f'{self._name}: expected a writable file, found a read-only one')
         if not may_overwrite():
             raise _exists(self._name)
@@ -314,3 +393,29 @@ def _remove(path: Path) -> None:
     else:
         with suppress(OSError):
             path.unlink()
+
+
+def _paths_of_recording(path: str) -> Iterator[str]:
+    """
+    Generate the paths to protect for a recording.
+
+    For a folder, these paths are the folder and its files. For a file, they are the file, the
+    journals next to the file, and the folder of the bag that contains the file.
+    """
+    yield path
+    if os.path.isdir(path):
+        with suppress(OSError):  # any error is reported when the folder is read
+            yield from (entry.path for entry in os.scandir(path))
+        return
+    yield from (f'{path}{journal}' for journal in _JOURNALS)
+    for folder in (os.path.dirname(path) or '.', os.path.dirname(real_path(path))):
+        if os.path.isfile(os.path.join(folder, 'metadata.yaml')):
+            yield folder
+
+
+def _path_and_inode(path: str | Path) -> Iterator[_Identity]:
+    """Yield the real path of a file and, if the file exists, its device and inode."""
+    yield real_path(path)
+    with suppress(OSError):
+        status = os.stat(path)
+        yield status.st_dev, status.st_ino
