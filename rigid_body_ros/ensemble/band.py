@@ -96,25 +96,27 @@ class Band:
         (angles, rates), count, seconds = self.radii, len(self.spread), self.seconds
         end = 'the end' if count == len(seconds) else f'{seconds[count - 1]:.4g} s'
         return [('uncertain', f'{name}: its mean values replace those of the scene'), *(
-            ('  95 %', f'{quantity} within {found[-1]:.3g} {unit} at {end}, at most '
-                       f'{found.max():.3g} {unit} at {seconds[found.argmax()]:.4g} s')
-            for quantity, unit, found in (('attitude', 'deg', np.degrees(angles)),
+            ('  95 %', f'{quantity} within {radii[-1]:.3g} {unit} at {end}, at most '
+                       f'{radii.max():.3g} {unit} at {seconds[radii.argmax()]:.4g} s')
+            for quantity, unit, radii in (('attitude', 'deg', np.degrees(angles)),
                                           ('body rates', 'rad/s', rates))),
             ('warning', f'the uncertainty is not linear after {end}; attitude_ensemble --vary '
                         'computes it from then on')][:3 + (count < len(seconds))]
 
     def panels(self, panels: list[Panel]) -> list[Panel]:
         """Return panels of the motion with this band, and with panels of the half-widths."""
-        spread, seconds, motion = self.spread, *(one[:len(self.spread)]
-                                                 for one in (self.seconds, self.motion))
+        spread, count = self.spread, len(self.spread)
+        seconds, motion = self.seconds[:count], self.motion[:count]
         turns = so3.multiply(motion[:, None, :4], 0.5 * np.eye(3, 4)).swapaxes(1, 2)
         changes = turns @ spread[:, :3], spread[:, 3:], spread[:, :3]
-        quaternion, rates, attitude = (_SIGMAS * np.linalg.norm(one, axis=2) for one in changes)
+        quaternion, rates, attitude = (_SIGMAS * np.linalg.norm(change, axis=2)
+                                       for change in changes)
         bands = {label: [Curves(seconds, middle - width, middle + width, ['95 %', '', '', ''][
             :width.shape[1]], style='band')] for label, middle, width in (
                 ('quaternion', motion[:, :4], quaternion),
                 ('angular velocity, body axes', motion[:, 4:], rates))}
-        return [*(replace(one, curves=[*one.curves, *bands.get(one.label, ())]) for one in panels),
+        return [*(replace(panel, curves=[*panel.curves, *bands.get(panel.label, ())])
+                  for panel in panels),
                 Panel('attitude, rotation vector in body axes: half-width of 95 %', 'rad',
                       [Curves(seconds, attitude, attitude, SIGNED)]),
                 Panel('angular velocity, body axes: half-width of 95 %', 'rad/s',
@@ -168,7 +170,7 @@ def band_of(ensemble: Ensemble) -> Band:
         squares += (second ** 2).sum(axis=2) - 0.5 * ((second @ axes) ** 2).sum(axis=2)
     linear = np.linalg.norm(band.spread, axis=2)
     error = np.abs(np.sqrt((average ** 2).sum(axis=2) + squares) - linear)
-    error, linear = (one.reshape(-1, 2, 3).max(axis=2) for one in (error, linear))
+    error, linear = (numbers.reshape(-1, 2, 3).max(axis=2) for numbers in (error, linear))
     correct = (error <= _ERROR * linear + _ROUNDING).all(axis=1) & (band.radii[0] < _FARTHEST)
     return replace(band, spread=band.spread[:1 + np.append(correct, False)[1:].argmin()])
 
@@ -183,15 +185,15 @@ def _linear(ensemble: Ensemble, numbers: Floats, times_ns: NDArray[np.int64]) ->
     gain, bias = applied.torque_gain / applied.torque_gain[0], applied.torque_bias
     groups = [key.rpartition('.')[0] or key
               for key in (*ensemble.keys, *['torque_bias'] * bool(bias[0].any()))]
-    found = problem.derivatives([*dict.fromkeys(_GROUPS.get(one, one) for one in groups)],
-                                at=times_ns)
+    slopes = problem.derivatives([*dict.fromkeys(_GROUPS.get(group, group) for group in groups)],
+                                 at=times_ns)
     turned = so3.multiply(so3.conjugate(problem.start.attitude), applied.starts.attitude)
     # The derivative with respect to the gain is that of all torques, including the bias.
     columns = {**applied.columns(), **components(ATTITUDE, so3.log(turned)), 'torque_gain': gain,
                **components('torque_bias', bias - gain[:, None] * bias[0])}
-    above, below = np.split(np.stack([columns[name] for name in found.names])[:, 1:], 2, axis=1)
+    above, below = np.split(np.stack([columns[name] for name in slopes.names])[:, 1:], 2, axis=1)
     return Band(problem, (times_ns - times_ns[0]) * 1e-9, np.hstack([
-        motion.attitude, motion.angular_velocity]), 0.5 * found.both @ (above - below))
+        motion.attitude, motion.angular_velocity]), 0.5 * slopes.both @ (above - below))
 
 
 def _main_axes(slopes: Floats) -> Floats:

@@ -151,14 +151,14 @@ class Controller:
 
     def check_same(self, first: Problem, again: Problem) -> None:
         """Raise ControllerError if the torques of a run differ when the run is computed again."""
-        for one, other in zip(first.logs[-1:], again.logs[-1:]):
-            differ = (one.torques.view(np.int64) != other.torques.view(np.int64)).any(axis=1)
+        for log, other in zip(first.logs[-1:], again.logs[-1:]):
+            differ = (log.torques.view(np.int64) != other.torques.view(np.int64)).any(axis=1)
             if differ.any():
                 row = int(np.flatnonzero(differ)[0])
-                seconds = (int(one.times_ns[row]) - first.start.time_ns) / 1e9
+                seconds = (int(log.times_ns[row]) - first.start.time_ns) / 1e9
                 raise ControllerError(
                     f'{seconds:.9g} s: controller {self.name}: expected the same torque when the '
-                    f'run is repeated, found {one.torques[row].tolist()} and then '
+                    f'run is repeated, found {log.torques[row].tolist()} and then '
                     f'{other.torques[row].tolist()} N m: it uses a clock, random numbers, or '
                     'memory that runs share; a class has memory for each run')
 

@@ -354,11 +354,11 @@ def load_varied(path: str | Path, fields: Iterable[str] = (), force: bool = Fals
 
 
 def _dispersion(key: str, node: yaml.Node, units: Mapping[str, str]) -> Dispersion:
-    known = (*units, *_SPECIAL)
-    if key not in known:
-        close = resembled(key, known)
+    keys = (*units, *_SPECIAL)
+    if key not in keys:
+        close = resembled(key, keys)
         raise InputError(f'{key}: unknown key' + (f'; did you mean {close}?' if close else
-                                                  f'; expected one of {", ".join(known)}'))
+                                                  f'; expected one of {", ".join(keys)}'))
     pairs = [(name.value, value) for name, value in entries(node, key, _EXAMPLE)]
     names, values = [name for name, _ in pairs], dict(pairs)
     kinds = [name for name in names if name != 'relative' or key == INERTIA]
@@ -422,12 +422,12 @@ def _fitted(saved: Saved, units: Mapping[str, str], force: bool) -> Fitted:
     return Fitted(estimates, saved.guess_attitude, covariance, ignored)
 
 
-def _check_estimates(estimates: Mapping[str, float], known: Collection[str]) -> None:
+def _check_estimates(estimates: Mapping[str, float], keys: Collection[str]) -> None:
     if not estimates:
         raise InputError('expected estimates of inertia, start, torque or damping, found none')
     for name, value in estimates.items():
-        if name not in known:
-            close = resembled(name, known)
+        if name not in keys:
+            close = resembled(name, keys)
             raise InputError(f'{name}: expected an estimate that can vary, found another'
                              + (f'; did you mean {close}?' if close else ''))
         if not math.isfinite(value):

@@ -54,9 +54,9 @@ def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -
     with files.reported(path):
         if runs:
             path.mkdir(exist_ok=True)
-        for found in path.glob('*'):
-            if _FILE.fullmatch(found.name):
-                found.unlink()
+        for file in path.glob('*'):
+            if _FILE.fullmatch(file.name):
+                file.unlink()
     for run in runs:
         problem, values = ensemble.replayed(run)
         topics = [f'torque_{source}' for source in range(len(problem.logs) or 1)]
@@ -84,11 +84,11 @@ def _actuated(problem: Problem, scene: Scene, topics: Sequence[str]) -> dict[str
     """Return the scene parameters for actuators, or none if the scene has no actuators."""
     if not scene.actuators:
         return {}
-    found = [topic for topic, one in zip(topics, problem.actuators) if one]
+    commands = [topic for topic, actuator in zip(topics, problem.actuators) if actuator]
     # A scene with an actuator must name the topics whose torques go through the actuator. If there
     # are no such topics, remove the actuator from the scene.
-    none = {} if found else {one.name: one.default for one in ACTUATOR}
-    return {**none, 'actuator.topics': found}
+    none = {} if commands else {parameter.name: parameter.default for parameter in ACTUATOR}
+    return {**none, 'actuator.topics': commands}
 
 
 def _turning(problem: Problem) -> dict[str, Any]:

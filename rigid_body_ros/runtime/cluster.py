@@ -227,9 +227,9 @@ class _Call(tuple[Any, ...]):
 
 def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:
     """Apply the function to an item; called in a worker."""
-    for name, found in _versions().items():
-        if found != versions.get(name):
+    for name, here in _versions().items():
+        if here != versions.get(name):
             raise InputError(f'{socket.gethostname()}: expected the versions of this command, '
-                             f'{name} {versions.get(name)}, found {found}; other versions may '
-                             'give other bits')
+                             f'{name} {versions.get(name)}, found {here}; other versions may give '
+                             'other bits')
     return _loaded(function)(item)

@@ -145,11 +145,11 @@ def read_json(path: str | Path, what: str) -> Any:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    data = dict(pairs)
+    if len(data) < len(pairs):
         (twice, _), = Counter(key for key, _ in pairs).most_common(1)
         raise InputError(f'expected JSON with each key once, found {quoted(twice)} twice')
-    return found
+    return data
 
 
 def _integer(digits: str) -> int | float:

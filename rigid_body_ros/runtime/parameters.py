@@ -123,14 +123,14 @@ def resembled(name: str, known: Collection[str]) -> str | None:
     only if nothing but the capitalization differs. Names with different digits, such as those of
     two topics, never resemble each other.
     """
-    one, edits = name.lower(), {}
+    given, edits = name.lower(), {}
     for candidate in known:
         other, allowed = candidate.lower(), 0 if len(candidate) < _SHORT else _EDITS
         # Each edit changes the length by one, and adds or removes at most one distinct letter.
-        if (abs(len(one) - len(other)) <= allowed and len({*one} ^ {*other}) <= allowed
-                and _digits(one) == _digits(other)):
-            ratio = SequenceMatcher(None, one, other, autojunk=False).ratio()
-            count = round((1.0 - ratio) * (len(one) + len(other)))
+        if (abs(len(given) - len(other)) <= allowed and len({*given} ^ {*other}) <= allowed
+                and _digits(given) == _digits(other)):
+            ratio = SequenceMatcher(None, given, other, autojunk=False).ratio()
+            count = round((1.0 - ratio) * (len(given) + len(other)))
             if count <= allowed:
                 edits[candidate] = count
     return min(edits, key=edits.__getitem__, default=None)
@@ -199,15 +199,15 @@ def parameters_of(root: yaml.Node | None, node: str) -> tuple[str, dict[str, Any
         gives one of the node's parameters twice.
 
     """
-    sections = _sections(root, '')
+    sections = [*_sections(root, '')]
     names = {name for name, _ in sections}
     ours = {name for name in names if name.split('/')[-1] == node}
     if not ours and _ANY_NODE not in names:
         ours = names
     if len(ours) > 1 or not names:
-        found = listed(sorted(names)) if names else 'no node'
+        nodes = listed(sorted(names)) if names else 'no node'
         raise InputError(f'expected parameters for /** or for one {node}, '
-                         f'found parameters for {found}')
+                         f'found parameters for {nodes}')
     values: dict[str, Any] = {}
     for name in (_ANY_NODE, *ours):
         values.update(_values([section for other, section in sections if other == name]))
@@ -220,18 +220,16 @@ def number(text: str) -> float | None:
         if _FLOAT.fullmatch(text) else None
 
 
-def _sections(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
-    """Return the node names in a parameter file, each with the parameters below it."""
-    found = []
+def _sections(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, yaml.Node]]:
+    """Generate the node names in a parameter file, each with the parameters below it."""
     for key, value in entries(node, prefix or 'the file'):
         if key.value == 'ros__parameters' and prefix:
-            found.append((prefix, value))
+            yield prefix, value
         elif prefix and isinstance(value, yaml.ScalarNode):
             raise InputError(f'{prefix}: expected /**: and ros__parameters: above the parameters '
                              f'of a node, found {shortened(f"{key.value}: {value.value}", 100)}')
         else:  # a node, or a namespace
-            found += _sections(value, f'{prefix}/{key.value.strip("/")}'.strip('/'))
-    return found
+            yield from _sections(value, f'{prefix}/{key.value.strip("/")}'.strip('/'))
 
 
 def entries(node: yaml.Node | None, where: str,
@@ -300,8 +298,8 @@ def _value(node: yaml.Node) -> Any:
         integer = _integer(text)
         if -2 ** 63 <= integer < 2 ** 63:
             return integer
-    found = number(text)
-    return text if found is None else found
+    value = number(text)
+    return text if value is None else value
 
 
 def _integer(text: str) -> int:
