@@ -33,7 +33,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.common.errors import InputError, located, quoted
 from rigid_body_ros.inference.noise import with_bound
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.runtime.limits import read_yaml
@@ -300,7 +300,7 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]
 
     """
     root, units = read_yaml(path, 'dispersions'), units_with(fields)
-    try:
+    with located(path, InputError):
         dispersions = tuple(_dispersion(key.value, value, units)
                             for key, value in entries(root, 'the file', _EXAMPLE))
         if not dispersions:
@@ -311,8 +311,6 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]
                 raise InputError(f'{key}: expected each key once, found it twice')
             if INERTIA in keys and key.startswith(f'{INERTIA}.'):
                 raise InputError(f'{key}: expected either {INERTIA} or its entries, found both')
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from error
     return dispersions
 
 
@@ -339,10 +337,8 @@ def load_fitted(path: str | Path, fields: Iterable[str] = (), force: bool = Fals
     """
     from rigid_body_ros.identification import Identification  # slow to import
     saved = Identification.load(path)
-    try:
+    with located(path, InputError):
         return _fitted(saved, {**units_with(fields), **dict.fromkeys(_ROTATION, 'rad')}, force)
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from error
 
 
 def load_varied(path: str | Path, fields: Iterable[str] = (), force: bool = False

@@ -24,7 +24,7 @@ import re
 import stat
 from typing import Any, BinaryIO
 
-from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.common.errors import InputError, located, quoted, reason
 import yaml
 from yaml.composer import Composer
 from yaml.resolver import BaseResolver
@@ -106,14 +106,13 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
 
     """
     text = _text(path, what, 'YAML')
-    try:
+    with located(path, InputError):
         if _TAGS.search(text):
             raise InputError('expected YAML without %TAG directives, found one')
-        return _Loader(text, aliases).get_single_node()
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from error
-    except yaml.YAMLError as error:
-        raise InputError(f'{path}: expected YAML, found an error: {_problem(error)}') from error
+        try:
+            return _Loader(text, aliases).get_single_node()
+        except yaml.YAMLError as error:
+            raise InputError(f'expected YAML, found an error: {_problem(error)}') from error
 
 
 def read_json(path: str | Path, what: str) -> Any:
@@ -134,14 +133,13 @@ def read_json(path: str | Path, what: str) -> Any:
 
     """
     text = _text(path, what, 'JSON')
-    try:
-        return json.loads(text, object_pairs_hook=_object, parse_int=_integer)
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from error
-    except RecursionError as error:
-        raise InputError(f'{path}: expected JSON with fewer levels, found more') from error
-    except ValueError as error:
-        raise InputError(f'{path}: expected JSON, found an error: {reason(error)}') from error
+    with located(path, InputError):
+        try:
+            return json.loads(text, object_pairs_hook=_object, parse_int=_integer)
+        except RecursionError as error:
+            raise InputError('expected JSON with fewer levels, found more') from error
+        except json.JSONDecodeError as error:
+            raise InputError(f'expected JSON, found an error: {reason(error)}') from error
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

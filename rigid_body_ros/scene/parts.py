@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import entries, symmetric, written
-from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.common.errors import InputError, listed, located, quoted
 from rigid_body_ros.mechanics import urdf
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.body import RigidBody
@@ -56,10 +56,8 @@ def inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
             raise InputError(f'link: expected an empty text, because robot_description is empty, '
                              f'found {quoted(link)}; set robot_description, or remove link')
         return {}
-    try:
+    with located('robot_description'):
         tensor = RigidBody.from_urdf(text, link).inertia
-    except ValueError as error:
-        raise InputError(f'robot_description: {error}') from error
     specified = dict(zip(components_of('inertia'), entries(tensor).tolist()))
     for name, entry in specified.items():
         # A parameter dump of a running node contains both the URDF and all tensor entries. Entries
@@ -207,11 +205,9 @@ def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | Non
                              f'{value:g}, found an empty list')
     if not topics:
         return None
-    try:
+    with located('actuator.time_constant'):
         actuator = Actuator(values['actuator.delay'], values['actuator.time_constant'],
                             numbers(values, 'actuator.limit'))
-    except ValueError as error:
-        raise InputError(f'actuator.time_constant: {error}') from error
     return tuple(actuator if name in commands else None for name in torques)
 
 

@@ -24,7 +24,7 @@ import re
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
-from rigid_body_ros.common.errors import listed, located, quoted
+from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.actuator import Actuator
