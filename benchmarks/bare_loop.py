@@ -24,7 +24,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros.live.run import LOG_DEPTH
-from rigid_body_ros.node.process import main
+from rigid_body_ros.node.process import run
 
 STEP_NS = 1_000_000
 _LOG_QOS = QoSProfile(depth=LOG_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -70,4 +70,4 @@ class BareController(Node):
 
 
 if __name__ == '__main__':
-    main(kind=BareNode, command='bare_loop')
+    run(BareNode, 'bare_loop')

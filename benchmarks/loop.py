@@ -37,7 +37,7 @@ import psutil
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rigid_body_ros.node.attitude_controller import AttitudeController
-from rigid_body_ros.node.spinning import executor_of, spin
+from rigid_body_ros.node.process import executor_of, spin
 
 HERE = Path(__file__).resolve().parent
 #: Number of states in a round before timing starts, and number of timed states.

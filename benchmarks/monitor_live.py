@@ -39,7 +39,7 @@ import numpy as np
 import psutil
 import rclpy
 from rigid_body_ros import messages
-from rigid_body_ros.node.spinning import executor_of
+from rigid_body_ros.node.process import executor_of
 from sensor_msgs.msg import Imu
 
 HERE = Path(__file__).resolve().parent.parent
@@ -51,7 +51,7 @@ BLOCK, MINUTE, SETTLED = 20.0, 60.0, 20.0
 BARE = """
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 import rclpy
-from rigid_body_ros.node.spinning import executor_of
+from rigid_body_ros.node.process import executor_of
 from sensor_msgs.msg import Imu
 rclpy.init()
 node, executor = rclpy.create_node('bare'), executor_of()

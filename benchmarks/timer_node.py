@@ -26,7 +26,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rigid_body_ros.live.events import APPLIED
-from rigid_body_ros.node.process import main
+from rigid_body_ros.node.process import run
 from sensor_msgs.msg import Imu
 
 TOPICS = {'attitude': QuaternionStamped, 'odometry': Odometry, 'euler_angles': Vector3Stamped,
@@ -75,4 +75,4 @@ class TimerNode(Node):
 
 
 if __name__ == '__main__':
-    main(kind=TimerNode, command='timer_node')
+    run(TimerNode, 'timer_node')

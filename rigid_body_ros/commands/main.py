@@ -111,7 +111,7 @@ def _node(name: str, module: str) -> Callable[..., int]:
     return partial(_run, name, load)
 
 
-attitude_node = _node('attitude_node', 'process')
+attitude_node = _node('attitude_node', 'attitude_node')
 attitude_lifecycle_node = _node('attitude_lifecycle_node', 'lifecycle')
 attitude_monitor = _node('attitude_monitor', 'attitude_monitor')
 attitude_controller = _node('attitude_controller', 'attitude_controller')

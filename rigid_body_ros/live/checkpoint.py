@@ -186,6 +186,6 @@ def _defining(scene: Scene) -> dict[str, Any]:
 
 def _identity(path: Path) -> tuple[int, int, int] | None:
     with suppress(FileNotFoundError):
-        found = os.stat(path)
-        return found.st_dev, found.st_ino, found.st_mtime_ns
+        status = os.stat(path)
+        return status.st_dev, status.st_ino, status.st_mtime_ns
     return None

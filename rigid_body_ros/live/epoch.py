@@ -140,10 +140,10 @@ class Epoch:
 
     def acting_at(self, time_ns: int) -> list[Torque]:
         """Return the nonzero torques that act at a given time."""
-        found = [_torque(*pair) for pair in self._propagator.held(time_ns).items()]
-        commands = self._commands_at(time_ns)
-        return [torque for torque in (*found, *([commands] if commands else []))
-                if torque.values.any()
+        torques = [_torque(*pair) for pair in self._propagator.held(time_ns).items()]
+        if commands := self._commands_at(time_ns):
+            torques.append(commands)
+        return [torque for torque in torques if torque.values.any()
                 and not 0 < self._timeout_ns <= time_ns - torque.stamp_ns
                 - self._propagator.delay_ns(torque.source)]
 
@@ -164,12 +164,12 @@ class Epoch:
 
     def torques_since(self, time_ns: int) -> list[Torque]:
         """Return the torques in force at a given time and all later torques, sorted by stamp."""
-        found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
-        found += [Torque(stamp_ns, body.entries, 'body', BODY)
-                  for stamp_ns, body, *_ in self._propagator.bodies_since(time_ns)]
-        found += [Torque(stamp_ns, self._wheels.row(efforts), 'body', COMMANDS)
-                  for stamp_ns, efforts in self._propagator.commands_since(time_ns)]
-        return sorted(found, key=lambda torque: torque.stamp_ns)
+        torques = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
+        torques += [Torque(stamp_ns, body.entries, 'body', BODY)
+                    for stamp_ns, body, *_ in self._propagator.bodies_since(time_ns)]
+        torques += [Torque(stamp_ns, self._wheels.row(efforts), 'body', COMMANDS)
+                    for stamp_ns, efforts in self._propagator.commands_since(time_ns)]
+        return sorted(torques, key=lambda torque: torque.stamp_ns)
 
     @property
     def must_commit(self) -> bool:

@@ -154,10 +154,6 @@ class Inputs:
                                 f'for this inertia, found {command.values.tolist()}')
         return Torque(command.stamp_ns, command.values, 'body', COMMANDS)
 
-    def odometry(self, data: bytes) -> messages.Stamped:
-        """Decode a serialized Odometry message (CDR); raise RejectedError if it is malformed."""
-        return decoded(messages.ODOMETRY, data)
-
     def state(self, odometry: messages.Stamped) -> State:
         """
         Return the state in an Odometry message.
@@ -170,10 +166,10 @@ class Inputs:
 
         """
         body, space = self._frames
-        found = odometry.frame_id, odometry.child_frame_id
-        if found[0] not in ('', space) or found[1] not in ('', body):
+        frame_id, child_frame_id = odometry.frame_id, odometry.child_frame_id
+        if frame_id not in ('', space) or child_frame_id not in ('', body):
             raise RejectedError(FRAME, f"frame_id, child_frame_id: expected '{space}' and "
-                                f"'{body}', found '{found[0]}' and '{found[1]}'")
+                                f"'{body}', found '{frame_id}' and '{child_frame_id}'")
         rates = odometry.values[messages.ANGULAR_VELOCITY]
         if math.hypot(*rates.tolist()) > FASTEST:
             raise RejectedError(TOO_LARGE, f'expected at most {FASTEST:g} rad/s, '
@@ -207,8 +203,8 @@ def _source(wrench: messages.Stamped, frame: Frame | None) -> str:
 
     They name the wrench from which the torque was computed.
     """
-    found = f', from the wrench {wrench.values.tolist()} in frame {quoted(wrench.frame_id)}'
-    return found if frame else ''
+    return f', from the wrench {wrench.values.tolist()} in frame {quoted(wrench.frame_id)}' \
+        if frame else ''
 
 
 def decoded(kind: messages.MessageType, data: bytes) -> messages.Stamped:

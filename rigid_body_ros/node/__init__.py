@@ -16,13 +16,14 @@
 The ROS node that receives torques on a topic and publishes the attitude.
 
 There are two versions of the node: the plain node in `attitude_node`, and the managed node in
-`lifecycle`. Both are built on `component`, which ties the other modules together. `process` and
-`spinning` run a node as a command.
+`lifecycle`. Both are built on `AttitudeComponent` in `attitude_node`, which ties the other modules
+together. `process` runs a node as a command.
 
-`parameters` reads the scene, and `intake` receives messages, for `monitor_inputs`, too. `mode`
-applies the torques in short slices of work. Its subclasses in `realtime` and `lockstep` decide
-which torques to accept, and when to publish a state. `outputs` publishes the states and the log,
-and `diagnostics` reports problems. Work that does not need ROS is done in the package `live`.
+`parameters` reads the scene, and `intake` receives messages, for `attitude_monitor`, too. `mode`
+applies the torques in short slices of work. Its subclasses in `realtime`, `clock_mode` and
+`lockstep` decide which torques to accept, and when to publish a state. `outputs` publishes the
+states and the log, and `diagnostics` reports problems. Work that does not need ROS is done in the
+package `live`.
 
 `attitude_controller` is an example of a controller for lockstep mode. `recorded` provides the node
 that `attitude_regress` uses, which runs in lockstep and keeps its own log.
@@ -32,16 +33,12 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rigid_body_ros.node.attitude_node import AttitudeNode
-    from rigid_body_ros.node.process import main
+    from rigid_body_ros.node.attitude_node import AttitudeNode, main
 else:
-    #: The module that defines each public name.
-    _HOMES = {'AttitudeNode': 'attitude_node', 'main': 'process'}
-
     def __getattr__(name: str) -> Any:
         """Import a name on first use, so that `attitude_controller` starts without the engine."""
-        if name not in _HOMES:
+        if name not in __all__:
             raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-        return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
+        return getattr(import_module(f'{__name__}.attitude_node'), name)
 
 __all__ = ['AttitudeNode', 'main']

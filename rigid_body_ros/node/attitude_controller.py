@@ -31,22 +31,16 @@ part to turn the body the short way round.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 import math
-import sys
 import time
 
 from geometry_msgs.msg import Quaternion, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry
-import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
-from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.node.spinning import executor_of, spin
+from rigid_body_ros.common.errors import listed
+from rigid_body_ros.node.process import one_line_errors, run
 from rigid_body_ros.runtime.parameters import is_foreign
 
 #: How long the controller waits for a new state before it resends the torque, in seconds.
@@ -58,7 +52,7 @@ _SETTLED = 1e-3
 
 class AttitudeController(Node):
     """
-    Turn the body to a target attitude.
+    Turn the body of a node in lockstep to a target attitude.
 
     Raises
     ------
@@ -68,12 +62,13 @@ class AttitudeController(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__('attitude_controller')
-        self._gains = [self.declare_parameter(name, default).value for name, default in (
-            ('proportional_gain', 0.05), ('derivative_gain', 0.12))]
-        self._target = [self.declare_parameter(f'target.{name}', default).value
-                        for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))]
-        self._stop_after = self.declare_parameter('stop_after', math.inf).value
+        with one_line_errors():
+            super().__init__('attitude_controller')
+            self._gains = [self.declare_parameter(name, default).value for name, default in (
+                ('proportional_gain', 0.05), ('derivative_gain', 0.12))]
+            self._target = [self.declare_parameter(f'target.{name}', default).value
+                            for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))]
+            self._stop_after = self.declare_parameter('stop_after', math.inf).value
         self._check_names()
         self._command = WrenchStamped()
         self._start_ns: int | None = None
@@ -85,9 +80,9 @@ class AttitudeController(Node):
         self.create_timer(_PATIENCE, self._resend, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _check_names(self) -> None:
-        known = self.get_parameters_by_prefix('')
+        own = self.get_parameters_by_prefix('')
         others = [name for name, parameter in self._parameter_overrides.items()
-                  if is_foreign(name, parameter.value, known)]
+                  if is_foreign(name, parameter.value, own)]
         if others:
             self.get_logger().info(
                 f'parameters that are not those of a controller are ignored: {listed(others)}')
@@ -149,21 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         The arguments or parameters are not valid.
 
     """
-    try:
-        _initialize(sys.argv if arguments is None else ['attitude_controller', *arguments])
-        controller = AttitudeController()
-        spin(executor_of(), controller, lambda: controller.done)
-    except (InvalidParameterTypeException, RuntimeError) as error:
-        raise InputError(' '.join(str(error).split())) from error
-    finally:
-        rclpy.try_shutdown()
-
-
-def _initialize(command_line: Sequence[str]) -> None:
-    argparse.ArgumentParser(
-        'attitude_controller',
-        description='Turn the body of a node in lockstep to a target attitude.',
-        epilog='Parameters (--ros-args -p NAME:=VALUE): target.x to target.w, proportional_gain '
-               '(N m/rad), derivative_gain (N m s/rad), stop_after (s from the first state)',
-    ).parse_args(remove_ros_args(command_line)[1:])
-    rclpy.init(args=list(command_line), signal_handler_options=SignalHandlerOptions.NO)
+    run(AttitudeController, 'attitude_controller', arguments,
+        'Parameters (--ros-args -p NAME:=VALUE): target.x to target.w, proportional_gain '
+        '(N m/rad), derivative_gain (N m s/rad), stop_after (s from the first state)',
+        lambda controller: controller.done)

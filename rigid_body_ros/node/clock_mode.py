@@ -16,22 +16,37 @@
 Clock mode, in which the node is the source of simulated time.
 
 The node publishes /clock in steps, and treats torques as in real time, by its own clock. Therefore
-controllers that run on a timer work with it.
+controllers that run on a timer work with it. The node also offers the services of the package
+simulation_interfaces, if it is installed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+import math
 import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion, Vector3
+from rclpy.node import Node
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live import events
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockPublisher, message_of
 from rigid_body_ros.node.mode import BUDGET
+from rigid_body_ros.node.process import timer
 from rigid_body_ros.node.realtime import Realtime
-from rigid_body_ros.node.timers import timer
+from rigid_body_ros.scene import Scene
 from std_srvs.srv import SetBool, Trigger
+
+try:
+    from simulation_interfaces import srv
+    from simulation_interfaces.msg import Result
+    _IS_INSTALLED = True
+except ModuleNotFoundError:
+    _IS_INSTALLED = False
 
 #: The shortest time between two calls of the timer, s. Several steps may fall into this time.
 _SHORTEST = 1e-3
@@ -67,6 +82,8 @@ class ClockMode(Realtime):
               else _FASTEST, self._tick)
         self._node.create_service(SetBool, '~/pause', self._on_pause)
         self._node.create_service(Trigger, '~/step', self._on_step)
+        if _IS_INSTALLED:
+            _offer(self._node, self, self._scene)
 
     def set_rate(self, rate: float) -> None:
         """Change the publishing rate, Hz of simulated time."""
@@ -104,9 +121,10 @@ class ClockMode(Realtime):
     def problems(self) -> dict[int, list[str]]:
         """Return current problems by source. Problems of the clock belong to the first source."""
         problems = super().problems()
-        problems[next(iter(problems))] += [text for text, holds in (
-            (f'paused: {self._standing}', self.is_paused),
-            ('/clock: another node publishes it, too', self._publisher.has_rival)) if holds]
+        if self.is_paused:
+            problems[self.intake.first].append(f'paused: {self._standing}')
+        if self._publisher.has_rival:
+            problems[self.intake.first].append('/clock: another node publishes it, too')
         return problems
 
     def _tick(self) -> None:
@@ -139,3 +157,54 @@ class ClockMode(Realtime):
             self.advance()
         response.message = self._standing if self.is_paused else 'the clock runs: pause it first'
         return response
+
+
+def _offer(node: Node, mode: ClockMode, scene: Scene) -> None:
+    """Create the services of simulation_interfaces, with which tools drive simulators."""
+    def reset(request: Any, response: Any) -> tuple[int, str]:
+        scope = request.scope or request.SCOPE_ALL
+        if not scope & request.SCOPE_STATE:
+            return Result.RESULT_FEATURE_UNSUPPORTED, 'expected a scope that includes the state'
+        text = mode.rewind() if scope & request.SCOPE_TIME else mode.reset()
+        return Result.RESULT_OK, text
+
+    def step(request: Any, response: Any) -> tuple[int, str]:
+        if not mode.is_paused:
+            return Result.RESULT_INCORRECT_STATE, 'pause the simulation first'
+        for _ in range(request.steps):
+            mode.advance()
+        return Result.RESULT_OK, ''
+
+    def set_state(request: Any, response: Any) -> tuple[int, str]:
+        target, is_paused = request.state.state, request.state.state != request.state.STATE_PLAYING
+        if target > request.state.STATE_PAUSED:
+            return Result.RESULT_FEATURE_UNSUPPORTED, 'expected stopped, playing or paused'
+        if target != request.state.STATE_STOPPED and is_paused == mode.is_paused:
+            return response.ALREADY_IN_TARGET_STATE, ''
+        text = mode.pause(is_paused)
+        return Result.RESULT_OK, text if target else mode.rewind()
+
+    def get_state(request: Any, response: Any) -> tuple[int, str]:
+        state = mode.run.state(mode.now_ns(), math.inf)
+        if request.entity != scene.body_frame:
+            return Result.RESULT_NOT_FOUND, \
+                f'expected {scene.body_frame}, the only entity, found {request.entity}'
+        if state is None:
+            return Result.RESULT_OPERATION_FAILED, 'the state is not computable'
+        entity = response.state
+        entity.header.stamp, entity.header.frame_id = mode.stamp(), scene.space_frame
+        entity.pose.orientation = Quaternion(**dict(zip('xyzw', state.attitude.tolist())))
+        rates = so3.rotate(state.attitude, state.angular_velocity)  # in the axes of the frame_id
+        entity.twist.angular = Vector3(**dict(zip('xyz', rates.tolist())))
+        return Result.RESULT_OK, ''
+
+    def answered(callback: Callable[[Any, Any], tuple[int, str]], request: Any,
+                 response: Any) -> Any:
+        response.result.result, response.result.error_message = callback(request, response)
+        return response
+    for kind, name, callback in (
+            (srv.ResetSimulation, 'reset_simulation', reset),
+            (srv.StepSimulation, 'step_simulation', step),
+            (srv.SetSimulationState, 'set_simulation_state', set_state),
+            (srv.GetEntityState, 'get_entity_state', get_state)):
+        node.create_service(kind, f'~/{name}', partial(answered, callback))

@@ -203,14 +203,15 @@ class Diagnostics:
 
     def _surplus(self, drain: DrainCallback, several: str) -> list[str]:
         topic = drain.subscription.topic_name
-        found = self._node.get_publishers_info_by_topic(topic)
-        if not found:
+        connected = self._node.get_publishers_info_by_topic(topic)
+        if not connected:
             return [f'{topic}: no publisher']
-        found = [info for info in found if not _is_replaced(info, found, drain.heard)]
-        if len(found) == 1:
+        publishers = [info for info in connected
+                      if not _is_replaced(info, connected, drain.heard)]
+        if len(publishers) == 1:
             return []
-        names = ', '.join(sorted(full_name(info) for info in found))
-        problem = f'{topic}: {len(found)} publishers: {names}; {several}'
+        names = ', '.join(sorted(map(full_name, publishers)))
+        problem = f'{topic}: {len(publishers)} publishers: {names}; {several}'
         self._log(f'{_SEVERAL_PUBLISHERS} {topic}', problem)
         return [problem]
 
@@ -291,9 +292,9 @@ class Diagnostics:
                 (events.OF_COMMANDS if source == COMMANDS else events.OF_TORQUES)}})
 
     def _offset_problems(self, source: int) -> list[str]:
-        if found := self._offsets_ns.get(source):
-            self._offsets[source] = 1e-9 * statistics.median(found), 1e-9 * max(found, key=abs)
-            found.clear()
+        if offsets_ns := self._offsets_ns.pop(source, []):
+            self._offsets[source] = (1e-9 * statistics.median(offsets_ns),
+                                     1e-9 * max(offsets_ns, key=abs))
         median, _ = self._offsets.get(source, (0.0, 0.0))
         if not abs(median) > self._largest_offset > 0.0:
             return []

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 import inspect
 import time
@@ -27,11 +27,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import messages
-from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.errors import listed
 from rigid_body_ros.live.events import Events, RECEIVED, RejectedError, UNSTAMPED
 from rigid_body_ros.live.inputs import Inputs, Torque, wrench_of
 from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
-from rigid_body_ros.node.parameters import one_line_errors
+from rigid_body_ros.node.process import one_line_errors
 from rigid_body_ros.node.sources import BODY, class_of, TorqueTopic
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ARRIVAL
@@ -65,28 +65,6 @@ def subscription(node: Node, kind: messages.MessageType, topic: str,
         class_of(kind), topic, callback, copy(qos), raw=True,
         event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
-
-
-def published(node: Node, topic: str,
-              kinds: Iterable[messages.MessageType]) -> messages.MessageType | None:
-    """
-    Return the type with which a topic is published, or None if there is no publisher.
-
-    Raise InputError if the type is not one of `kinds`, or if its package is not installed.
-    """
-    publishers = node.get_publishers_info_by_topic(topic)
-    names, by_name = {info.topic_type for info in publishers}, {kind.name: kind for kind in kinds}
-    if len(names) > 1 or not names <= by_name.keys():
-        wrong = [info for info in publishers if info.topic_type not in by_name] or publishers
-        nodes = listed(sorted(f'{info.topic_type} from {full_name(info)}' for info in wrong))
-        raise InputError(f'{topic}: expected one of {listed(by_name)}, found {nodes}')
-    for name in names:
-        try:
-            class_of(by_name[name])
-        except ModuleNotFoundError as error:
-            raise InputError(f'{topic}: cannot receive {name}: {error}') from error
-        return by_name[name]
-    return None
 
 
 def full_name(info: TopicEndpointInfo) -> str:
@@ -125,7 +103,7 @@ class PollingNode(Node):
     @property
     def subscriptions(self) -> Iterator[Subscription[Any]]:
         """Return the subscriptions that an executor must wait for."""
-        return (one for one in super().subscriptions if one not in self.polled)
+        return (entity for entity in super().subscriptions if entity not in self.polled)
 
 
 class DrainCallback:
@@ -274,6 +252,11 @@ class Intake:
         """Return all subscriptions."""
         return [drain.subscription for drain in self.drains.values()]
 
+    @property
+    def first(self) -> int:
+        """Return the number of the first source, whose status also has the general problems."""
+        return next(iter(self.sources))
+
     def topic(self, source: int) -> str:
         """Return the full name of the topic of a source."""
         return self._node.resolve_topic_name(self.sources[source].topic)
@@ -319,30 +302,41 @@ class Intake:
 
     def problems(self) -> dict[int, list[str]]:
         """Return for each source why its messages cannot be received, as far as is known."""
-        return {number: [*found] for number, found in self._mismatches.items()}
+        return {number: [*reasons] for number, reasons in self._mismatches.items()}
 
     def _follow(self, source: TorqueTopic) -> list[str]:
         """Follow the type of a source. Return the reason if the type cannot be received."""
         topic, expected = self.topic(source.number), self.types.get(source.number)
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        names, by_name = {info.topic_type for info in publishers}, {
+            kind.name: kind for kind in source.kinds}
+        if len(names) > 1 or not names <= by_name.keys():
+            wrong = [info for info in publishers if info.topic_type not in by_name] or publishers
+            nodes = listed(sorted(f'{info.topic_type} from {full_name(info)}' for info in wrong))
+            return [f'{topic}: expected one of {listed(by_name)}, found {nodes}']
+        if not names:
+            return [] if expected else [f'{topic}: no publisher']
+        kind = by_name[names.pop()]
+        if kind is expected:
+            return []
         try:
-            kind = published(self._node, topic, source.kinds)
-        except InputError as error:
-            return [str(error)]
-        if kind and kind is not expected:
-            self.types[source.number] = kind
-            if drain := self.drains.pop(source.number, None):
-                self._node.destroy_subscription(drain.subscription)
-                note = '; they are normalized, not in N m' if isinstance(
-                    kind, messages.Px4Type) else ''
-                self._node.get_logger().warning(f'{topic}: {source.what}s are {kind.name}{note}')
-        return [] if kind or expected else [f'{topic}: no publisher']
+            class_of(kind)
+        except ModuleNotFoundError as error:
+            return [f'{topic}: cannot receive {kind.name}: {error}']
+        self.types[source.number] = kind
+        if drain := self.drains.pop(source.number, None):
+            self._node.destroy_subscription(drain.subscription)
+            is_px4 = isinstance(kind, messages.Px4Type)
+            note = '; they are normalized, not in N m' if is_px4 else ''
+            self._node.get_logger().warning(f'{topic}: {source.what}s are {kind.name}{note}')
+        return []
 
     def poll(self) -> None:
         """Take the waiting messages of all subscriptions, in the order of their arrival."""
         taken = [(drain, message, info) for drain in self.drains.values()
                  for message, info in drain.waiting()]
         if len(self.drains) > 1:
-            taken.sort(key=lambda one: one[2]['received_timestamp'])
+            taken.sort(key=lambda row: row[2]['received_timestamp'])
         for drain, message, info in taken:
             drain.pass_on(message, info)
 

@@ -22,10 +22,9 @@ import traceback
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.node import process
-from rigid_body_ros.node.attitude_node import AttitudeNode
-from rigid_body_ros.node.component import AttitudeComponent
+from rigid_body_ros.node.attitude_node import AttitudeComponent, AttitudeNode
 from rigid_body_ros.node.parameters import declare, given_parameters
+from rigid_body_ros.node.process import run
 from rigid_body_ros.runtime.parameters import checked, Parameter
 
 _FAILURE = TransitionCallbackReturn.FAILURE
@@ -157,4 +156,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         The arguments or parameters are not valid.
 
     """
-    process.main(arguments, AttitudeLifecycleNode, 'attitude_lifecycle_node')
+    run(AttitudeLifecycleNode, 'attitude_lifecycle_node', arguments)

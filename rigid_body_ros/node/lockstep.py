@@ -36,13 +36,13 @@ from rigid_body_ros.live.closed_loop import DuplicateFilter, RepublishPolicy
 from rigid_body_ros.live.events import APPLIED, DIFFERS, FUTURE, RejectedError, REPLACED, STALE
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import Snapshot
-from rigid_body_ros.live.torque_queue import Queued, Sender
+from rigid_body_ros.live.torque_queue import Queued
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.clocks import ClockPublisher, message_of, WatchedClock
 from rigid_body_ros.node.intake import full_name, RELIABLE
 from rigid_body_ros.node.mode import BUDGET, Mode
+from rigid_body_ros.node.process import timer
 from rigid_body_ros.node.sources import BODY, sources_of
-from rigid_body_ros.node.timers import timer
 from std_srvs.srv import SetBool
 
 #: How often to commit states and to check whether the state should be republished, and how long to
@@ -102,25 +102,6 @@ class Lockstep(Mode):
         #: A timer that runs only while torques are waiting. Its callback does one slice of work.
         self._worker = timer(self._node, _WORK_PERIOD, self._work)
         self._node.create_service(SetBool, '~/pause', self._on_pause)
-
-    def deactivate(self) -> None:
-        """Do nothing, because the timer and the service are destroyed by the owner of the node."""
-
-    def set_rate(self, rate: float) -> None:
-        """Do nothing, because the torques set the pace."""
-
-    def enqueue(self, data: bytes, sender: Sender, source: int, received_ns: int = 0) -> None:
-        """
-        Queue a torque message from a source. `process` will respond to it later.
-
-        Raises
-        ------
-        RejectedError
-            Too many torques are waiting.
-
-        """
-        self._queue.check_room()
-        self._queue.put(Queued(source, data, sender, 0, time.monotonic()))
 
     def process(self) -> bool:
         """Apply waiting torques for one slice of work. Return True if no work is left."""
@@ -205,7 +186,7 @@ class Lockstep(Mode):
             self._clock = None
         problems = self.intake.problems()
         self._time.read()
-        problems[next(iter(problems))] += self._time.problems() + self._stalls()
+        problems[self.intake.first] += self._time.problems() + self._stalls()
         silence = time.monotonic() - self._since
         if not (self.is_paused or self.waiting.total()) and silence > _WARN_AFTER:
             for source in self._awaited():

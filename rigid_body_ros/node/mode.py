@@ -84,10 +84,24 @@ class Mode:
         Raises
         ------
         RejectedError
-            The torque cannot be queued.
+            The clock has no time yet, or too many torques are waiting.
 
         """
-        raise NotImplementedError
+        self._queue.check_room()
+        self._queue.put(Queued(source, data, sender, self._arrived_ns(received_ns),
+                               time.monotonic()))
+
+    def _arrived_ns(self, received_ns: int) -> int:
+        """
+        Return the node's time at which a torque arrived, ns, or 0 in lockstep.
+
+        Raises
+        ------
+        RejectedError
+            The clock has no time yet.
+
+        """
+        return 0
 
     def take(self) -> None:
         """Take the torques that have arrived, if the mode polls its subscriptions."""
@@ -100,6 +114,12 @@ class Mode:
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success, response.message = True, self.pause(request.data)
         return response
+
+    def deactivate(self) -> None:
+        """Stop publishing. The owner of the node destroys the timers and services."""
+
+    def set_rate(self, rate: float) -> None:
+        """Change the publishing rate, Hz. Not in lockstep, in which the torques set the pace."""
 
     def work(self) -> None:
         """Work on the waiting torques. An executor calls this method after each torque."""

@@ -12,12 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Declare the contents of a scene as parameters of a ROS 2 node."""
+"""
+Declare the contents of a scene as parameters of a ROS 2 node.
+
+If the parameters contain no inertia, wait for the URDF of the body on the topic that
+robot_state_publisher uses.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+import time
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -26,23 +32,25 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheels
-from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.options import solver_named
+from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.parameters import checked as checked_value
 from rigid_body_ros.runtime.parameters import Parameter as SceneParameter
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene import PARAMETERS, Scene
 from rigid_body_ros.scene.parameters import checked_names, NAMED, parameters_with, QOS
 from rigid_body_ros.scene.parts import at_start
+from std_msgs.msg import String
 
 _RATE = 'publish_rate'
 #: The names of QoS overrides for rclpy's own topics begin with `QOS`, followed by one of these
@@ -53,6 +61,14 @@ _OF_RCLPY = ('/clock.', '/parameter_events.', '/rosout.')
 _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
           *(f'initial_angular_velocity.{name}' for name in 'xyz'),
           *(f'initial_rotor_momentum.{name}' for name in 'xyz'))
+#: The name of the topic with the URDF, and also the name of the parameter with which users can
+#: give the URDF instead.
+_ROBOT_DESCRIPTION = 'robot_description'
+#: The QoS of robot_state_publisher, which delivers the last message even to later subscriptions.
+_LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: How often to check this topic, and how often to log that the node still waits, in seconds.
+_URDF_PERIOD, _LOG_PERIOD = 0.05, 10.0
 
 
 class NodeParameters:
@@ -144,7 +160,7 @@ class NodeParameters:
         declared = {name: self._node.get_parameter(name).value for name in _known(given)
                     if self._node.has_parameter(name)}
         given |= {name: value for name, value in declared.items() if value is not None}
-        checked = Scene.from_values(with_robot_description(self._node, given))
+        checked = Scene.from_values(_with_robot_description(self._node, given))
         solver = solver_named(checked.solver)
         if not solver.takes_torque:
             raise InputError(f'solver: {solver.name!r} handles torque-free motion only')
@@ -176,18 +192,6 @@ class NodeParameters:
             except InputError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
-
-
-@contextmanager
-def one_line_errors() -> Iterator[None]:
-    """Convert rclpy errors, for example about a name or a QoS override, to InputErrors."""
-    try:
-        yield
-    except NameValidationException as error:
-        text, name, _ = str(error).splitlines()  # the last line marks a character in the name
-        raise InputError(f'{text} {name.strip()}') from error
-    except (RuntimeError, AssertionError, ParameterException) as error:
-        raise InputError(' '.join(str(error).split())) from error
 
 
 def declare(node: Node, given: Mapping[str, Any]) -> None:
@@ -233,18 +237,18 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription[Any]],
         misspelt.
 
     """
-    known = [f'{QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'
-             for kind, endpoints in (('subscription', subscriptions), ('publisher', publishers))
-             for endpoint in endpoints
-             for policy in QoSOverridingOptions.with_default_policies().policy_kinds]
+    own = [f'{QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'
+           for kind, endpoints in (('subscription', subscriptions), ('publisher', publishers))
+           for endpoint in endpoints
+           for policy in QoSOverridingOptions.with_default_policies().policy_kinds]
     others = [name for name in given_parameters(node)
-              if name.startswith(QOS) and name not in known
+              if name.startswith(QOS) and name not in own
               and not name.removeprefix(QOS).startswith(_OF_RCLPY)]
     for name in others:
         # Compare only with names in the same namespace. The namespaces of two bodies may differ in
         # a single letter, and that would not be a misspelling.
         space = name.rpartition('/')[0]
-        close = resembled(name, [own for own in known if own.rpartition('/')[0] == space])
+        close = resembled(name, [key for key in own if key.rpartition('/')[0] == space])
         if close:
             raise InputError(f'{name}: not a topic, endpoint or policy of this node; '
                              f'did you mean {close}?')
@@ -253,9 +257,9 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription[Any]],
 
 def _with_float_rate(parameters: list[Parameter[Any]]) -> list[Parameter[Any]]:
     """Convert an integer rate such as 50 to a float, and leave all other parameters unchanged."""
-    return [Parameter(_RATE, value=float(one.value))
-            if one.name == _RATE and one.type_ == Parameter.Type.INTEGER else one
-            for one in parameters]
+    return [Parameter(_RATE, value=float(parameter.value))
+            if parameter.name == _RATE and parameter.type_ == Parameter.Type.INTEGER
+            else parameter for parameter in parameters]
 
 
 def _described(parameter: SceneParameter) -> str:
@@ -279,3 +283,57 @@ def _descriptor(parameter: SceneParameter) -> ParameterDescriptor:
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor
+
+
+def _with_robot_description(node: Node, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """
+    Return the given parameters; if they contain no inertia, add the URDF from the topic.
+
+    If the parameters contain an inertia or a `robot_description`, the node does not subscribe to
+    the topic, and does not wait.
+
+    Raises
+    ------
+    InputError
+        A parameter other than the inertia is not valid. The node checks these parameters before it
+        waits for the URDF.
+    ExternalShutdownException
+        The context was shut down while the node was waiting.
+
+    """
+    if given.get(_ROBOT_DESCRIPTION) or any(name.startswith('inertia.') for name in given):
+        return given
+    Scene.from_values({**given, 'link': '', _ROBOT_DESCRIPTION: '',
+                       **{f'inertia.{entry}': 1.0 for entry in ('ixx', 'iyy', 'izz')}})
+    return {**given, _ROBOT_DESCRIPTION: _wait_for_urdf(node)}
+
+
+def _wait_for_urdf(node: Node) -> str:
+    """
+    Wait for a message and return the URDF in it.
+
+    The function does not spin the node, because the node may already belong to an executor.
+    """
+    subscription = node.create_subscription(String, _ROBOT_DESCRIPTION, lambda _: None, _LATCHED)
+    topic, logger = subscription.topic_name, node.get_logger()
+    logger.info(f'waiting for a URDF on {topic}, because the parameters have neither inertia.ixx '
+                'nor robot_description')
+    logged_at = time.monotonic()
+    try:
+        while True:
+            with subscription.handle:
+                taken = subscription.handle.take_message(String, False)
+            if taken is not None:
+                return str(taken[0].data)
+            interrupts.check()
+            if not node.context.ok():
+                raise ExternalShutdownException
+            if time.monotonic() > logged_at + _LOG_PERIOD:
+                logged_at = time.monotonic()
+                count = node.count_publishers(topic)
+                why = 'no node publishes it' if not count else \
+                    f'publishers: {count}, none of which has sent one with transient local QoS'
+                logger.warning(f'still waiting for a URDF on {topic}: {why}')
+            time.sleep(_URDF_PERIOD)
+    finally:
+        node.destroy_subscription(subscription)

@@ -34,12 +34,12 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.live import events
 from rigid_body_ros.live.inputs import Torque
-from rigid_body_ros.live.torque_queue import Queued, Sender
+from rigid_body_ros.live.torque_queue import Queued
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node import clocks
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.node.outputs import APPLIED_TORQUE, IMU
-from rigid_body_ros.node.timers import timer
+from rigid_body_ros.node.process import timer
 from rigid_body_ros.propagation.segment import OutOfTimeError
 from rigid_body_ros.scene.parameters import REBASE, RESET
 
@@ -112,22 +112,10 @@ class Realtime(Mode):
             self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
             self._timer.reset()  # otherwise the next call is due after the old period
 
-    def enqueue(self, data: bytes, sender: Sender, source: int, received_ns: int = 0) -> None:
-        """
-        Queue a torque message from a source, which the middleware received at `received_ns`.
-
-        Raises
-        ------
-        RejectedError
-            The clock has no time yet, or too many torques are waiting.
-
-        """
+    def _arrived_ns(self, received_ns: int) -> int:
         if not self._now_ns:
             raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
-        self._queue.check_room()
-        age_ns = max(0, time.time_ns() - received_ns) if received_ns else 0
-        self._queue.put(Queued(source, data, sender, self._arrivals.stamp(age_ns),
-                               time.monotonic()))
+        return self._arrivals.stamp(max(0, time.time_ns() - received_ns) if received_ns else 0)
 
     def take(self) -> None:
         """Take the torques that have arrived."""
@@ -192,7 +180,7 @@ class Realtime(Mode):
         """Return current problems by source. Problems of the clock belong to the first source."""
         now_ns, timeout = self.now_ns(), self._scene.torque_timeout
         problems = self.intake.problems()
-        problems[next(iter(problems))] += self._clock.problems()
+        problems[self.intake.first] += self._clock.problems()
         for source in problems if now_ns else ():
             newest = self.run.present.newest_of(source)
             silence = (now_ns - newest.stamp_ns) * 1e-9 if newest else 0.0

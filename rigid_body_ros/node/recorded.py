@@ -21,7 +21,6 @@ import json
 from pathlib import Path
 import time
 from types import TracebackType
-from typing import NamedTuple
 
 import rclpy
 from rclpy.logging import LoggingSeverity
@@ -30,8 +29,8 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.attitude_node import AttitudeNode
 from rigid_body_ros.node.outputs import COMMITTED
-from rigid_body_ros.node.sources import BODY, sources_of, TorqueTopic
-from rigid_body_ros.node.spinning import executor_of
+from rigid_body_ros.node.process import executor_of
+from rigid_body_ros.node.sources import BODY, sources_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP
@@ -39,11 +38,6 @@ from rigid_body_ros.scene.parameters import LOCKSTEP
 #: If no further torque publisher appears for this many seconds, we assume that all publishers are
 #: connected.
 _QUIET = 3.0
-
-
-class _Logged(NamedTuple):
-    stamp_ns: int
-    data: bytes
 
 
 class RecordedNode:
@@ -73,12 +67,15 @@ class RecordedNode:
         rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
                    context=self._context)
         self._listener = rclpy.create_node('attitude_regress', context=self._context)
-        self._logs = {source.log: source for source in sources_of(scene)}
-        #: The messages of the current epoch in each log.
-        self._received: dict[str, list[_Logged]] = {name: [] for name in (*self._logs, COMMITTED)}
+        sources = sources_of(scene)
+        #: The message type of each log, and the stamps, ns, and messages of the current epoch.
+        self._types = {**{source.log: source.logged for source in sources},
+                       COMMITTED: messages.ODOMETRY}
+        self._epoch: dict[str, list[tuple[int, bytes]]] = {name: [] for name in self._types}
         self._elapsed_ns: dict[str, int] = {}
-        self._topics = {_base(name): self._listener.resolve_topic_name(source.topic)
-                        for name, source in self._logs.items() if source.number != BODY}
+        #: The torque topics by the names of their logs.
+        self._topics = {_base(source.log): self._listener.resolve_topic_name(source.topic)
+                        for source in sources if source.number != BODY}
         self._awaited = {self._topics[name] for name in logs if name in self._topics}
         #: The topics without a publisher, and when this list last changed, in seconds on the
         #: monotonic clock.
@@ -88,16 +85,15 @@ class RecordedNode:
             self._begin()
 
     def _begin(self) -> None:
-        parameters = self._scene.parameters
-        given = {name: value for name, value in self._scene.values.items()
-                 if value != parameters[name].default}
-        given.update(mode=LOCKSTEP, checkpoint='')
+        values = {name: value for name, value in self._scene.values.items()
+                  if value != self._scene.parameters[name].default}
+        values.update(mode=LOCKSTEP, checkpoint='')
         self._node = AttitudeNode(
             context=self._context, on_log=self._keep, parameter_overrides=[
-                Parameter(name, value=value) for name, value in given.items()])
+                Parameter(name, value=value) for name, value in values.items()])
         self._node.get_logger().set_level(LoggingSeverity.WARN)
         #: The full name of each log. We store it, because a destroyed node cannot resolve names.
-        self._names = {name: self._node.resolve_topic_name(name) for name in self._received}
+        self._names = {name: self._node.resolve_topic_name(name) for name in self._types}
         self._executor = executor_of(self._context)
         self._executor.add_node(self._node)
 
@@ -153,15 +149,14 @@ class RecordedNode:
             not missing or time.monotonic() - self._since > _QUIET)
 
     def _keep(self, name: str, data: bytes) -> None:
-        source, received = self._logs.get(name), self._received[name]
-        stamp_ns, frame_id, *_ = _message_type(source).decode(data)
+        log, key = self._epoch[name], _base(name)
+        stamp_ns, frame_id, *_ = self._types[name].decode(data)
         if messages.is_epoch_marker(frame_id):
-            received.clear()
-            self._elapsed_ns.pop(_base(name), None)
-        elif source and source.number != BODY:
-            self._elapsed_ns[_base(name)] = max(self._elapsed_ns.get(_base(name), 0),
-                                                stamp_ns - received[0].stamp_ns)
-        received.append(_Logged(stamp_ns, data))
+            log.clear()
+            self._elapsed_ns.pop(key, None)
+        elif key in self._topics:
+            self._elapsed_ns[key] = max(self._elapsed_ns.get(key, 0), stamp_ns - log[0][0])
+        log.append((stamp_ns, data))
 
     def finish(self) -> None:
         """
@@ -186,10 +181,10 @@ class RecordedNode:
 
     def _pending(self) -> set[int]:
         """Return the stamps of torques in the current epoch at which no state is committed yet."""
-        torques = [name for name, source in self._logs.items() if source.number != BODY]
-        due, final = ({one.stamp_ns for name in names for one in self._received[name]}
-                      for names in (torques, [COMMITTED]))
-        return due - final
+        stamps = {name: {stamp_ns for stamp_ns, _ in log} for name, log in self._epoch.items()}
+        final = stamps.pop(COMMITTED)
+        return {stamp_ns for name in stamps if _base(name) in self._topics
+                for stamp_ns in stamps[name] - final}
 
     def write(self, path: str | Path, last_ns: int) -> None:
         """
@@ -197,27 +192,21 @@ class RecordedNode:
 
         Messages stamped more than `last_ns` after the start of the epoch are left out.
         """
-        start_ns = next(found[0].stamp_ns for name, found in self._received.items()
-                        if name in self._logs)
+        start_ns = next(iter(self._epoch.values()))[0][0]
         with recording.Writer(path) as writer:
             writer.add_metadata(NAME, {'fingerprint': json.dumps(fingerprint()),
                                        'scene': json.dumps(dict(self._scene.values))})
-            for name, found in self._received.items():
+            for name, log in self._epoch.items():
                 topic = self._names[name]
-                writer.add_topic(topic, _message_type(self._logs.get(name)))
+                writer.add_topic(topic, self._types[name])
                 first = 0
                 if name == COMMITTED:  # no markers in this log: look for the last start state
-                    stamps = [one.stamp_ns for one in found]
+                    stamps = [stamp_ns for stamp_ns, _ in log]
                     first = len(stamps) - 1 - stamps[::-1].index(start_ns)
-                for one in found[first:]:
-                    if one.stamp_ns <= start_ns + last_ns:
-                        writer.write(topic, one.stamp_ns, one.data)
+                for stamp_ns, data in log[first:]:
+                    if stamp_ns <= start_ns + last_ns:
+                        writer.write(topic, stamp_ns, data)
 
 
 def _base(name: str) -> str:
     return name.removeprefix('~/')
-
-
-def _message_type(source: TorqueTopic | None) -> messages.MessageType:
-    """Return the message type of a source's log; without a source, that of the state log."""
-    return source.logged if source else messages.ODOMETRY
