@@ -75,6 +75,12 @@ def test_log_is_the_shortest_of_the_vectors_of_a_rotation():
     assert np.linalg.norm(so3.log(Q[0]), axis=1).max() <= np.pi
 
 
+def test_the_difference_turns_one_attitude_into_the_other():
+    p, q, _ = Q
+    turned = so3.multiply(p, so3.exp(so3.difference(p, q)))
+    assert so3.angle_between(turned, q).max() < 16 * EPS
+
+
 def test_exp_goes_on_beyond_a_turn():
     np.testing.assert_allclose(so3.exp([2.0 * np.pi, 0.0, 0.0]), [0.0, 0.0, 0.0, -1.0],
                                atol=2 * EPS)

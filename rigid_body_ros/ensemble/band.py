@@ -207,8 +207,7 @@ def _main_axes(slopes: Floats) -> Floats:
 
 def _relative(nominal: Band, displaced: Band) -> Floats:
     """Return the spread of a displaced motion as that of its rotation from the nominal motion."""
-    vector = so3.log(so3.multiply(so3.conjugate(nominal.motion[:, :4]),
-                                  displaced.motion[:, :4]))[:, :, None]
+    vector = so3.difference(nominal.motion[:, :4], displaced.motion[:, :4])[:, :, None]
     # The inverse of the right Jacobian of rotations, to the fourth order.
     first = np.cross(vector, displaced.spread[:, :3], axis=1)
     factor = 1.0 / 12.0 + (vector ** 2).sum(axis=1, keepdims=True) / 720.0

@@ -317,7 +317,7 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
     values, guesses, scales, turn = (velocity, given.angular_velocity, np.full(3, setup.rate),
                                      np.eye(3))
     if setup.fits_attitude[number]:
-        turned = so3.log(so3.multiply(so3.conjugate(given.attitude), attitude))
+        turned = so3.difference(given.attitude, attitude)
         names = [*(f'initial_attitude{end}' for end in ends), *names]
         values, guesses = np.append(turned, values), np.append(np.zeros(3), guesses)
         scales = np.append(np.ones(3), scales)

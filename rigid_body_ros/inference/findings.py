@@ -213,7 +213,7 @@ def start_suspect(solution: Solution) -> Suspect | None:
     """Return the start as a suspect, unless the fitted start is the given one within the noise."""
     problem, setup = solution.problem, solution.problem.setup
     given, states, unknown = setup.start(0), problem.reference, problem.unknowns[0]
-    turned = so3.log(so3.multiply(so3.conjugate(states.attitude[0]), given.attitude))
+    turned = so3.difference(states.attitude[0], given.attitude)
     faster = given.angular_velocity - states.angular_velocity[0]
     change = np.append(turned, faster / setup.rate)[unknown]
     if np.abs(change).max() < SMALLEST:

@@ -375,7 +375,7 @@ def errors_of(channels: Sequence[Measured], predicted: Sequence[Floats]) -> list
 
     For attitudes, the difference is a rotation vector.
     """
-    return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
+    return [-so3.difference(here, channel.values)
             if channel.is_attitude else here - channel.values
             for channel, here in zip(channels, predicted)]
 

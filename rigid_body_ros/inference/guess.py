@@ -164,7 +164,7 @@ def _mounting(motion: Motion, sensor: Measured, offset_ns: int
         return kabsch(sensor.angular_velocity[within], states.angular_velocity), IDENTITY
     attitude = sensor.attitude[within]
     step = _stride(attitude)
-    turned, expected = (so3.log(so3.multiply(so3.conjugate(each[:-step]), each[step:]))
+    turned, expected = (so3.difference(each[:-step], each[step:])
                         for each in (attitude, states.attitude))
     short = np.linalg.norm(turned, axis=1) < 2.8
     mount = kabsch(turned[short], expected[short]) if short.any() else IDENTITY
@@ -296,7 +296,7 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
         velocity, _ = _robust_line((rates.stamps_ns - time_ns) * 1e-9, rates.values)
     if turns is not None:
         middle = turns.values[np.argsort(turns.stamps_ns)[len(turns) // 2]]
-        turned = so3.log(so3.multiply(so3.conjugate(middle), turns.values))
+        turned = so3.difference(middle, turns.values)
         here, slope = _robust_line((turns.stamps_ns - time_ns) * 1e-9, turned)
         attitude = so3.multiply(middle, so3.exp(here))
         velocity = slope if rates is None else velocity

@@ -173,7 +173,7 @@ def _fitted(problem: Problem, sensor: Measured, rows: NDArray[np.int64],
         motions = [problem.between(starts[k], int(stamps_ns[rows[k, -1]])).propagate(
             at=stamps_ns[rows[k]]) for k in moving]
         turned = np.stack([motion.attitude for motion in motions])
-        vectors = so3.log(so3.multiply(so3.conjugate(turned), attitude[used]))
+        vectors = so3.difference(turned, attitude[used])
         # Work in space axes, where the components of a constant attitude error do not change.
         vectors = so3.rotate(turned, vectors)
         seconds = 1e-9 * (stamps_ns[used] - stamps_ns[used[:, :1]])[:, :, None]

@@ -161,7 +161,7 @@ def _polynomials(sensor: Measured, half: int) -> tuple[Measured, float]:
     lengths = np.ptp(seconds[around], axis=1)
     length = float(np.median(lengths))
     middle, around = middle[lengths <= _GAP * length], around[lengths <= _GAP * length]
-    turns = so3.log(so3.multiply(so3.conjugate(attitude[middle])[:, None], attitude[around]))
+    turns = so3.difference(attitude[middle][:, None], attitude[around])
     times = seconds[around] - seconds[middle, None]
     columns = (times[..., None] / length) ** np.arange(3 if half < 4 else 4)
     normal = np.einsum('nki,nkj->nij', columns, columns)
@@ -226,7 +226,7 @@ def errors_of(sensor: Measured, states: Poses) -> tuple[Floats | None, Floats | 
     """
     rotation = rate = None
     if sensor.attitude is not None:
-        rotation = so3.log(so3.multiply(so3.conjugate(states.attitude), sensor.attitude))
+        rotation = so3.difference(states.attitude, sensor.attitude)
     if sensor.angular_velocity is not None:
         rate = sensor.angular_velocity - states.angular_velocity
     return rotation, rate

@@ -234,7 +234,7 @@ def spread_of(stamps_ns: NDArray[np.int64], errors: Floats,
         turns = so3.exp(errors)
         back = so3.conjugate(turns[:-2])
         middle = so3.exp(share * so3.log(so3.multiply(back, turns[2:])))
-        left = so3.log(so3.multiply(so3.conjugate(middle), so3.multiply(back, turns[1:-1])))
+        left = so3.difference(middle, so3.multiply(back, turns[1:-1]))
     else:
         left = errors[1:-1] - (1.0 - share) * errors[:-2] - share * errors[2:]
     sizes = NORMAL * np.median(np.abs(left) / np.sqrt(

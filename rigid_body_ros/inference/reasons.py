@@ -289,7 +289,7 @@ def _is_explained(one: Residuals, fits_motion: bool) -> bool:
 def _about_mean(one: Residuals) -> Floats:
     """Return a measured quantity relative to its mean, as rotation vectors or rates."""
     values = one.measured[one.inliers]
-    return so3.log(so3.multiply(so3.conjugate(davenport(values)), values)) if one.is_attitude \
+    return so3.difference(davenport(values), values) if one.is_attitude \
         else values - values.mean(axis=0)
 
 

@@ -255,7 +255,7 @@ def interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
     """
     rows = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0, len(stamps_ns) - 2)
     part = (times_ns - stamps_ns[rows]) / np.diff(stamps_ns)[rows]
-    step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))
+    step = so3.difference(attitude[rows], attitude[rows + 1])
     return so3.multiply(attitude[rows], so3.exp(part[:, None] * step))
 
 
@@ -359,7 +359,7 @@ def measured_rates(sensor: Measured, lag: int = 1) -> tuple[NDArray[np.int64], F
         return stamps_ns, sensor.angular_velocity
     assert attitude is not None
     spans = stamps_ns[lag:] - stamps_ns[:-lag]
-    turned = so3.log(so3.multiply(so3.conjugate(attitude[:-lag]), attitude[lag:]))
+    turned = so3.difference(attitude[:-lag], attitude[lag:])
     return stamps_ns[:-lag] + spans // 2, turned / (1e-9 * np.maximum(spans, 1))[:, None]
 
 

@@ -226,7 +226,7 @@ def linear_motion(problem: Problem, times_ns: NDArray[np.int64],
 
 def _change(states: Poses, others: Poses) -> Floats:
     """Return other states minus the given ones, shape (m, 6)."""
-    turned = so3.log(so3.multiply(so3.conjugate(states.attitude), others.attitude))
+    turned = so3.difference(states.attitude, others.attitude)
     return np.concatenate([turned, others.angular_velocity - states.angular_velocity], axis=1)
 
 

@@ -47,7 +47,7 @@ def between(first: tuple[Floats, Floats], last: tuple[Floats, Floats], spans: Fl
 
     """
     span, part = spans[:, None], parts[:, None]
-    step = so3.log(so3.multiply(so3.conjugate(first[0]), last[0]))
+    step = so3.difference(first[0], last[0])
     begin, end = first[1] * span, _vector_rate(step, last[1]) * span
     square, cube = part * part, part ** 3
     vector = (3 * square - 2 * cube) * step + (part - 2 * square + cube) * begin \

@@ -187,6 +187,11 @@ def log(q: ArrayLike) -> Floats:
     return factor * q[..., :3]
 
 
+def difference(p: ArrayLike, q: ArrayLike) -> Floats:
+    """Return the rotation vector from one attitude to another, rad, in the body axes of `p`."""
+    return log(multiply(conjugate(p), q))
+
+
 def right_jacobian(rotation_vector: ArrayLike) -> Floats:
     """Return the matrix A, shape (3, 3), with exp(v + dv) = exp(v) exp(A dv) for a small dv."""
     v = np.asarray(rotation_vector, float)

@@ -120,7 +120,7 @@ def _at(times_ns: NDArray[np.int64], link: Messages) -> Floats:
                      max(len(stamps_ns) - 2, 0))
     after = np.minimum(before + 1, len(stamps_ns) - 1)
     share = (times_ns - stamps_ns[before]) / np.maximum(stamps_ns[after] - stamps_ns[before], 1)
-    turns = so3.log(so3.multiply(so3.conjugate(rotations[before]), rotations[after]))
+    turns = so3.difference(rotations[before], rotations[after])
     is_known = (times_ns >= stamps_ns[0]) & (times_ns <= stamps_ns[-1])
     return np.where(is_known[:, None], so3.multiply(
         rotations[before], so3.exp(share[:, None] * turns)), np.nan)

@@ -58,7 +58,7 @@ def _panels(regression: Regression) -> Iterator[Panel]:
     lines = {} if first_ns is None else {'first difference': (first_ns - start_ns) * 1e-9}
     states = (reference.states, loop.states)
     turned = Pair.of(*states)
-    errors = so3.log(so3.multiply(so3.conjugate(turned.reference[:, :4]), turned.found[:, :4]))
+    errors = so3.difference(turned.reference[:, :4], turned.found[:, :4])
     yield _panel('quaternion', '', states, QUATERNION, slice(4), start_ns, lines)
     yield _difference('attitude, body axes', 'rad', turned, errors, start_ns, lines)
     label = 'angular velocity, body axes'
