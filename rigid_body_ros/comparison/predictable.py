@@ -21,7 +21,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.inference.evidence import LOST
 from rigid_body_ros.inference.noise import FEWEST, spread_of
-from rigid_body_ros.inference.window_error import linear_motion
+from rigid_body_ros.inference.parameters import START
 from rigid_body_ros.propagation import Problem
 
 #: The start is assumed to be estimated from this many seconds of the measurement, but from at
@@ -54,7 +54,7 @@ def predictable_s(comparison: Comparison) -> float | None:
         return None
     seconds = np.linspace(0.0, end, _INSTANTS + 1)[1:]
     times_ns = start.time_ns + np.round(1e9 * seconds).astype(np.int64)
-    _, derivatives = linear_motion(problem, times_ns)
+    derivatives = problem.derivatives([START], at=times_ns).both
     variances = np.sum((deviations * derivatives[:, :3]) ** 2, axis=(1, 2))
     lost = np.flatnonzero(variances > LOST ** 2)
     return float(seconds[lost[0]]) if lost.size else None

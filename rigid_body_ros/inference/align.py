@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.inference.evidence import certainty, own_noises, weighted
+from rigid_body_ros.inference.evidence import certainty, noises, weighted, widened
 from rigid_body_ros.inference.fit import Solution
 from rigid_body_ros.inference.growth import solved_whole
 from rigid_body_ros.inference.guess import guess, IDENTITY
@@ -169,7 +169,7 @@ def align(motion: Motion, sensors: Sequence[Measured],
         values[SPACE] = so3.log(guesses[0][2])
     setup = setup_of_sensors(motion, channels, values, fits_start)
     solution = solved_whole(setup)
-    return _alignments(weighted(solution, own_noises(solution)), len(sensors), motion)
+    return _alignments(weighted(solution, noises(widened(solution))), len(sensors), motion)
 
 
 def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> None:

@@ -210,14 +210,14 @@ def of_training(solution: Solution) -> list[Residuals]:
     """Return the errors of the samples that the fit used."""
     result = []
     for number, channels in enumerate(solution.problem.setup.channels):
-        for channel, errors, inliers, noise in zip(
+        for channel, errors, inliers, weight in zip(
                 channels, solution.errors[number], solution.inliers[number],
-                solution.weights.sigma[number]):
+                solution.weights[number]):
             # With a clock offset, some samples may precede the start. Their errors are NaN.
             used = np.isfinite(errors[:, 0])
             result.append(Residuals(number, channel.topic, channel.is_attitude, True,
                                     channel.stamps_ns[used], errors[used],
-                                    channel.values[used], inliers[used], float(noise)))
+                                    channel.values[used], inliers[used], float(weight.sigma)))
     return result
 
 
@@ -258,11 +258,11 @@ def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> li
     for number, channels in enumerate(every):
         k, ahead = ahead_of(solution, number, channels)
         predicted = ahead.predict(solution.physics, problem.reference.rows(k))
-        for channel, errors, noise in zip(ahead.channels, errors_of(ahead.channels, predicted),
-                                          solution.weights.sigma[number]):
-            sizes = np.linalg.norm(errors, axis=1)
+        for channel, errors, weight in zip(ahead.channels, errors_of(ahead.channels, predicted),
+                                           solution.weights[number]):
+            sizes, noise = np.linalg.norm(errors, axis=1), float(weight.sigma)
             limit = _OUTLIER * max(float(np.median(sizes)) if len(sizes) else 0.0, noise)
             result.append(Residuals(number, channel.topic, channel.is_attitude, False,
                                     channel.stamps_ns, errors, channel.values, sizes <= limit,
-                                    float(noise)))
+                                    noise))
     return result

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.inference.coordinates import LONGEST_DELAY
 from rigid_body_ros.inference.errors import ahead_of, Residuals
-from rigid_body_ros.inference.fit import LeastSquares, Solution, triangle, Weights
+from rigid_body_ros.inference.fit import LeastSquares, Solution, triangle, Weight
 from rigid_body_ros.inference.growth import polished, states_at
 from rigid_body_ros.inference.noise import LEAST, Noise, noise_of, tail
 from rigid_body_ros.recording.measured import Measured
@@ -124,7 +124,8 @@ def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int,
         The errors, in standard deviations.
 
     """
-    left = _without(base, np.column_stack([others, errors]))
+    left, basis = np.column_stack([others, errors]), _basis(base)
+    left = left - basis @ (basis.T @ left)
     norms = np.linalg.norm(others, axis=0)
     kept = np.linalg.norm(left[:, :-1], axis=0) > _ROUNDING * np.maximum(norms, 1e-300)
     if not kept.any():
@@ -148,13 +149,6 @@ def solved(matrix: Floats, errors: Floats) -> tuple[Floats, Floats]:
     deviations = np.linalg.norm(inverse, axis=1)
     deviations[(np.abs(right[~kept]) > 1e-3).any(axis=0)] = np.inf
     return -(inverse @ (left[:, kept].T @ errors)) / norms, deviations / norms
-
-
-def _without(base: Floats, others: Floats) -> Floats:
-    if not base.shape[1]:
-        return others
-    basis = _basis(base)
-    return others - basis @ (basis.T @ others)
 
 
 def _basis(columns: Floats) -> Floats:
@@ -227,32 +221,25 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
             for every in parts]
 
 
-def own_noises(solution: Solution) -> list[list[Noise]]:
-    """Estimate the noise of each channel of each recording from the errors of a fit."""
-    return noises(widened(solution))
-
-
 def with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
     """Return a fit with `weighted` weights, repeated if the noise spreads are not about equal."""
     solution = weighted(solution, found)
-    sizes = np.concatenate([one for each in solution.weights.spreads for one in each])
+    sizes = np.concatenate([weight.spread for every in solution.weights for weight in every])
     return polished(solution) if sizes.max() > _UNEQUAL * sizes.min() else solution
 
 
 def weighted(solution: Solution, found: list[list[Noise]]) -> Solution:
     """Return a fit with weights that account for the size and persistence of the errors."""
     setup = solution.problem.setup
-    spreads: list[list[Floats]] = []
-    for channels, every in zip(setup.channels, found):
-        spreads.append([])
-        for channel, noise in zip(channels, every):
-            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            # Use relative sizes, because the next fit estimates the factor common to all axes. If
-            # a sensor is stuck, one axis may have no errors. That axis must not dominate the fit.
-            relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
-            sizes = np.ones(3) if given else np.maximum(relative, LEAST)
-            spreads[-1].append(sizes * noise.lasting)
-    return solution.with_spreads(spreads)
+
+    def spread(channel: Measured, noise: Noise) -> Floats:
+        # Use relative sizes, because the next fit estimates the factor common to all axes. If a
+        # sensor is stuck, one axis may have no errors. That axis must not dominate the fit.
+        relative = noise.sizes / max(float(np.sqrt(np.mean(noise.sizes ** 2))), 1e-300)
+        sizes = np.ones(3) if setup.noise_of(channel.is_attitude) else np.maximum(relative, LEAST)
+        return sizes * noise.lasting
+    return solution.with_spreads([[spread(*pair) for pair in zip(*every)]
+                                  for every in zip(setup.channels, found)])
 
 
 def foresight(solution: Solution, number: int, channels: Sequence[Measured],
@@ -290,33 +277,32 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     """
     old = solution.problem
     k, ahead = ahead_of(solution, number, channels)
-    empty: Any = [None] * len(old.setup.channels)
-    roots, spreads = [*empty], [*empty]
-    roots[number] = [one.inliers.astype(float) for one in residuals]
+    weights = [*solution.weights]
     # The spreads in the weights are those of averages over many errors. Convert them to the
     # spreads of single errors.
-    sizes = [spread / noise.lasting
-             for spread, noise in zip(solution.weights.spreads[number], noises)]
-    spreads[number] = sizes
-    problem = LeastSquares(old.setup, [ahead], old.reference.rows([k]),
-                           Weights(solution.weights.sigma, roots, spreads))
+    weights[number] = [Weight(weight.sigma, errors.inliers.astype(float),
+                              weight.spread / noise.lasting)
+                       for weight, errors, noise in zip(weights[number], residuals, noises)]
+    problem = LeastSquares(old.setup, [ahead], old.reference.rows([k]), weights)
     # The parameters come before the state, as in the information matrix.
     slopes = np.roll(problem.derivatives(0, solution.physics), -len(problem.unknowns[0]), axis=0)
-    errors, known = problem.scaled_errors(0, solution.physics), old.information(
-        solution.physics, [k])
+    known = old.information(solution.physics, [k])
     deviations = _deviations(known, slopes)
-    sigma = np.concatenate([np.tile(one.noise * one.is_attitude * size, len(one.errors))
-                            for one, size in zip(residuals, sizes)])
-    stamps_ns = np.concatenate([np.repeat(one.stamps_ns, 3) for one in residuals])
+    sigma = np.concatenate([np.tile(errors.noise * errors.is_attitude * weight.spread,
+                                    len(errors.errors))
+                            for errors, weight in zip(residuals, weights[number])])
+    stamps_ns, inliers = (np.concatenate([np.repeat(getattr(errors, name), 3)
+                                          for errors in residuals])
+                          for name in ('stamps_ns', 'inliers'))
     angles = np.where(sigma > 0.0, deviations, 0.0) * sigma  # a rate may have no deviation
     lost, vague = (stamps_ns[angles > limit] for limit in (LOST, _LINEAR))
     used = stamps_ns < vague.min() if vague.size else np.ones(stamps_ns.shape, bool)
     rows = np.concatenate([known, np.zeros((len(known), 1))], axis=1)
-    rows = np.concatenate([rows, np.vstack([slopes, errors]).T[used]])
+    scaled = problem.scaled_errors(0, solution.physics)
+    rows = np.concatenate([rows, np.vstack([slopes, scaled]).T[used]])
     statistic = float(triangle(rows.T.copy())[-1, -1] ** 2)
-    count = int(np.sum(used & np.concatenate([np.repeat(one.inliers, 3) for one in residuals])))
     predictable_s = 1e-9 * float(lost.min() - ahead.origin_ns) if lost.size else np.inf
-    return statistic, count, predictable_s
+    return statistic, int(np.sum(used & inliers)), predictable_s
 
 
 def _deviations(known: Floats, slopes: Floats) -> Floats:
@@ -337,7 +323,7 @@ def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tu
     """
     window, first = problem.windows[k], 0
     for channel, rows in enumerate(window.rows):
-        root = problem.weights.roots[window.experiment][channel][rows]
+        root = problem.weights[window.experiment][channel].root[rows]
         if not len(root):
             continue
         part = errors[first:first + 3 * len(root)].reshape(-1, 3)
@@ -449,39 +435,33 @@ def _split(factor: Floats) -> tuple[Floats, Floats]:
 
 
 def _direction(names: Sequence[str], values: Floats, vector: Floats) -> Direction:
+    """Return a direction with the first reason that holds."""
     vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
     components = {name: round(float(part), 4) for name, part in zip(names, vector)
                   if abs(part) >= _LISTED}
-    return Direction(components, _reason(names, values, vector))
-
-
-def _reason(names: Sequence[str], values: Floats, vector: Floats) -> str:
     inertia = _chosen(names, 'inertia')
     ratios = vector[inertia][:3] / values[inertia][:3]  # relative changes of the moments
-    if vector[_at_bound(names, values)].any():
-        return f'at its bound of {LONGEST_DELAY:g} s: the errors are smallest at or ' \
-               'beyond it; check the stamps of the torques'
     scales_inertia = ratios.size > 0 and np.ptp(ratios) < _SAME * np.abs(ratios).max()
     parts, wider = ({MOMENT if field_of(name[:-2]) else name.split('.')[0]
                      for name, part in zip(names, vector) if abs(part) >= least}
                     for least in (_COUNTS, _LISTED))
-    if scales_inertia and wider & {'torque_gain', 'torque_bias', 'damping',
-                                   'initial_rotor_momentum', MOMENT}:
-        return 'only the ratio of torque to inertia enters the motion'
-    if scales_inertia and wider == {'inertia'}:
-        return _RATIOS
-    if parts == {'inertia'}:
-        return ('the motion excites these moments too little: turn the body about all three axes, '
-                'at changing rates')
-    if 'gyro_bias' in parts:
-        return 'a bias of the gyro cannot be told from a slow rotation'
-    if 'mount' in parts and 'initial_attitude' in parts:
-        return 'a rotation of the sensor cannot be told from one of the body'
-    if 'clock_offset' in parts:
-        return 'the motion changes too little for a shift in time to show'
-    if 'torque_gain' in parts:
-        return 'the torque is too small to show'
-    return 'these parameters change the prediction too little, or in the same way'
+    of_torque = {'torque_gain', 'torque_bias', 'damping', 'initial_rotor_momentum', MOMENT}
+    reasons = (
+        (vector[_at_bound(names, values)].any(),
+         f'at its bound of {LONGEST_DELAY:g} s: the errors are smallest at or beyond it; check '
+         'the stamps of the torques'),
+        (scales_inertia and wider & of_torque,
+         'only the ratio of torque to inertia enters the motion'),
+        (scales_inertia and wider == {'inertia'}, _RATIOS),
+        (parts == {'inertia'}, 'the motion excites these moments too little: turn the body about '
+                               'all three axes, at changing rates'),
+        ('gyro_bias' in parts, 'a bias of the gyro cannot be told from a slow rotation'),
+        ({'mount', 'initial_attitude'} <= parts,
+         'a rotation of the sensor cannot be told from one of the body'),
+        ('clock_offset' in parts, 'the motion changes too little for a shift in time to show'),
+        ('torque_gain' in parts, 'the torque is too small to show'),
+        (True, 'these parameters change the prediction too little, or in the same way'))
+    return Direction(components, next(text for holds, text in reasons if holds))
 
 
 def _chosen(names: Sequence[str], prefix: str) -> NDArray[np.bool_]:

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,26 +62,29 @@ _CAUCHY = 2.4
 ROUNDING = 1e-11
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
+class Weight(NamedTuple):
     """
-    The weights of the samples in each channel.
+    The weights of the samples of a channel.
 
     Attributes
     ----------
-    sigma : list of list of float
-        Standard deviation of each channel of each recording, rad or rad/s.
-    roots : list of list of array, shape (n,)
+    sigma : float
+        Standard deviation, rad or rad/s.
+    root : array, shape (n,)
         Square root of the weight of each sample.
-    spreads : list of list of array, shape (3,)
+    spread : array, shape (3,)
         For each axis, the effective noise divided by `sigma`. Errors that persist over many
         samples make the effective noise larger.
 
     """
 
-    sigma: list[list[float]]
-    roots: list[list[Floats]]
-    spreads: list[list[Floats]]
+    sigma: float
+    root: Floats
+    spread: Floats
+
+
+#: The weight of each channel of each recording.
+Weights = list[list[Weight]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,12 +288,10 @@ class LeastSquares:
         The array of each channel has shape (c, n, 3).
         """
         window = self.windows[k]
-        sigma = self.weights.sigma[window.experiment]
-        roots = self.weights.roots[window.experiment]
-        spreads = self.weights.spreads[window.experiment]
-        return np.concatenate([(error * (root[rows, None] / (one * spread))
-                                ).reshape(len(error), -1) for error, one, spread, root, rows
-                               in zip(errors, sigma, spreads, roots, window.rows)], axis=1)
+        return np.concatenate([
+            (error * (root[rows, None] / (sigma * spread))).reshape(len(error), -1)
+            for error, (sigma, root, spread), rows
+            in zip(errors, self.weights[window.experiment], window.rows)], axis=1)
 
     def residuals(self, physics: Physics) -> list[list[Floats]]:
         """
@@ -297,12 +299,12 @@ class LeastSquares:
 
         The errors of samples that lie outside all windows are NaN.
         """
-        result = [[np.full((len(root), 3), np.nan) for root in roots]
-                  for roots in self.weights.roots]
+        result = [[np.full((len(channel), 3), np.nan) for channel in channels]
+                  for channels in self.setup.channels]
         for k, window in enumerate(self.windows):
             errors = errors_of(window.channels, window.predict(physics, self.reference.rows(k)))
-            for one, rows, error in zip(result[window.experiment], window.rows, errors):
-                one[rows] = error
+            for whole, rows, error in zip(result[window.experiment], window.rows, errors):
+                whole[rows] = error
         return result
 
     def information(self, physics: Physics, kept: Sequence[int] | None = None) -> Floats:
@@ -434,8 +436,9 @@ class Solution:
     converged: bool
 
     def with_spreads(self, spreads: list[list[Floats]]) -> Solution:
-        """Return the solution with other `Weights.spreads`."""
-        weights = replace(self.weights, spreads=spreads)
+        """Return the solution with other spreads in its weights."""
+        weights = [[weight._replace(spread=spread) for weight, spread in zip(*pair)]
+                   for pair in zip(self.weights, spreads)]
         return replace(self, weights=weights, problem=self.problem.weighted(weights))
 
     @property
@@ -456,35 +459,33 @@ def solution_of(problem: LeastSquares, physics: Physics, length_ns: int, evaluat
     setup, errors = problem.setup, problem.residuals(physics)
     total = sum(int(np.isfinite(error).sum()) for every in errors for error in every)
     share = float(np.sqrt(total / max(total - problem.size, 1)))
-    found = [[_weighed(*pair, setup, share, is_last) for pair in zip(*each)]
-             for each in zip(errors, setup.channels)]
-    sigma = [[one for one, _, _ in every] for every in found]
-    roots = [[one for _, one, _ in every] for every in found]
-    inliers = [[one for _, _, one in every] for every in found]
-    weights = Weights(sigma, roots, problem.weights.spreads)
+    pairs = [[_weighed(*channel, setup, share, is_last) for channel in zip(*every)]
+             for every in zip(errors, setup.channels, problem.weights)]
+    weights = [[weight for weight, _ in every] for every in pairs]
+    inliers = [[kept for _, kept in every] for every in pairs]
     return Solution(length_ns, problem, physics, errors, weights, inliers, evaluations, converged)
 
 
-def _weighed(error: Floats, channel: Measured, setup: Setup, share: float, is_last: bool
-             ) -> tuple[float, Floats, NDArray[np.bool_]]:
+def _weighed(error: Floats, channel: Measured, old: Weight, setup: Setup, share: float,
+             is_last: bool) -> tuple[Weight, NDArray[np.bool_]]:
     """
-    Return the noise of a channel, the root of the weight of each sample, and the inliers.
+    Return the new weight of a channel, and its inliers.
 
     The errors of samples outside windows are NaN. These samples count as inliers.
     """
     floor = ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
-    given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
+    given = setup.noise_of(channel.is_attitude)
     level, used = max(NORMAL * median_size(error) * share, floor), np.isfinite(error[:, 0])
     distances = np.nan_to_num(
         np.linalg.norm(error, axis=1) / max(level, given or 0.0, _NO_OUTLIER))
     inliers = distances <= _OUTLIER
     if used.any() and np.mean(inliers[used]) < _RARE:
         inliers = np.ones(len(inliers), bool)
-    if not is_last:
-        return given or level, 1.0 / np.sqrt(1.0 + distances ** 2 / (3.0 * _CAUCHY ** 2)), inliers
-    kept = error[inliers & used]
-    level = max(float(np.sqrt(np.mean(kept ** 2))) * share, floor) if len(kept) else floor
-    return given or level, inliers.astype(float), inliers
+    root = 1.0 / np.sqrt(1.0 + distances ** 2 / (3.0 * _CAUCHY ** 2))
+    if is_last:
+        root, kept = inliers.astype(float), error[inliers & used]
+        level = max(float(np.sqrt(np.mean(kept ** 2))) * share, floor) if len(kept) else floor
+    return Weight(given or level, root, old.spread), inliers
 
 
 def median_size(error: Floats) -> float:

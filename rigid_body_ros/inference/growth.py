@@ -28,7 +28,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
@@ -40,7 +40,7 @@ from rigid_body_ros.inference.fit import (
     ROUNDING,
     Solution,
     solution_of,
-    Weights,
+    Weight,
 )
 from rigid_body_ros.inference.guess import local_state
 from rigid_body_ros.inference.noise import rms
@@ -142,7 +142,7 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics,
 
 def lasts(solution: Solution) -> bool:
     """Return whether the errors of adjacent samples are strongly correlated in any channel."""
-    for error in (error for every in solution.errors for error in every):
+    for error in chain(*solution.errors):
         limit = 3.0 * median_size(error)  # so that outliers do not dominate
         clipped = np.clip(error, -limit, limit)
         if np.nansum(clipped[1:] * clipped[:-1]) > _LASTING * np.nansum(clipped ** 2):
@@ -188,14 +188,15 @@ def polished(solution: Solution, rounds: int = 8, tolerance: float = 1e-7,
 
     The fit is repeated up to `rounds` times, until noise and outliers stay the same.
     """
-    whole = [[inlier.astype(float) for inlier in inliers] for inliers in solution.inliers]
-    previous = replace(solution, weights=replace(solution.weights, roots=whole))
+    previous = replace(solution, weights=[
+        [weight._replace(root=inliers.astype(float)) for weight, inliers in zip(*every)]
+        for every in zip(solution.weights, solution.inliers)])
     for _ in range(rounds):
         solution = fitted(previous, previous.length_ns, tolerance, most, is_last=True)
-        same = all(np.array_equal(one, other) for a, b in zip(solution.inliers, previous.inliers)
-                   for one, other in zip(a, b))
-        if same and np.allclose(np.concatenate(solution.weights.sigma),
-                                np.concatenate(previous.weights.sigma), rtol=1e-3):
+        same = all(map(np.array_equal, chain(*solution.inliers), chain(*previous.inliers)))
+        new, old = ([weight.sigma for weight in chain(*fit.weights)]
+                    for fit in (solution, previous))
+        if same and np.allclose(new, old, rtol=1e-3):
             break
         previous = solution
     return solution
@@ -220,10 +221,8 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
         best = np.argmin(_medians(window, physics, *both)) if window.is_first else 0
         pairs.append(both[int(best)])
     states = _joined(pairs)
-    ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
-                   [[np.ones(len(channel)) for channel in channels]
-                    for channels in setup.channels],
-                   [[np.ones(3) for _ in channels] for channels in setup.channels])
+    ones = [[Weight(1.0, np.ones(len(channel)), np.ones(3)) for channel in channels]
+            for channels in setup.channels]
     return solution_of(LeastSquares(setup, windows, states, ones), physics, setup.shortest_ns, 0)
 
 

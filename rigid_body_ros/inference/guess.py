@@ -76,15 +76,15 @@ def guess(motion: Motion, sensors: Sequence[Measured], clocks: Sequence[bool],
         the rotation of the space axes.
 
     """
-    space, most, found = IDENTITY, 0, []
+    space, most, guesses = IDENTITY, 0, []
     for sensor, clock, mount in zip(sensors, clocks, mounts):
         offset = _offset(motion, sensor, mount) if clock else 0.0
         mounting, turn = _mounting(motion, sensor, round(1e9 * offset)) if mount \
             else (IDENTITY, IDENTITY)
         if mount and sensor.attitude is not None and len(sensor) > most:
             space, most = turn, len(sensor)
-        found.append((offset, mounting))
-    return [(offset, mounting, space) for offset, mounting in found]
+        guesses.append((offset, mounting))
+    return [(offset, mounting, space) for offset, mounting in guesses]
 
 
 def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:
@@ -163,21 +163,16 @@ def _mounting(motion: Motion, sensor: Measured, offset_ns: int
         assert sensor.angular_velocity is not None
         return kabsch(sensor.angular_velocity[within], states.angular_velocity), IDENTITY
     attitude = sensor.attitude[within]
-    step = _stride(attitude)
-    turned, expected = (so3.difference(each[:-step], each[step:])
-                        for each in (attitude, states.attitude))
+    # Between the samples of a pair, the body turns by about one radian.
+    usual = max(float(np.median(so3.angle_between(attitude[:-1], attitude[1:]))), 1e-9)
+    step = int(np.clip(1.0 / usual, 1, max(len(attitude) // 4, 1)))
+    turned, expected = (so3.difference(poses[:-step], poses[step:])
+                        for poses in (attitude, states.attitude))
     short = np.linalg.norm(turned, axis=1) < 2.8
     mount = kabsch(turned[short], expected[short]) if short.any() else IDENTITY
     rest = so3.multiply(so3.multiply(attitude, so3.conjugate(mount)),
                         so3.conjugate(states.attitude))
     return mount, davenport(rest)
-
-
-def _stride(attitude: Floats) -> int:
-    """Return the number of samples that the body takes to turn by about one radian."""
-    angles = so3.angle_between(attitude[:-1], attitude[1:])
-    usual = max(float(np.median(angles)), 1e-9)
-    return int(np.clip(1.0 / usual, 1, max(len(attitude) // 4, 1)))
 
 
 def kabsch(vectors: Floats, targets: Floats) -> Floats:
@@ -241,7 +236,7 @@ def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
         explains the torques much better.
 
     """
-    sensor = max(sensors, key=lambda one: (one.angular_velocity is not None, len(one)))
+    sensor = max(sensors, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
     residual = residual_torque(problem, sensor)
     if residual is None or not residual.logged.any():
         return 0.0
@@ -289,9 +284,9 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
 
     """
     attitude, velocity = fallback.attitude, fallback.angular_velocity
-    near = [one for channel in channels if len(one := _near(channel, time_ns, rate))]
-    rates = next((one for one in near if not one.is_attitude), None)
-    turns = next((one for one in near if one.is_attitude), None)
+    near = [_near(channel, time_ns, rate) for channel in channels]
+    rates, turns = (next((channel for channel in near if channel and channel.is_attitude is kind),
+                         None) for kind in (False, True))
     if rates is not None:
         velocity, _ = _robust_line((rates.stamps_ns - time_ns) * 1e-9, rates.values)
     if turns is not None:
@@ -321,7 +316,6 @@ def _robust_line(seconds: NDArray[np.floating], values: Floats) -> tuple[Floats,
     degree = 0 if len(seconds) < 3 else 1 if len(seconds) < 7 else 2
     columns = np.vander(seconds, degree + 1, increasing=True)
     weights: Floats = np.ones(len(seconds))
-    coefficients: Floats = np.zeros((degree + 1, 3))
     for _ in range(8):
         root = np.sqrt(weights)[:, None]
         coefficients = np.linalg.lstsq(columns * root, values * root, rcond=None)[0]

@@ -114,9 +114,9 @@ def batches_of(left: Floats, size: int) -> Floats:
     """
     count = len(left) // size
     batches = left[:count * size].reshape(count, size, 3)
-    known = np.maximum(np.isfinite(batches).sum(axis=1), 1)
-    return np.stack([np.nansum(batches, axis=1) ** 2 / known,
-                     np.nansum(batches ** 2, axis=1) / known])
+    finite = np.maximum(np.isfinite(batches).sum(axis=1), 1)
+    return np.stack([np.nansum(batches, axis=1) ** 2 / finite,
+                     np.nansum(batches ** 2, axis=1) / finite])
 
 
 def chance(noise: Noise, batches: Floats) -> float:
@@ -180,22 +180,20 @@ def noise_of(parts: Sequence[Floats], share: float) -> Noise:
     best, coefficients = 0.0, np.empty(0)
     for order in range(1, _ORDER + 1):
         toeplitz = correlations[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
-        found = np.linalg.lstsq(toeplitz, correlations[1:order + 1], rcond=None)[0]
-        left = max(1.0 - float(found @ correlations[1:order + 1]), 1e-12)
+        trial = np.linalg.lstsq(toeplitz, correlations[1:order + 1], rcond=None)[0]
+        left = max(1.0 - float(trial @ correlations[1:order + 1]), 1e-12)
         criterion = count * np.log(left) + order * np.log(max(count, 2))
         if criterion < best:
-            best, coefficients = criterion, found
-    return _with_memory(sizes, coefficients, correlations) if len(coefficients) else Noise(sizes)
-
-
-def _with_memory(sizes: Floats, coefficients: Floats, correlations: Floats) -> Noise:
+            best, coefficients = criterion, trial
     order = len(coefficients)
+    if not order:
+        return Noise(sizes)
     left = 1.0 - float(coefficients @ correlations[1:order + 1])
     ratio = left / max(1.0 - float(coefficients.sum()), 1e-3) ** 2
-    known = [*correlations[:order + 1]]
-    while len(known) < 1000 and max(abs(one) for one in known[-order:]) > 1e-3:
-        known.append(float(np.clip(coefficients @ known[:-order - 1:-1], -1.0, 1.0)))
-    overlap = 1.0 + 2.0 * float(np.sum(np.square(known[1:])))
+    continued = [*correlations[:order + 1]]
+    while len(continued) < 1000 and np.abs(continued[-order:]).max() > 1e-3:
+        continued.append(float(np.clip(coefficients @ continued[:-order - 1:-1], -1.0, 1.0)))
+    overlap = 1.0 + 2.0 * float(np.sum(np.square(continued[1:])))
     return Noise(sizes, coefficients, float(np.sqrt(np.clip(ratio, 1.0, LONGEST ** 2))), overlap)
 
 
@@ -233,7 +231,7 @@ def spread_of(stamps_ns: NDArray[np.int64], errors: Floats,
     if is_attitude:  # rotation vectors are discontinuous at half a turn
         turns = so3.exp(errors)
         back = so3.conjugate(turns[:-2])
-        middle = so3.exp(share * so3.log(so3.multiply(back, turns[2:])))
+        middle = so3.exp(share * so3.difference(turns[:-2], turns[2:]))
         left = so3.difference(middle, so3.multiply(back, turns[1:-1]))
     else:
         left = errors[1:-1] - (1.0 - share) * errors[:-2] - share * errors[2:]

@@ -142,7 +142,7 @@ def _of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
         if size > _NOISIER * others:
             yield Reason(f'recording {one.recording + 1} does not fit the others: the errors of '
                          f'{one.topic} are {size / others:.2g} times as large')
-        given = setup.attitude_noise if one.is_attitude else setup.rate_noise
+        given = setup.noise_of(one.is_attitude)
         spread = np.sqrt(2.0 * noise.overlap / max(one.kept.size, 1))
         if given and ndtr((1.0 - (size / given) ** 2) / spread) < ALARM:
             yield Reason(f'{one.topic}: errors of {size:.2g} exceed the given noise of '
@@ -195,7 +195,7 @@ def probability(p: float) -> str:
     return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
 
 
-def with_persistence(solution: Solution, found: list[list[Noise]]) -> Solution:
+def with_persistence(solution: Solution, noises: list[list[Noise]]) -> Solution:
     """
     Return a fit whose weights account for the correlation of the errors, however long it lasts.
 
@@ -203,14 +203,14 @@ def with_persistence(solution: Solution, found: list[list[Noise]]) -> Solution:
     unknowns is subtracted from the number of independent errors.
     """
     times = persistence(solution)
-    effective = sum(3.0 * float(inliers.sum()) / time for every, kept in zip(
-        times, solution.inliers) for time, inliers in zip(every, kept))
+    effective = sum(3.0 * float(inliers.sum()) / time for time, inliers in zip(
+        chain(*times), chain(*solution.inliers)))
     free = max(effective - solution.problem.size, effective / _FEW)
     share = effective / free * _student(free) ** 2
-    spreads = [[spread * max(np.sqrt(time * share) / noise.lasting, 1.0)
-                for spread, time, noise in zip(*every)]
-               for every in zip(solution.weights.spreads, times, found)]
-    return solution.with_spreads(spreads)
+    return solution.with_spreads([
+        [weight.spread * max(np.sqrt(time * share) / noise.lasting, 1.0)
+         for weight, time, noise in zip(*every)]
+        for every in zip(solution.weights, times, noises)])
 
 
 def persistence(solution: Solution) -> list[list[float]]:

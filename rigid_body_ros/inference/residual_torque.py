@@ -135,13 +135,13 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
         None if the measurement is too short.
 
     """
-    inside = np.flatnonzero(sensor.stamps_ns >= problem.start.time_ns)
-    sensor = sensor.rows(inside)
+    sensor = sensor.rows(sensor.stamps_ns >= problem.start.time_ns)
     if len(sensor) < 2:
         return None
     stamps_ns, rates = without_outliers(*measured_rates(sensor))
     seconds = 1e-9 * (stamps_ns - stamps_ns[0])
-    window = _half_window(seconds)
+    usual = max(float(np.median(np.diff(seconds))), 1e-9)
+    window = max(round(0.5 * WINDOW / usual), FEWEST // 2)
     if len(stamps_ns) <= 2 * window + 1:
         return None
     body, momenta = problem.body, problem.rotor_momentum(stamps_ns)
@@ -294,11 +294,6 @@ def _integral(seconds: Floats, values: Floats) -> Floats:
     return np.asarray(CubicSpline(seconds, values).antiderivative()(seconds))
 
 
-def _half_window(seconds: Floats) -> int:
-    usual = max(float(np.median(np.diff(seconds))), 1e-9)
-    return max(round(0.5 * WINDOW / usual), FEWEST // 2)
-
-
 def _slopes(seconds: Floats, values: Floats, half: int
             ) -> tuple[NDArray[np.intp], Floats, Floats]:
     """
@@ -388,12 +383,11 @@ def residual_panels(torque: ResidualTorque, sensors: Sequence[Measured],
         yield Panel(label, 'N m', [
             Curves.thinned(torque.times_ns, torques, TORQUES, start_ns),
             limits(torque.times_ns, 2.0 * sigma, '±2 sigma of the noise', start_ns)], SINCE_FIRST)
-    found = spectrum(torque)
-    if found:
+    if waves := spectrum(torque):
         names = ['99 % limit of white noise', '', '']
         yield Panel('amplitude of the residual torque, body axes', 'N m', [
-            Curves(found.hertz, found.amplitudes, found.amplitudes, TORQUES),
-            Curves(found.hertz, found.limits, found.limits, names, style='limits')],
+            Curves(waves.hertz, waves.amplitudes, waves.amplitudes, TORQUES),
+            Curves(waves.hertz, waves.limits, waves.limits, names, style='limits')],
             'frequency (Hz)', 'log')
 
 
@@ -424,6 +418,7 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     3 (sin x - x cos x) / x^3, where x = pi f T. The spectrum is divided by this factor to undo its
     effect, and ends at the frequency where the factor has dropped to one half.
     """
+    from scipy.special import chdtri  # slow to import
     seconds = 1e-9 * (torque.times_ns - torque.times_ns[0])
     if len(seconds) < FEWEST:
         return None
@@ -448,10 +443,7 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     # Assume white noise in the angular momentum. Each torque is the slope of a line that is fitted
     # to the angular momentum in a window.
     noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
-    return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
-
-
-def _exceeded(count: int) -> float:
-    """Return the noise limit divided by the rms noise, for an average of `count` segments."""
-    from scipy.special import chdtri
-    return float(np.sqrt(chdtri(2 * count, _EXCEEDS) / (2 * count)))
+    # The limit of the mean of several segments, divided by the rms noise.
+    freedom = 2 * len(segments)
+    exceeded = float(np.sqrt(chdtri(freedom, _EXCEEDS) / freedom))
+    return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * exceeded * noise))

@@ -120,6 +120,10 @@ class Setup:
         """Return the torques of all recordings."""
         return [log for problem in self.problems for log in problem.logs]
 
+    def noise_of(self, is_attitude: bool) -> float | None:
+        """Return the noise of attitudes, rad, or of rates, rad/s, that the user gave."""
+        return self.attitude_noise if is_attitude else self.rate_noise
+
     @property
     def is_computed(self) -> bool:
         """Return whether the motion is computed, from states that may be unknown."""

@@ -25,7 +25,7 @@ torque is the constant torque that best explains the error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -54,9 +54,6 @@ _OUTLIER, _UNUSUAL = 6.0, 4.0
 _CORRECTIONS, _NEGLIGIBLE = 6, 1e-2
 #: Number of samples used to guess the rates.
 _GUESSED = 5
-_BIAS = 'torque_bias'
-
-
 #: The noise of the attitudes and of the angular velocities of a sensor.
 Levels = tuple[NoiseLevel, NoiseLevel]
 
@@ -139,116 +136,90 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
     inside = [sensor.between(begin_ns, end_ns) for sensor in sensors]
     first = [sensor.between(begin_ns, begin_ns + end_ns - turn_ns) for sensor in inside]
     last = [sensor.between(turn_ns, end_ns) for sensor in inside]
-    has_attitude = all(_count(part, 'attitude') >= FEWEST for part in (first, last))
-    has_rates = all(_count(part, 'angular_velocity') >= FEWEST for part in (first, last))
-    if not has_attitude and (not has_rates or _needs_attitude(problem)):
+    has_attitude, has_rates = (all(_longest(part, name) for part in (first, last))
+                               for name in ('attitude', 'angular_velocity'))
+    needs_attitude = problem.fields or any(log.in_space.any() for log in problem.logs)
+    if not has_attitude and (needs_attitude or not has_rates):
         return None
+    # Without attitudes, the first three components of a state are not estimated.
+    fitted = slice(0 if has_attitude else 3, 6)
     guess = State(begin_ns, *_guess(first, begin_ns, has_attitude), _momentum(problem, begin_ns))
-    start, estimate, *_ = _estimated(problem, guess, begin_ns, first, noises, has_attitude)
+    start, estimate, *_ = _estimated(problem, guess, begin_ns, first, noises, fitted)
     times_ns = np.unique(np.concatenate(
         [[turn_ns, end_ns], *(sensor.stamps_ns for sensor in inside)]))
     model = problem.between(start, end_ns)
-    states, both = linear_motion(model, times_ns, [START, _BIAS])
-    derivatives, moved = np.split(both[..., 0 if has_attitude else 3:], [-3], axis=2)
+    states, slopes = with_derivatives(model, [START, 'torque_bias'], times_ns)
+    derivatives, moved = np.split(slopes.both[..., fitted.start:], [-3], axis=2)
     row = int(np.searchsorted(times_ns, turn_ns))
     later = State(turn_ns, states.attitude[row], states.angular_velocity[row],
                   _momentum(problem, turn_ns))
-    _, found, ahead, slopes = _estimated(problem, later, end_ns, last, noises, has_attitude)
-    to_end, sent = slopes[-1], derivatives[-1]
-    change = _change(states.rows([-1]), ahead.rows([-1]))[0] + to_end @ found.change
-    covariance = to_end @ found.covariance @ to_end.T + sent @ estimate.covariance @ sent.T
+    _, correction, ahead, to_end = _estimated(problem, later, end_ns, last, noises, fitted)
+    sent = derivatives[-1]
+    change = np.append(so3.difference(states.attitude[-1], ahead.attitude[-1]),
+                       ahead.angular_velocity[-1] - states.angular_velocity[-1])
+    change += to_end @ correction.change
+    covariance = to_end @ correction.covariance @ to_end.T + sent @ estimate.covariance @ sent.T
     # The torque also changes the first estimate, and thereby the prediction.
     moved = moved - derivatives @ estimate.by(moved[np.searchsorted(times_ns, estimate.times_ns)])
-    by_torque = found.by(moved[np.searchsorted(times_ns, found.times_ns)])
-    torque, torque_covariance = _explained(change, covariance, to_end @ by_torque, has_attitude)
+    by_torque = (to_end @ correction.by(
+        moved[np.searchsorted(times_ns, correction.times_ns)]))[fitted]
+    # The torque that best explains the change, by weighted least squares.
+    weight = np.linalg.solve(covariance[fitted, fitted], by_torque)
+    torque_covariance: Floats = np.linalg.inv(by_torque.T @ weight)
+    torque = torque_covariance @ (weight.T @ change[fitted])
     residuals = tuple(errors_of(sensor, states.rows(np.searchsorted(times_ns, sensor.stamps_ns)))
                       for sensor in inside)
     attitude = change[:3] if has_attitude else np.full(3, np.nan)
     return WindowError(begin_ns, end_ns, attitude, change[3:], covariance, torque,
-                       torque_covariance, estimate.outliers + found.outliers, residuals)
+                       torque_covariance, estimate.outliers + correction.outliers, residuals)
 
 
 def _momentum(problem: Problem, time_ns: int) -> Floats:
     return problem.rotor_momentum(np.array([time_ns]))[0]
 
 
-def _count(sensors: Sequence[Measured], name: str) -> int:
-    """Return the number of samples of the sensor with the most samples of the named quantity."""
-    return max((len(sensor) for sensor in sensors if getattr(sensor, name) is not None), default=0)
-
-
-def _needs_attitude(problem: Problem) -> bool:
-    """Return whether a torque or a field of the problem depends on the attitude."""
-    return bool(problem.fields) or any(log.in_space.any() for log in problem.logs)
-
-
 def _guess(sensors: Sequence[Measured], begin_ns: int,
            has_attitude: bool) -> tuple[Floats, Floats]:
     """Guess the attitude and the angular velocity at `begin_ns`."""
-    name = 'angular_velocity' if _count(sensors, 'angular_velocity') >= FEWEST else 'attitude'
-    rates = np.median(measured_rates(_longest(sensors, name))[1][:_GUESSED], axis=0)
-    if not has_attitude:
+    gyro, mocap = (_longest(sensors, name) for name in ('angular_velocity', 'attitude'))
+    source = gyro or mocap
+    assert source is not None
+    rates = np.median(measured_rates(source)[1][:_GUESSED], axis=0)
+    if not has_attitude or mocap is None:
         return IDENTITY, rates
-    turned = _longest(sensors, 'attitude')
-    assert turned.attitude is not None
-    seconds = 1e-9 * (begin_ns - turned.stamps_ns[0])
-    return so3.multiply(turned.attitude[0], so3.exp(rates * seconds)), rates
+    seconds = 1e-9 * (begin_ns - mocap.stamps_ns[0])
+    return so3.multiply(mocap.values[0], so3.exp(rates * seconds)), rates
 
 
-def _longest(sensors: Sequence[Measured], name: str) -> Measured:
-    return max((sensor for sensor in sensors if getattr(sensor, name) is not None), key=len)
-
-
-def _corrected(start: State, change: Floats) -> State:
-    turn, rate = change[:-3], change[-3:]
-    attitude = so3.multiply(start.attitude, so3.exp(turn)) if len(turn) else start.attitude
-    return State(start.time_ns, so3.normalize(attitude), start.angular_velocity + rate,
-                 start.rotor_momentum)
-
-
-def linear_motion(problem: Problem, times_ns: NDArray[np.int64],
-                  names: Sequence[str] = (START,)) -> tuple[Poses, Floats]:
-    """
-    Compute a motion and its derivatives with respect to parameters.
-
-    Returns
-    -------
-    states : Poses
-        The motion at the m times.
-    derivatives : array, shape (m, 6, p)
-        At each time, there is one row for each component of the rotation vector and the rates, and
-        one column for each of the p components of the parameters.
-
-    """
-    states, found = with_derivatives(problem, names, times_ns)
-    return states, found.both
-
-
-def _change(states: Poses, others: Poses) -> Floats:
-    """Return other states minus the given ones, shape (m, 6)."""
-    turned = so3.difference(states.attitude, others.attitude)
-    return np.concatenate([turned, others.angular_velocity - states.angular_velocity], axis=1)
+def _longest(sensors: Sequence[Measured], name: str) -> Measured | None:
+    """Return the sensor with the most samples of a quantity, if it has `FEWEST` or more."""
+    return max((sensor for sensor in sensors if getattr(sensor, name) is not None
+                and len(sensor) >= FEWEST), key=len, default=None)
 
 
 def _estimated(problem: Problem, start: State, until_ns: int, sensors: Sequence[Measured],
-               noises: Sequence[Levels], has_attitude: bool
+               noises: Sequence[Levels], fitted: slice
                ) -> tuple[State, _Estimate, Poses, Floats]:
     """
-    Correct a start state until the motion fits the samples of some sensors.
+    Correct the `fitted` components of a start until the motion fits the samples of some sensors.
 
-    Without `has_attitude`, only the angular velocity is corrected. Return the new start state, the
-    last correction, and the motion before that correction, with its derivatives.
+    Return the new start state, the last correction, the motion before that correction, and its
+    final derivatives.
     """
     times_ns = np.unique(np.concatenate([*(sensor.stamps_ns for sensor in sensors), [until_ns]]))
     for _ in range(_CORRECTIONS):
         model = problem.between(start, int(times_ns[-1]))
-        states, derivatives = linear_motion(model, times_ns)
-        derivatives = derivatives[..., 0 if has_attitude else 3:]
+        states, slopes = with_derivatives(model, [START], times_ns)
+        derivatives = slopes.both[..., fitted]
         estimate = _solved(times_ns, states, derivatives, sensors, noises)
-        start, change = _corrected(start, estimate.change), estimate.change
+        change = estimate.change
+        turned = so3.multiply(start.attitude, so3.exp(change[:3])) if len(change) > 3 \
+            else start.attitude
+        start = replace(start, attitude=so3.normalize(turned),
+                        angular_velocity=start.angular_velocity + change[-3:])
         if change @ np.linalg.solve(estimate.covariance, change) < _NEGLIGIBLE:
             break
-    return start, estimate, states, derivatives
+    return start, estimate, states, derivatives[-1]
 
 
 def _solved(times_ns: NDArray[np.int64], states: Poses, derivatives: Floats,
@@ -259,13 +230,13 @@ def _solved(times_ns: NDArray[np.int64], states: Poses, derivatives: Floats,
     normal, wide, right = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
     for sensor, levels in zip(sensors, noises):
         rows = np.searchsorted(times_ns, sensor.stamps_ns)
-        found = errors_of(sensor, states.rows(rows))
-        parts = [*zip(found, (slice(0, 3), slice(3, 6)), levels)]
+        parts = [*zip(errors_of(sensor, states.rows(rows)), (slice(0, 3), slice(3, 6)), levels)]
         # Without corrections of the attitude, only the angular velocities are used.
         for errors, part, level in parts if count == 6 else parts[1:]:
             if errors is None or not len(errors):
                 continue
-            kept = _usual(errors, level.stated)
+            sizes = np.abs(errors).max(axis=1)
+            kept = sizes <= max(_OUTLIER * level.stated, _UNUSUAL * float(np.median(sizes)))
             outliers += int(np.sum(~kept))
             columns = derivatives[rows[kept], part].reshape(-1, count) / level.stated
             weight = columns.T @ columns
@@ -276,22 +247,3 @@ def _solved(times_ns: NDArray[np.int64], states: Poses, derivatives: Floats,
     inverse = np.linalg.inv(normal)
     return _Estimate(inverse @ right, inverse @ wide @ inverse, outliers, times_ns,
                      np.tensordot(inverse, gain, 1))
-
-
-def _usual(errors: Floats, sigma: float) -> NDArray[np.bool_]:
-    """Return a mask of the errors that are not outliers."""
-    sizes = np.abs(errors).max(axis=1)
-    return np.asarray(sizes <= max(_OUTLIER * sigma, _UNUSUAL * float(np.median(sizes))))
-
-
-def _explained(change: Floats, covariance: Floats, by_torque: Floats, has_attitude: bool
-               ) -> tuple[Floats, Floats]:
-    """
-    Return the torque that best explains a change of the final state.
-
-    The second result is the covariance of this torque.
-    """
-    first = 0 if has_attitude else 3
-    weight = np.linalg.solve(covariance[first:, first:], by_torque[first:])
-    spread = np.linalg.inv(by_torque[first:].T @ weight)
-    return spread @ (weight.T @ change[first:]), spread
