@@ -21,8 +21,8 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.result import Comparison
 from rigid_body_ros.inference.evidence import LOST
 from rigid_body_ros.inference.noise import FEWEST, spread_of
-from rigid_body_ros.inference.parameters import START
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.scene.quantities import START
 
 #: The start is assumed to be estimated from this many seconds of the measurement, but from at
 #: least `FEWEST` samples.

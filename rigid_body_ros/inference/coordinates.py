@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -113,9 +113,9 @@ class Physics:
 
         The module `scene.quantities` defines the parameters.
         """
-        found = self.values.get(f'{name}@{topic}') if topic else None
-        found = self.values.get(name) if found is None else found
-        return _NEUTRAL[name] if found is None else found
+        value = self.values.get(f'{name}@{topic}') if topic else None
+        value = self.values.get(name) if value is None else value
+        return _NEUTRAL[name] if value is None else value
 
     def with_value(self, name: str, values: Floats) -> Physics:
         """Return the parameters with another value of one of them."""
@@ -128,9 +128,9 @@ class Physics:
     def acting(self, fields: Sequence[Field], groups: Sequence[str] = ()) -> list[Field]:
         """Return `fields` with fitted moments, and the weight if it acts or is in `groups`."""
         acting: list[Field] = [
-            replace(one, moment=self.values[f'{one.name}.{MOMENT}'])
-            if isinstance(one, UniformField) and f'{one.name}.{MOMENT}' in self.values else one
-            for one in fields]
+            replace(field, moment=self.values[f'{field.name}.{MOMENT}'])
+            if isinstance(field, UniformField) and f'{field.name}.{MOMENT}' in self.values
+            else field for field in fields]
         weight = self.value(WEIGHT)
         has_weight = weight.any() or WEIGHT in groups
         return [*acting, UniformField(weight, self.gravity, WEIGHT)] if has_weight else acting
@@ -207,7 +207,7 @@ class Parameters:
         self.magnitudes, self.priors = magnitudes, priors
         self.groups = tuple(name for name in names if name != START)
         self.names = [name for group in self.groups for name in components_of(group)]
-        self.guess = guess
+        self.guess, self.size = guess, len(self.names)
         self._moments = _possible(second_moments(guess.inertia))
         self._size = float(np.sqrt(np.trace(self._moments)))
         inertia = inertia_of(self._moments)
@@ -216,32 +216,20 @@ class Parameters:
                      **magnitudes.strengths}
         for name, strength in strengths.items():
             weak = max(magnitudes.torque, float(inertia.max()) * magnitudes.rate ** 2) / strength
-            given = guess.values.get(name, np.zeros(3))
-            self._scales[name] = np.full(3, max(weak, float(np.linalg.norm(given))))
+            moment = guess.values.get(name, np.zeros(3))
+            self._scales[name] = np.full(3, max(weak, float(np.linalg.norm(moment))))
+        #: The scale of each component, in the unit of the component.
+        self.scales = self._joined(self._scale)
+        #: The priors of the fitted components; the others are those of suspects.
+        own = {name: prior for name, prior in priors.items() if name in self.names}
+        self._rows = [*map(self.names.index, own)]
+        self._means, self._sigmas = np.array([*own.values()], float).reshape(-1, 2).T
+        #: The derivatives of `surprise` with respect to the values.
+        self.known = np.eye(self.size)[self._rows] / self._sigmas[:, None]
 
     def with_priors(self, priors: Mapping[str, Prior]) -> Parameters:
         """Return the same parameters with the given priors."""
         return Parameters(self.groups, self.guess, self.magnitudes, priors)
-
-    @property
-    def size(self) -> int:
-        """Return the number of components."""
-        return len(self.names)
-
-    @property
-    def scales(self) -> Floats:
-        """Return the scale of each component, in the unit of the component."""
-        return np.concatenate([np.empty(0), *(self._scale(name) for name in self.groups)])
-
-    @property
-    def shifts(self) -> list[int]:
-        """Return the indices of the components that shift stamps."""
-        return [i for i, name in enumerate(self.names) if split_topic(name)[0] in SHIFTS]
-
-    @property
-    def own_priors(self) -> dict[str, Prior]:
-        """Return the priors of the fitted components; the others are those of suspects."""
-        return {name: prior for name, prior in self.priors.items() if name in self.names}
 
     @property
     def plausible(self) -> Floats:
@@ -252,16 +240,7 @@ class Parameters:
 
     def surprise(self, physics: Physics) -> Floats:
         """Return how far each value is from its prior, in standard deviations of the prior."""
-        values = dict(zip(self.names, self.values(physics)))
-        return np.array([(values[name] - prior.value) / prior.sigma
-                         for name, prior in self.own_priors.items()])
-
-    @property
-    def known(self) -> Floats:
-        """Return the derivatives of `surprise` with respect to the values."""
-        priors = self.own_priors
-        return np.array([[(name == own) / prior.sigma for name in self.names]
-                         for own, prior in priors.items()]).reshape(len(priors), self.size)
+        return (self.values(physics)[self._rows] - self._means) / self._sigmas
 
     def columns(self, groups: Iterable[str]) -> list[int]:
         """Return the indices of the components of the given parameters."""
@@ -270,12 +249,15 @@ class Parameters:
 
     def values(self, physics: Physics) -> Floats:
         """Return the values of the components, in their units."""
-        return np.concatenate([np.empty(0), *(_values(name, physics) for name in self.groups)])
+        return self._joined(lambda name: _values(name, physics))
 
     def coordinates(self, physics: Physics) -> Floats:
         """Convert the values to the coordinates of the fit."""
-        return np.concatenate([np.empty(0), *(self._coordinates(name, physics)
-                                              for name in self.groups)])
+        return self._joined(lambda name: self._coordinates(name, physics))
+
+    def _joined(self, part: Callable[[str], Floats]) -> Floats:
+        """Return the numbers of all components, from those of each parameter."""
+        return np.concatenate([np.empty(0), *map(part, self.groups)])
 
     def physics(self, coordinates: Floats) -> Physics:
         """
@@ -299,9 +281,8 @@ class Parameters:
         There is a row for each coordinate. A step along the imaginary axis has no cancellation
         (Squire and Trapp, 1998).
         """
-        found = [self.values(self.physics(coordinates + 1e-30j * unit)).imag / 1e-30
-                 for unit in np.eye(self.size)]
-        return np.array(found).reshape(self.size, self.size)
+        return np.array([self.values(self.physics(coordinates + 1e-30j * unit)).imag / 1e-30
+                         for unit in np.eye(self.size)]).reshape(self.size, self.size)
 
     def _scale(self, name: str) -> Floats:
         return self._scales[split_topic(name)[0]]
@@ -413,7 +394,8 @@ def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) ->
     result = {}
     for name, given in priors.items():
         components = [name] if name in values else [
-            one for one in values if {one, split_topic(one)[0]} & {*components_of(name)}]
+            component for component in values
+            if {component, split_topic(component)[0]} & {*components_of(name)}]
         if not components:
             raise InputError(f'prior: expected parameters that are estimated or may be suspects '
                              f'({listed(parameters.groups)}), found {name!r}')

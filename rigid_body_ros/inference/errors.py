@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.inference.fit import errors_of, Solution
-from rigid_body_ros.inference.noise import rms
+from rigid_body_ros.inference.noise import rms, tail
 from rigid_body_ros.inference.windows import corrected, Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
@@ -102,6 +102,12 @@ class Residuals:
         return so3.multiply(self.measured, so3.exp(self.errors)) if self.is_attitude \
             else self.measured + self.errors
 
+    def chi_square(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
+        """Return the chi-square of some errors, and the probability that noise exceeds it."""
+        errors = self.errors[rows] / self.noise
+        square = float(np.sum(errors ** 2))
+        return square, tail(square, errors.size)
+
     @property
     def autocorrelation(self) -> float:
         """Return the correlation between adjacent errors, which is 0 for white noise."""
@@ -116,7 +122,7 @@ def unexplained(parts: Sequence[Residuals]) -> tuple[str, float]:
     For an angular velocity, this is the rms error relative to the rms of the measurement; for an
     attitude, the rms error, rad.
     """
-    size, whole = (rms(np.concatenate([getattr(one, name) for one in parts]))
+    size, whole = (rms(np.concatenate([getattr(part, name) for part in parts]))
                    for name in ('kept', 'measured'))
     if parts[0].is_attitude:
         return f'{size:.2g} rad of the attitude', size
@@ -153,14 +159,14 @@ class Misfit:
     def of(cls, residuals: Sequence[Residuals], unknowns: int) -> Misfit:
         """Compute the misfit from the errors of a fit that has the given number of unknowns."""
         def rms(is_attitude: bool) -> float | None:
-            values = np.concatenate([np.empty(0), *(one.kept.ravel() for one in residuals
-                                                    if one.is_attitude == is_attitude)])
+            values = np.concatenate([np.empty(0), *(part.kept.ravel() for part in residuals
+                                                    if part.is_attitude == is_attitude)])
             return float(np.sqrt(np.mean(values ** 2))) if values.size else None
-        count = sum(one.kept.size for one in residuals) - unknowns
-        chi2 = sum(float(np.sum((one.kept / one.noise) ** 2)) for one in residuals)
-        return cls(sum(len(one.errors) for one in residuals),
-                   sum(int(np.sum(~one.inliers)) for one in residuals), rms(True), rms(False),
-                   chi2 / count if count > 0 else None)
+        inliers = np.concatenate([part.inliers for part in residuals])
+        freedom = 3 * int(inliers.sum()) - unknowns
+        chi2 = sum(part.chi_square(part.inliers)[0] for part in residuals)
+        return cls(len(inliers), int(np.sum(~inliers)), rms(True), rms(False),
+                   chi2 / freedom if freedom > 0 else None)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields under the names used in the JSON file."""
@@ -195,15 +201,15 @@ def inliers_of(residuals: Sequence[Residuals], physics: Physics, origin_ns: int
                ) -> list[Measured]:
     """Return the measurements without outliers, on the torque clock and in body axes."""
     channels: dict[str, list[Residuals]] = {}
-    for one in residuals:
-        channels.setdefault(one.name, []).append(one)
-    found = []
+    for part in residuals:
+        channels.setdefault(part.name, []).append(part)
+    measured = []
     for parts in channels.values():
         stamps_ns = np.concatenate([part.kept_ns for part in parts])
         values = np.concatenate([part.measured[part.inliers] for part in parts])
-        found.append(Measured(parts[0].topic, stamps_ns, values, None) if parts[0].is_attitude
-                     else Measured(parts[0].topic, stamps_ns, None, values))
-    return corrected([one for one in found if len(one)], physics, origin_ns)
+        measured.append(Measured(parts[0].topic, stamps_ns, *(
+            (values, None) if parts[0].is_attitude else (None, values))))
+    return corrected([*filter(len, measured)], physics, origin_ns)
 
 
 def of_training(solution: Solution) -> list[Residuals]:
@@ -228,10 +234,9 @@ def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> t
     The validation window contains the samples of the recording that the fit did not use. Its
     motion starts from the state at the beginning of the last fitted window.
     """
-    problem = solution.problem
-    setup = problem.setup
-    k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
-    last = problem.windows[k]
+    setup, windows = solution.problem.setup, solution.problem.windows
+    k = max(k for k, window in enumerate(windows) if window.experiment == number)
+    last = windows[k]
     rest = [channel.rows(slice(len(fitted), None))
             for channel, fitted in zip(channels, setup.channels[number])]
     make, = setup.makers_of(number, channels, 2 ** 62, solution.physics)

@@ -25,13 +25,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from rigid_body_ros.inference.coordinates import Parameters
 from rigid_body_ros.inference.errors import of_training, Residuals
 from rigid_body_ros.inference.evidence import (
     explained,
     foresight,
     linear,
-    Linearized,
     noises,
     solved,
     Suspect,
@@ -126,11 +124,22 @@ class Findings:
     def with_validation(self, every: Sequence[Sequence[Measured]],
                         ahead: Sequence[Residuals]) -> Findings:
         """Return these findings together with the findings from the validation errors."""
+        from scipy.special import ndtr
         if not ahead or not self.noises:
             return self
-        seconds, reasons = zip(*_validation(self, every, ahead))
-        return replace(self, predictable_s=min(seconds) if min(seconds) < np.inf else None,
-                       reasons=[*self.reasons, *(one for one in reasons if one)])
+        seconds, reasons = np.inf, [*self.reasons]
+        for number, (channels, levels) in enumerate(zip(every, self.noises)):
+            own = [part for part in ahead if part.recording == number]
+            statistic, count, predictable_s = foresight(self.solution, number, channels, own,
+                                                        levels)
+            seconds, overlap = min(seconds, predictable_s), max(noise.overlap for noise in levels)
+            p = float(ndtr((count - statistic) / np.sqrt(2.0 * max(count, 1) * overlap)))
+            if p < ALARM:
+                ratio = np.sqrt(statistic / max(count, 1))
+                reasons.append(Reason(f'errors of the validation are {ratio:.2g} times what noise '
+                                      f'and uncertainty explain ({probability(p)})'))
+        return replace(self, reasons=reasons,
+                       predictable_s=seconds if seconds < np.inf else None)
 
 
 def judged(setup: Setup, names_suspects: bool = True) -> Findings:
@@ -147,10 +156,10 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     fault = undone(few) if is_wrong and names_suspects else None
     if fault is None:
         solution = grown(setup, few)
-        found = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
-        if still := at_rest(found.solution):
-            return replace(found, reasons=[Reason(still, True)], suspects=[], noises=[])
-        return found if names_suspects else replace(found, suspects=[])
+        findings = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
+        if still := at_rest(findings.solution):
+            return replace(findings, reasons=[Reason(still, True)], suspects=[], noises=[])
+        return findings if names_suspects else replace(findings, suspects=[])
     solution = polished(few, *COARSEST)
     return Findings(solution, solution, [Reason(fault.text, True)], [fault], {}, [])
 
@@ -158,29 +167,32 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
 def examined(solution: Solution) -> Findings:
     """Examine the errors of a fit and return the findings."""
     setup = solution.problem.setup
-    if _is_rounding(solution):
+    rate = max(1.0, setup.rate)
+    if all(part.noise <= _TINY * (1.0 if part.is_attitude else rate)
+           for part in of_training(solution)):
         return Findings(solution, solution, [], [], {}, [])
-    names, known = setup.candidates(), setup.parameters.names
+    names, fitted = setup.candidates(), setup.parameters.names
     problem = widened(solution, names)
-    found, before = noises(problem), solution
-    solution = weighted(solution, found) if setup.most else with_noise(solution, found)
+    noise, before = noises(problem), solution
+    solution = weighted(solution, noise) if setup.most else with_noise(solution, noise)
     problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
         widened(solution, names)
-    suspects = [*faults_of_outliers(solution),
-                *_parameters(linear(problem), problem.parameters, known, names)]
+    suspects = [*faults_of_outliers(solution), *_parameters(problem, fitted, names)]
     if not setup.is_computed:
-        suspects = [one for one in suspects if one.chi2_drop > _VISIBLE * solution.count]
+        suspects = [suspect for suspect in suspects
+                    if suspect.chi2_drop > _VISIBLE * solution.count]
     # If nothing is fitted, what explains much of the other errors also explains the outliers.
-    elif known or all(one.chi2_drop <= LARGE * solution.count for one in suspects):
-        suspects += _largest([*_changes(solution), *_breaks(solution)])
+    elif fitted or all(suspect.chi2_drop <= LARGE * solution.count for suspect in suspects):
+        suspects += _change(solution)
     reasons, drift, _ = halves(solution)
-    reasons += tests_of(solution, found)
-    result = Findings(solution, solution, reasons, _significant(suspects), drift, found)
-    return _doubted(result, problem, names) if known and (reasons or result.suspects) else result
+    reasons += tests_of(solution, noise)
+    result = Findings(solution, solution, reasons, _significant(suspects), drift, noise)
+    return _doubted(result, problem, names) if fitted and (reasons or result.suspects) else result
 
 
 def _significant(suspects: Iterable[Suspect]) -> list[Suspect]:
-    return sorted((one for one in suspects if one.p < ALARM), key=lambda one: -one.chi2_drop)
+    return sorted((suspect for suspect in suspects if suspect.p < ALARM),
+                  key=lambda suspect: -suspect.chi2_drop)
 
 
 def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) -> Findings:
@@ -191,30 +203,28 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
     plausible size. Only halves of a recording that differ even then reject the model.
     """
     solution = with_persistence(findings.solution, findings.noises)
-    known = solution.problem.setup.parameters.names
-    blunt, sharp = (_significant(_parameters(linear(each), problem.parameters, known, names,
-                                             is_plausible=True))
-                    for each in (problem.weighted(solution.weights), problem))
-    found = {one.name for one in blunt}
-    suspects = _significant([*faults_of_outliers(solution), *blunt, *_largest(
-        [*_changes(solution), *_breaks(solution)])])
+    fitted = solution.problem.setup.parameters.names
+    blunt, sharp = (_significant(_parameters(weighted_problem, fitted, names, is_plausible=True))
+                    for weighted_problem in (problem.weighted(solution.weights), problem))
+    suspects = _significant([*faults_of_outliers(solution), *blunt, *_change(solution)])
+    # A suspect may also be what makes the errors last.
+    named = {suspect.name for suspect in blunt}
+    suspects += [suspect for suspect in sharp[:_SHARP] if suspect.name not in named]
     contradictions, drift, apart = halves(solution)
     reasons = [*(Reason(text, part > MISFIT) for text, part in left_by(solution)),
                *contradictions,
-               *(one for one in findings.reasons if not one.is_contradiction)]
+               *(reason for reason in findings.reasons if not reason.is_contradiction)]
     texts, scatter = scattered(solution)
     return replace(findings, solution=solution, drift=drift, apart=apart, scatter=scatter,
-                   reasons=[*reasons, *map(Reason, texts)],
-                   # A suspect may also be what makes the errors last.
-                   suspects=[*suspects, *(one for one in sharp[:_SHARP] if one.name not in found)])
+                   reasons=[*reasons, *map(Reason, texts)], suspects=suspects)
 
 
 def start_suspect(solution: Solution) -> Suspect | None:
     """Return the start as a suspect, unless the fitted start is the given one within the noise."""
     problem, setup = solution.problem, solution.problem.setup
-    given, states, unknown = setup.start(0), problem.reference, problem.unknowns[0]
-    turned = so3.difference(states.attitude[0], given.attitude)
-    faster = given.angular_velocity - states.angular_velocity[0]
+    start, states, unknown = setup.start(0), problem.reference, problem.unknowns[0]
+    turned = so3.difference(states.attitude[0], start.attitude)
+    faster = start.angular_velocity - states.angular_velocity[0]
     change = np.append(turned, faster / setup.rate)[unknown]
     if np.abs(change).max() < SMALLEST:
         return None
@@ -227,27 +237,21 @@ def start_suspect(solution: Solution) -> Suspect | None:
     return Suspect('start', drop, p, text=text) if p < ALARM else None
 
 
-def _is_rounding(solution: Solution) -> bool:
-    """Return whether all errors are too small to come from a sensor."""
-    rate = max(1.0, solution.problem.setup.rate)
-    return all(one.noise <= _TINY * (1.0 if one.is_attitude else rate)
-               for one in of_training(solution))
-
-
-def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
-                names: Sequence[str], is_plausible: bool = False) -> Iterator[Suspect]:
+def _parameters(problem: LeastSquares, fitted: Sequence[str], names: Sequence[str],
+                is_plausible: bool = False) -> Iterator[Suspect]:
     """Generate a suspect for each parameter that was not estimated."""
-    matrix, errors = given.stacked()
+    fit, parameters = linear(problem), problem.parameters
+    matrix, errors = fit.stacked()
     if is_plausible:
         rows = np.diag(parameters.scales / parameters.plausible)[
-            [name not in known for name in given.names]]
+            [name not in fitted for name in fit.names]]
         matrix = np.concatenate([matrix, rows])
         errors = np.append(errors, np.zeros(len(rows)))
-    base = matrix[:, given.columns(known)]
+    base = matrix[:, fit.columns(fitted)]
     guesses = parameters.values(parameters.guess)
     for name in names:
-        unknown = [component for component in components_of(name) if component not in known]
-        columns = given.columns(unknown)
+        columns = fit.columns([component for component in components_of(name)
+                               if component not in fitted])
         drop, _, p = explained(matrix[:, columns], base, errors)
         if drop:
             change = solved(np.column_stack([matrix[:, columns], base]), errors)[0][:len(columns)]
@@ -257,74 +261,52 @@ def _parameters(given: Linearized, parameters: Parameters, known: Sequence[str],
                 yield Suspect(name, drop, p, value)
 
 
-def _largest(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return a list with only the best suspect, or an empty list if there is none."""
-    return [max(suspects, key=lambda one: one.chi2_drop)] if suspects else []
+def _change(solution: Solution) -> list[Suspect]:
+    """Return a list with the most likely change in the inertia, or an empty list."""
+    changes = [*_at_windows(solution), *_at_outliers(solution)]
+    drop, p, seconds = max(changes, default=(0.0, 1.0, None), key=lambda change: change[0])
+    return [] if seconds is None else [
+        Suspect(INERTIA_CHANGE, drop, p, [seconds],
+                f'the inertia changes about {seconds:.4g} s after the start')]
 
 
-def _changes(solution: Solution) -> Iterator[Suspect]:
-    """Generate suspects for a change in the inertia at the start of each window but the first."""
+def _at_windows(solution: Solution) -> Iterator[tuple[float, float, float]]:
+    """
+    Generate changes in the inertia at the start of each window but the first.
+
+    A change is how much the chi-square falls, the probability of this, and the time in seconds.
+    """
     names = [name for name in solution.problem.parameters.names if name.startswith('inertia')]
     if not names:
         return
     problem = widened(solution, pieces=_PIECES)
-    given = linear(problem)
-    inertia, (base, errors) = given.columns(names), given.stacked()
+    fit = linear(problem)
+    inertia, (base, errors) = fit.columns(names), fit.stacked()
     for k, window in enumerate(problem.windows):
         if window.is_first:
             continue
         later = [other.experiment == window.experiment and i >= k
                  for i, other in enumerate(problem.windows)]
-        drop, _, p = explained(given.split(inertia, later), base, errors)
+        drop, _, p = explained(fit.split(inertia, later), base, errors)
         # Only the best of many trial times is kept, so apply the Bonferroni correction.
-        yield _change(drop, p * len(problem.windows),
-                      1e-9 * (window.anchor_ns - window.origin_ns))
+        yield drop, p * len(problem.windows), 1e-9 * (window.anchor_ns - window.origin_ns)
 
 
-def _breaks(solution: Solution) -> Iterator[Suspect]:
+def _at_outliers(solution: Solution) -> Iterator[tuple[float, float, float]]:
     """
-    Generate suspects for a change in the inertia at the time when outliers begin or end.
+    Generate changes in the inertia, as `_at_windows`, at the time when outliers begin or end.
 
     If the inertia changes a lot, the fit follows the motion either before or after the change, and
     all samples in the other part are outliers.
     """
-    for one in of_training(solution):
-        bad = np.cumsum(~one.inliers)
+    for part in of_training(solution):
+        bad = np.cumsum(~part.inliers)
         count = np.arange(1, len(bad) + 1)
         after = (bad[-1:] - bad) / np.maximum(len(bad) - count, 1)
         edge = max(FEWEST, round(_EDGE * len(bad)))
         apart = np.abs(bad / count - after)[edge:-edge]
         if not apart.size or apart.max() < _APART:
             continue
-        stamp_ns = one.stamps_ns[edge + int(np.argmax(apart))]
-        start_ns = solution.problem.setup.problems[one.recording].start.time_ns
-        left = one.errors[~one.inliers] / one.noise
-        drop = float(np.sum(left ** 2))
-        yield _change(drop, tail(drop, left.size), 1e-9 * float(stamp_ns - start_ns))
-
-
-def _change(drop: float, p: float, seconds: float) -> Suspect:
-    """Return a change in the inertia at a time since the start, s."""
-    return Suspect(INERTIA_CHANGE, drop, p, [seconds],
-                   f'the inertia changes about {seconds:.4g} s after the start')
-
-
-def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
-                ahead: Sequence[Residuals]) -> Iterator[tuple[float, Reason | None]]:
-    """
-    Generate two values for each recording: how long its motion is predictable, s, and a reason.
-
-    The reason speaks against the model if the validation errors of the recording are too large.
-    Otherwise, the reason is None.
-    """
-    from scipy.special import ndtr
-    for number, channels in enumerate(every):
-        own = [one for one in ahead if one.recording == number]
-        statistic, count, predictable_s = foresight(findings.solution, number, channels, own,
-                                                    findings.noises[number])
-        overlap = max((noise.overlap for noise in findings.noises[number]), default=1.0)
-        p = float(ndtr((count - statistic) / np.sqrt(2.0 * max(count, 1) * overlap)))
-        ratio = np.sqrt(statistic / max(count, 1))
-        reason = Reason(f'errors of the validation are {ratio:.2g} times what noise and '
-                        f'uncertainty explain ({probability(p)})')
-        yield predictable_s, reason if p < ALARM else None
+        stamp_ns = part.stamps_ns[edge + int(np.argmax(apart))]
+        start_ns = solution.problem.setup.problems[part.recording].start.time_ns
+        yield *part.chi_square(~part.inliers), 1e-9 * float(stamp_ns - start_ns)

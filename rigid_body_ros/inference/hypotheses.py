@@ -274,12 +274,10 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[_Hypoth
 
 def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:
     """Generate the faults of some samples that explain the outliers of a channel."""
-    for one in of_training(solution):
-        start_ns = solution.problem.setup.problems[one.recording].start.time_ns
-        for name, text, rows in _of_outliers(one, start_ns):
-            left = one.errors[rows]
-            drop = float(np.sum((left / one.noise) ** 2))
-            yield Suspect(name, drop, tail(drop, left.size), text=text)
+    for part in of_training(solution):
+        start_ns = solution.problem.setup.problems[part.recording].start.time_ns
+        for name, text, rows in _of_outliers(part, start_ns):
+            yield Suspect(name, *part.chi_square(rows), text=text)
 
 
 def _of_outliers(one: Residuals, start_ns: int) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from types import MappingProxyType
 from typing import cast
 
@@ -33,6 +34,7 @@ from rigid_body_ros.inference.coordinates import (
     moments_of,
     Parameters,
     Physics,
+    SHIFTS,
     SHORT_LAG,
 )
 from rigid_body_ros.inference.guess import likely_offset, local_state
@@ -149,7 +151,7 @@ class Setup:
     @property
     def longest_ns(self) -> int:
         """Return the maximum length of a window, ns."""
-        most = max(len(channel) for channels in self.channels for channel in channels)
+        most = max(map(len, chain(*self.channels)))
         return max(int(self.span_ns * min(1.0, _LONGEST / most)), 1)
 
     @property
@@ -157,16 +159,16 @@ class Setup:
         """Return the length of the windows of the first fit, ns; all of a recorded motion."""
         if not self.is_computed:
             return self.longest_ns
-        spacing = max(float(np.median(np.diff(channel.stamps_ns))) for channels in self.channels
-                      for channel in channels)
+        spacing = max(float(np.median(np.diff(channel.stamps_ns)))
+                      for channel in chain(*self.channels))
         return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
 
     def windows(self, length_ns: int, physics: Physics, parts: int = 1,
                 few: int | None = None) -> list[Window]:
         """Divide all recordings into windows, and return at most `most` of them, or `few`."""
-        lead_ns = _LEAD_NS if self.parameters.shifts else 0
-        makers = [one for number, channels in enumerate(self.channels) for one in self.makers_of(
-            number, channels, length_ns, physics, lead_ns, parts)]
+        shifts = any(split_topic(name)[0] in SHIFTS for name in self.parameters.groups)
+        makers = [make for number, channels in enumerate(self.channels) for make in self.makers_of(
+            number, channels, length_ns, physics, shifts * _LEAD_NS, parts)]
         for most in (self.most, few):
             makers = makers[thinned(len(makers), most)] if most else makers
         return [make() for make in makers]
@@ -201,8 +203,8 @@ class Setup:
         problem, axial = self.problems[number], self.axial[number]
         start_ns = problem.start.time_ns
         stamps = [clocked(channel, physics, start_ns) for channel in channels]
-        first_ns = max(start_ns, min(int(each[0]) for each in stamps))
-        last_ns = min(max(int(each[-1]) for each in stamps), span_of(problem)[1])
+        first_ns = max(start_ns, min(int(stamps_ns[0]) for stamps_ns in stamps))
+        last_ns = min(max(int(stamps_ns[-1]) for stamps_ns in stamps), span_of(problem)[1])
         count = parts * max(1, round((last_ns - first_ns) / length_ns))
         edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
         anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
@@ -212,10 +214,10 @@ class Setup:
                 axial.tensor @ axial.rate)
         memory_ns = round(1e9 * LONGEST_DELAY) \
             + _MEMORY_OF_LAG_NS * ('torque_lag' in self.parameters.groups)
-        ends = np.array([np.searchsorted(each, edges) for each in stamps])
+        ends = np.array([np.searchsorted(stamps_ns, edges) for stamps_ns in stamps])
 
         def made(k: int) -> Window:
-            rows = [slice(*each[k:k + 2].tolist()) for each in ends]
+            rows = [slice(*of_channel[k:k + 2].tolist()) for of_channel in ends]
             start = State(int(anchors[k]), rotor_momentum=momenta[k])
             near = problem.between(start, int(edges[k + 1]) + _LEAD_NS, memory_ns)
             return Window(number, k == 0, near,
@@ -228,9 +230,8 @@ class Setup:
         """Return the names of the parameters that could be estimated but were not."""
         groups = self.parameters.groups
         names = [name for name in self._of_body() if name not in groups]
-        channels = [channel for channels in self.channels for channel in channels]
         for kind in OF_SENSORS:
-            topics = topics_of(kind, channels)
+            topics = topics_of(kind, [*chain(*self.channels)])
             own = [kind] if len(topics) == 1 else [f'{kind}@{topic}' for topic in topics]
             names += [name for name in own if name not in groups]
         return names
@@ -256,8 +257,9 @@ class Setup:
         old = self.parameters
         groups = [name for name in old.groups
                   if not (name == 'inertia_diagonal' and 'inertia' in names)]
-        mounts = {name: mount_of(name, physics, self.channels[0]) for name in names
-                  if split_topic(name)[0] == 'mount'}
+        mounts = {name: mount_of(topic, physics, self.channels[0])
+                  for name, (kind, topic) in zip(names, map(split_topic, names))
+                  if kind == 'mount'}
         guess = replace(physics, values={
             **moments_of(names, self.problems[0].fields), **mounts, **physics.values})
         return replace(self, parameters=Parameters([*groups, *names], guess, old.magnitudes,
@@ -300,14 +302,14 @@ def _checked(channel: Measured, start_ns: int) -> Measured:
 
 def typical_rate(channels: Sequence[Measured]) -> float:
     """Return an outlier-resistant estimate of the root-mean-square angular velocity, rad/s."""
-    found = 1e-6
+    rates = [1e-6]
     for channel in channels:
         spacing = 1e-9 * max(float(np.median(np.diff(channel.stamps_ns))), 1.0)
         lag = min(max(1, round(_LAG / spacing)), len(channel) - 1)
         squares = np.sum(measured_rates(channel, lag)[1] ** 2, axis=1)
         limited = np.minimum(squares, 25.0 * np.median(squares))
-        found = max(found, float(np.sqrt(np.mean(limited))))
-    return found
+        rates.append(float(np.sqrt(np.mean(limited))))
+    return max(rates)
 
 
 def prepared(problem: Problem, channels: Sequence[Measured]
@@ -320,7 +322,7 @@ def prepared(problem: Problem, channels: Sequence[Measured]
     """
     if problem.actuators:
         problem = problem.replaced(log=problem.acting_logs, actuator=[
-            one and one.lag for one in problem.actuators])
+            actuator and actuator.lag for actuator in problem.actuators])
     if not problem.named_wheels:
         return problem, None
     carried, start = problem.carried(), problem.start
@@ -341,31 +343,34 @@ def setup_of(problems: Sequence[Problem], channels: list[list[Measured]], names:
     for each recording.
     """
     problems, axial = zip(*map(prepared, problems, channels))
-    if len({one and one.tensor.tobytes() for one in axial}) > 1:
+    if len({wheels and wheels.tensor.tobytes() for wheels in axial}) > 1:
         raise InputError('experiments: expected the same wheels in all recordings, found others')
-    _check_topics(names, [channel for every in channels for channel in every])
-    kinds = {log.interpolation for problem in problems for log in problem.logs} - {'hold'}
-    if 'torque_lag' in names and kinds:
-        raise InputError('estimate: torque_lag: expected torques that are held between samples, '
-                         f'found interpolation {kinds.pop()!r}')
-    rate = max(typical_rate(one) for one in channels)
-    torques = [rms(log.torques) for problem in problems for log in problem.logs]
-    span_ns = max(float(one.stamps_ns[-1] - one.stamps_ns[0])
-                  for every in channels for one in every)
-    body, fields = problems[0].body, problems[0].fields
-    values = moments_of(names, fields)
+    every = [*chain(*channels)]
+    values: dict[str, Floats] = {}
     for name in names:
         kind, topic = split_topic(name)
+        topics = topics_of(kind, every)
+        if topic and topic not in topics:
+            raise InputError(f'estimate: {name}: expected a topic among {listed(topics)}, found '
+                             f'{topic}')
         if kind == 'clock_offset':
             values[name] = np.array([_clock_offset(problems, channels, topic)])
         elif kind == 'torque_lag':
             values[name] = np.array([SHORT_LAG])
+    kinds = {log.interpolation for problem in problems for log in problem.logs} - {'hold'}
+    if 'torque_lag' in names and kinds:
+        raise InputError('estimate: torque_lag: expected torques that are held between samples, '
+                         f'found interpolation {kinds.pop()!r}')
+    rate = max(map(typical_rate, channels))
+    torques = [rms(log.torques) for problem in problems for log in problem.logs]
+    span_ns = max(float(np.ptp(channel.stamps_ns)) for channel in every)
+    body, fields = problems[0].body, problems[0].fields
     is_fitted = not {'inertia', 'inertia_diagonal'}.isdisjoint(names)
     inertia = lifted(body.inertia) if is_fitted else body.inertia
-    guess = Physics({'inertia': entries(inertia), 'damping': entries(body.damping), **values},
-                    gravity)
-    strengths = {f'{one.name}.{MOMENT}': float(np.linalg.norm(one.field)) for one in fields
-                 if isinstance(one, UniformField) and one.name and np.any(one.field)}
+    guess = Physics({'inertia': entries(inertia), 'damping': entries(body.damping),
+                     **moments_of(names, fields), **values}, gravity)
+    strengths = {f'{field.name}.{MOMENT}': float(np.linalg.norm(field.field)) for field in fields
+                 if isinstance(field, UniformField) and field.name and np.any(field.field)}
     magnitudes = Magnitudes(rate, max(torques, default=0.0), max(span_ns * 1e-9, 1e-9),
                             strengths)
     parameters = Parameters(names, guess, magnitudes)
@@ -396,7 +401,7 @@ def setup_of_sensors(motion: Motion, channels: list[Measured],
         motion.body.inertia, motion.body.damping)
     guess = Physics({'inertia': entries(inertia), 'damping': entries(damping), **values})
     rate = typical_rate(channels)
-    span_ns = max(int(np.ptp(one.stamps_ns)) for one in channels)
+    span_ns = max(int(np.ptp(channel.stamps_ns)) for channel in channels)
     parameters = Parameters([*values], guess, Magnitudes(rate, 0.0, 1e-9 * span_ns, {}))
     return Setup([problem], [channels], parameters, rate, fits_start, None, None, [None])
 
@@ -408,8 +413,8 @@ def setup_of_model(motion: Motion, sensors: Sequence[Measured]) -> Setup | None:
     Return None if no channel of the sensors has enough samples.
     """
     spacing_ns = motion.spacing_ns if isinstance(motion, Recorded) else 0
-    channels = [one for sensor in sensors for one in _thinned(sensor, spacing_ns).channels()
-                if len(one) >= FEWEST]
+    channels = [channel for sensor in sensors
+                for channel in _thinned(sensor, spacing_ns).channels() if len(channel) >= FEWEST]
     if not channels:
         return None
     setup = setup_of([motion], [channels], (START,)) if isinstance(motion, Problem) \
@@ -425,19 +430,9 @@ def _thinned(sensor: Measured, spacing_ns: int) -> Measured:
     return sensor.rows(thinned(len(sensor), min(_SAMPLES, len(sensor) // apart or 1)))
 
 
-def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
-    """Raise InputError if the topic in a name is unknown or lacks the required quantity."""
-    for name in names:
-        kind, topic = split_topic(name)
-        known = topics_of(kind, channels)
-        if topic and topic not in known:
-            raise InputError(f'estimate: {name}: expected a topic among {listed(known)}, found '
-                             f'{topic}')
-
-
 def _clock_offset(problems: Sequence[Problem], channels: list[list[Measured]],
                   topic: str) -> float:
     """Guess the clock offset, in seconds, from the recording with the most samples."""
-    of_topic = [[one for one in every if topic in ('', one.topic)] for every in channels]
-    return likely_offset(*max(zip(problems, of_topic),
-                              key=lambda pair: sum(len(channel) for channel in pair[1])))
+    of_topic = [[channel for channel in every if topic in ('', channel.topic)]
+                for every in channels]
+    return likely_offset(*max(zip(problems, of_topic), key=lambda pair: sum(map(len, pair[1]))))

@@ -165,7 +165,7 @@ def window_error(problem: Problem, sensors: Sequence[Measured], noises: Sequence
         moved[np.searchsorted(times_ns, correction.times_ns)]))[fitted]
     # The torque that best explains the change, by weighted least squares.
     weight = np.linalg.solve(covariance[fitted, fitted], by_torque)
-    torque_covariance: Floats = np.linalg.inv(by_torque.T @ weight)
+    torque_covariance = np.asarray(np.linalg.inv(by_torque.T @ weight), float)
     torque = torque_covariance @ (weight.T @ change[fitted])
     residuals = tuple(errors_of(sensor, states.rows(np.searchsorted(times_ns, sensor.stamps_ns)))
                       for sensor in inside)

@@ -190,7 +190,7 @@ class Window:
         predicted, slopes = [], []
         for sensor, here in zip(sensors, rows):
             at = poses.rows(here)
-            changes = {name: each.rows(here) for name, each in of_motion.items()}
+            changes = {name: motion.rows(here) for name, motion in of_motion.items()}
             blocks = [sensor.by_motion(changes[START])]
             for group in groups:
                 if not is_of_sensor(group):
@@ -239,7 +239,7 @@ class Window:
         times_ns = np.clip(times_ns, *span_of(self.problem))
         own = [group for group in groups if not is_of_sensor(group)]
         needed = [START, *own, *['rotor_momentum'] * (self.axial is not None)]
-        poses, found = with_derivatives(
+        poses, derivatives = with_derivatives(
             self._moved(physics, state, int(times_ns[-1]), groups),
             [*{_OF_PROBLEM.get(name, name): None for name in needed}], times_ns,
             physics.value('torque_bias'))
@@ -247,16 +247,16 @@ class Window:
         for name in needed:
             components = START_NAMES if name == START else components_of(
                 f'{WEIGHT}.{MOMENT}' if name == WEIGHT else name)
-            columns = [found.names.index(each) for each in components]
-            changes[name] = MotionSlopes(found.attitude[..., columns],
-                                         found.angular_velocity[..., columns])
+            columns = [*map(derivatives.names.index, components)]
+            changes[name] = MotionSlopes(derivatives.attitude[..., columns],
+                                         derivatives.angular_velocity[..., columns])
         if self.axial is not None:  # the rotors turn with the body at the start
             for whole, rotors in zip(changes[START], changes['rotor_momentum']):
                 whole[..., 3:] += rotors @ self.axial.T
         for name in ('torque_gain', 'torque_gains'):  # the torques are already multiplied
             if name in changes:
                 changes[name] = MotionSlopes(*(
-                    each / physics.value(name) for each in changes[name]))
+                    slopes / physics.value(name) for slopes in changes[name]))
         return poses, changes
 
     def _flow(self, physics: Physics, state: Poses, poses: Poses,
@@ -269,8 +269,8 @@ class Window:
         else:
             acceleration = self._moved(physics, state, int(times_ns[-1])).angular_acceleration(
                 np.clip(times_ns, first_ns, last_ns), *poses)
-        return MotionSlopes(*((each * inside)[..., None]
-                              for each in (poses.angular_velocity, acceleration)))
+        return MotionSlopes(*((flow * inside)[..., None]
+                              for flow in (poses.angular_velocity, acceleration)))
 
     def _instants(self, sensors: Sequence[Sensor]
                   ) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
@@ -282,7 +282,7 @@ class Window:
         stamps = [sensor.stamps_ns for sensor in sensors]
         if self._times is None or not all(map(np.array_equal, stamps, self._times[0])):
             union = np.unique(np.concatenate(stamps))
-            self._times = stamps, [np.searchsorted(union, each) for each in stamps], union
+            self._times = stamps, [np.searchsorted(union, own) for own in stamps], union
         return self._times[1:]
 
     @property
@@ -318,11 +318,12 @@ def acted(problem: Problem, physics: Physics) -> Problem:
     lag = physics.number('torque_lag')
     logs = [TorqueLog(log.times_ns + delay_ns, gains * log.torques, log.in_space,
                       log.interpolation) for log in problem.acting_logs]
-    constants = [lag + (one.time_constant if one else 0.0)
-                 for one in problem.actuators or [None] * len(logs)]
+    constants = [lag + (actuator.time_constant if actuator else 0.0)
+                 for actuator in problem.actuators or [None] * len(logs)]
     if max(constants, default=0.0) <= _SHORTEST:
         return problem.replaced(log=logs)
-    actuators = [Actuator(time_constant=one) if one > _SHORTEST else None for one in constants]
+    actuators = [Actuator(time_constant=constant) if constant > _SHORTEST else None
+                 for constant in constants]
     if problem.actuators:
         return problem.replaced(log=logs, actuator=actuators)
     first_ns = min(problem.start.time_ns, *(int(log.times_ns[0]) for log in logs))
@@ -409,9 +410,9 @@ class Sensor:
         """
         if kind in CLOCKS:
             assert flow is not None
-            found = self.by_motion(flow)
+            slopes = self.by_motion(flow)
             since = 1e-9 * (self.channel.stamps_ns - self.origin_ns)
-            return found * since[:, None] if kind == 'clock_drift' else found
+            return slopes * since[:, None] if kind == 'clock_drift' else slopes
         count, turn = len(self.channel), so3.right_jacobian(self.mount).T
         if self.channel.is_attitude:
             if kind == SPACE:
@@ -446,8 +447,8 @@ def sensors_of(channels: Sequence[Measured], physics: Physics, origin_ns: int) -
     The angular velocities on all other topics are then assumed to be in body axes, unless
     `mount@TOPIC` is fitted.
     """
-    return [Sensor(channel, physics, mount_of(f'mount@{channel.topic}', physics, channels),
-                   origin_ns) for channel in channels]
+    return [Sensor(channel, physics, mount_of(channel.topic, physics, channels), origin_ns)
+            for channel in channels]
 
 
 def applies(name: str, channel: Measured, physics: Physics, channels: Sequence[Measured]) -> bool:
@@ -489,15 +490,15 @@ def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.i
     return stamps_ns + np.round(drift * (channel.stamps_ns - origin_ns)).astype(np.int64)
 
 
-def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
+def mount_of(topic: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
     """
     Return the rotation vector from body axes to the axes of a sensor.
 
     The vector is the parameter `mount@TOPIC` or, if this parameter is not fitted, `mount`. The
     vector is zero if neither parameter applies to the sensor.
     """
-    topic = split_topic(name)[1]
-    if topic and topic not in _mounted(channels) and name not in physics.values:
+    is_own = f'mount@{topic}' in physics.values
+    if topic and topic not in _mounted(channels) and not is_own:
         return np.zeros(3)
     return physics.value('mount', topic)
 
