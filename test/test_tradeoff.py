@@ -47,8 +47,7 @@ from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Sett
 from rigid_body_ros.tradeoff.choices import OnWhole
 from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.problem import whole as whole_motion
-from rigid_body_ros.tradeoff.report import report_of
-from rigid_body_ros.tradeoff.result import _limits
+from rigid_body_ros.tradeoff.result import _limits, report_of
 from test_reference import NAMES
 from test_replay import bad_input
 

@@ -34,7 +34,8 @@ from rigid_body_ros import (
     UniformField,
 )
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.identification.result import Estimate, too_wide
+from rigid_body_ros.identification.estimation import too_wide
+from rigid_body_ros.identification.result import Estimate
 from rigid_body_ros.inference import reasons
 from rigid_body_ros.inference.noise import noise_of, NORMAL_95
 from rigid_body_ros.recording.observed import Measurements

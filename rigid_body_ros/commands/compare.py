@@ -36,7 +36,7 @@ REJECTED = 4
 
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.comparison.comparison import compare_recording, compare_sensors, write
-    from rigid_body_ros.comparison.report import report_of
+    from rigid_body_ros.comparison.result import report_of
     from rigid_body_ros.inference.noise import FEWEST
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name

@@ -28,7 +28,7 @@ from rigid_body_ros.commands.arguments import (
 )
 from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked, Outputs
-from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.errors import InputError, listed, located
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
@@ -69,25 +69,27 @@ def _status(found: Identification) -> tuple[int, str]:
 def _identified(options: argparse.Namespace,
                 scene: Scene) -> tuple[Identification, Problem]:
     """Identify parameters from all recordings; return the result and the first problem."""
-    from rigid_body_ros.identification.recorded import identified, read_experiments
+    from rigid_body_ros.identification import identify
+    from rigid_body_ros.identification.recorded import read_experiments
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
         warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, reading_of(options))
     for path, (_, observed) in zip(options.recording, experiments):
         warn_of_samples(options, path, observed.torques, observed.sensors)
-    found = identified(
-        options.recording, scene, experiments, estimate=options.estimate,
-        attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
-        validate=options.validate, priors=dict(options.prior), gravity=options.gravity,
-        accept=options.accept)
-    return found, experiments[0][0]
+    with located(options.recording[0]):
+        fit = identify(
+            scene.body, experiments, estimate=options.estimate,
+            attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
+            validate=options.validate, priors=dict(options.prior), gravity=options.gravity,
+            accept=options.accept)
+    return fit, experiments[0][0]
 
 
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
            first: Problem, scene: Scene, is_good: bool) -> list[str]:
     """Write the outputs, and return the names of the files; write the scene only if `is_good`."""
     from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
-    from rigid_body_ros.identification.report import report_of
+    from rigid_body_ros.identification.result import report_of
     name = Path(options.recording[0]).name
     if options.output and is_good:
         fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rigid_body_ros.tradeoff.report import report_of
+    from rigid_body_ros.tradeoff.result import report_of
     with checked(options) as outputs:
         scene = load_scene(options)
         result, title = _measure(options, scene)

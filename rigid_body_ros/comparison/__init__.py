@@ -16,9 +16,8 @@
 Compare measured motions with a propagated or recorded motion.
 
 `comparison` aligns the measurements, computes their errors, and judges the model, all with the
-fits of `inference`. `predictable` estimates for how long a motion can be predicted at all. Later
-errors say nothing about the model. `result` is what a comparison found, with its text, and
-`report` prepares its page and its picture.
+fits of `inference`. It also estimates for how long a motion can be predicted at all. Later errors
+say nothing about the model. `result` is what a comparison found, with its text and its report.
 """
 
 from rigid_body_ros.comparison.comparison import compare

@@ -25,20 +25,20 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros import messages, recording
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.comparison.predictable import predictable_s
-from rigid_body_ros.comparison.result import compared, Comparison
+from rigid_body_ros.comparison.result import Comparison, Errors
 from rigid_body_ros.inference.align import align as aligned_by
 from rigid_body_ros.inference.align import CLOCK, MOUNT
-from rigid_body_ros.inference.evidence import Suspect
+from rigid_body_ros.inference.evidence import LOST, Suspect
 from rigid_body_ros.inference.findings import Findings, judged, start_suspect
 from rigid_body_ros.inference.guess import LARGEST_OFFSET
 from rigid_body_ros.inference.horizons import horizon, usual_horizons
 from rigid_body_ros.inference.hypotheses import faults_of_samples
 from rigid_body_ros.inference.monitor import is_checked, monitored, settings_of
-from rigid_body_ros.inference.motion import Motion, Recorded
-from rigid_body_ros.inference.noise import FEWEST
+from rigid_body_ros.inference.motion import apart, divided, errors_of, inside, Motion, Recorded
+from rigid_body_ros.inference.noise import FEWEST, spread_of
 from rigid_body_ros.inference.residual_torque import residual_torque
 from rigid_body_ros.inference.setup import setup_of_model
 from rigid_body_ros.inference.verdict import scored
@@ -61,6 +61,9 @@ ATTITUDE_ERROR, RATE_ERROR = '/error/rotation_vector', '/error/angular_velocity'
 RESIDUAL_TORQUE = '/residual_torque'
 #: The alignments that correct a parameter, by its kind.
 _ALIGNED = {START: START, 'clock_offset': CLOCK, 'mount': MOUNT, SPACE: MOUNT}
+#: The motion is predicted from a start that is estimated from this many seconds of the
+#: measurement, but from at least `FEWEST` samples. Its uncertainty is computed at so many times.
+_SPAN, _INSTANTS = 1.0, 1000
 
 
 def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
@@ -136,7 +139,7 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
             raise ValueError(f'horizons: expected positive seconds, found {seconds}')
     if horizons and isinstance(motion, Recorded):
         raise InputError('horizons: expected a model that can restart, found a recorded motion')
-    comparison = compared(motion, measured, align)
+    comparison = _compared(motion, measured, align)
     problem, aligned = comparison.motion, comparison.aligned
     if isinstance(problem, Problem):
         best = max(aligned, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
@@ -144,10 +147,8 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
             comparison, residual_torque=residual_torque(problem, best),
             horizons=tuple(horizon(problem, aligned, seconds, track) for seconds in (
                 usual_horizons(aligned) if horizons is None else horizons)),
-            predictable_s=predictable_s(comparison))
-    if not causes:
-        return comparison
-    setup = setup_of_model(problem, aligned)
+            predictable_s=_predictable_s(problem, comparison))
+    setup = setup_of_model(problem, aligned) if causes else None
     if setup is None:
         return comparison
     findings = judged(setup, names_suspects)
@@ -159,13 +160,76 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
         findings, partial(_option, isinstance(problem, Problem))))
 
 
+def _compared(motion: Motion, measured: Sequence[Measured], align: Collection[str]) -> Comparison:
+    """Align measurements with a motion, and return a comparison with errors only."""
+    alignments = aligned_by(motion, measured, align)
+    if START in align and isinstance(motion, Problem):
+        motion = motion.replaced(start=alignments[0].start)
+    sensors = [alignment.applied(sensor) for alignment, sensor in zip(alignments, measured)]
+    aligned = tuple(sensor.rows(inside(motion, sensor.stamps_ns)) for sensor in sensors)
+    if not any(map(len, aligned)):
+        raise apart(motion, sensors)
+    states = motion.propagate(at=np.concatenate([sensor.stamps_ns for sensor in aligned]))
+    errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, part))
+                   for sensor, part in zip(aligned, divided(states, aligned)))
+    left_out = sum(map(len, sensors)) - sum(map(len, aligned))
+    return Comparison(tuple(measured), alignments, aligned, errors, left_out, (), None, motion)
+
+
+def _predictable_s(problem: Problem, comparison: Comparison) -> float | None:
+    """
+    Return the time after which the uncertainty of the start alone causes an error of 0.1 rad.
+
+    The start is assumed to be estimated from one second of the measurement, whose noise is
+    estimated from the errors of the comparison. The time is counted from the start, s. It is None
+    if the motion is predictable up to the last sample.
+    """
+    start_ns, deviations = problem.start.time_ns, _deviations(comparison)
+    end = 1e-9 * (int(comparison.times_ns[-1]) - start_ns)
+    if end <= 0.0 or not np.isfinite(deviations).all():
+        return None
+    seconds = np.linspace(0.0, end, _INSTANTS + 1)[1:]
+    times_ns = start_ns + np.round(1e9 * seconds).astype(np.int64)
+    derivatives = problem.derivatives([START], at=times_ns).both
+    variances = np.sum((deviations * derivatives[:, :3]) ** 2, axis=(1, 2))
+    lost = np.flatnonzero(variances > LOST ** 2)
+    return float(seconds[lost[0]]) if lost.size else None
+
+
+def _deviations(comparison: Comparison) -> Floats:
+    """
+    Return the standard deviations of the start.
+
+    The first three values are for the attitude, rad, and the last three for the angular velocity,
+    rad/s. If the attitude is not measured, the first three values are 0.
+    """
+    attitude, rate = np.full((2, 3), np.inf)
+    for errors in comparison.errors:
+        times_ns = errors.times_ns
+        if len(times_ns) < FEWEST:
+            continue
+        spacing = 1e-9 * float(np.median(np.diff(times_ns)))
+        count = max(FEWEST, round(_SPAN / spacing))
+        if errors.rotation_vectors is not None:
+            mean = spread_of(times_ns, errors.rotation_vectors, True) / np.sqrt(count)
+            attitude = np.minimum(attitude, mean)
+            # The rate is the slope of a line fitted to the attitudes, so compute the standard
+            # deviation of this slope.
+            rate = np.minimum(rate, mean * np.sqrt(12.0) / (count * spacing))
+        if errors.rates is not None:
+            rate = np.minimum(rate, spread_of(times_ns, errors.rates) / np.sqrt(count))
+    return np.append(attitude if comparison.of('rotation_vectors') else np.zeros(3), rate)
+
+
 def _with_faults(findings: Findings, motion: Recorded, aligned: Sequence[Measured]) -> Findings:
     """Add faults of some samples, unless a fault of all samples explains the errors."""
-    if any(one.text for one in findings.suspects):
+    if any(suspect.text for suspect in findings.suspects):
         return findings
-    channels = [one for sensor in aligned for one in sensor.channels() if len(one) > FEWEST]
+    channels = [channel for sensor in aligned for channel in sensor.channels()
+                if len(channel) > FEWEST]
     # A fault of some samples may look like a parameter, so it comes first.
-    drop = max([float(findings.solution.count), *(one.chi2_drop for one in findings.suspects)])
+    drop = max([float(findings.solution.count),
+                *(suspect.chi2_drop for suspect in findings.suspects)])
     faults = [Suspect(name, drop, 0.0, text=text)
               for name, text in faults_of_samples(motion, channels)]
     return replace(findings, suspects=[*faults, *findings.suspects])
@@ -234,18 +298,22 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
         sensors = during.until_end()
         # A clock offset can move the last samples beyond the end.
         if moves_clocks and during.has_end:
-            sensors = during.until_end([one.clock_offset_s for one
+            sensors = during.until_end([alignment.clock_offset_s for alignment
                                         in aligned_by(moved, sensors, align)])
-        found = compare_motion(moved, sensors, align, horizons, track=track,
-                               names_suspects=not faults_of(during.torques, during.sensors))
+        comparison = compare_motion(moved, sensors, align, horizons, track=track,
+                                    names_suspects=not faults_of(during.torques, during.sensors))
     if horizons and isinstance(moved, Problem) and is_checked(moved, scene.values):
-        found = replace(found, horizons=tuple(replace(one, judgements=tuple(monitored(
-            moved, sensors, settings_of(scene.values)._replace(window=one.seconds))))
-            for one in found.horizons))
+        comparison = replace(comparison, horizons=tuple(replace(errors, judgements=tuple(monitored(
+            moved, sensors, settings_of(scene.values)._replace(window=errors.seconds))))
+            for errors in comparison.horizons))
     left_out = sum(map(len, during.sensors)) - sum(map(len, sensors))
+    return replace(comparison, recording=_name(path), left_out=comparison.left_out + left_out,
+                   torques=during.torques)
+
+
+def _name(path: str | Path) -> str:
     # A file name may contain bytes that cannot be decoded as text.
-    return replace(found, recording=Path(path).name.encode(errors='replace').decode(),
-                   left_out=found.left_out + left_out, torques=during.torques)
+    return Path(path).name.encode(errors='replace').decode()
 
 
 def compare_sensors(path: str | Path, reading: Reading, align: Collection[str] = (),
@@ -264,23 +332,23 @@ def compare_sensors(path: str | Path, reading: Reading, align: Collection[str] =
 
     """
     sensors = reading.sensors(path, None)
-    attitudes = [one for one in sensors if one.attitude is not None and len(one) >= FEWEST]
+    attitudes = [sensor for sensor in sensors
+                 if sensor.attitude is not None and len(sensor) >= FEWEST]
     if not attitudes:
         raise InputError(f'{path}: expected at least {FEWEST} attitudes to compare with, or '
                          '--scene, found none')
     best = max(attitudes, key=len)
-    others = [replace(one, attitude=None, attitude_covariance=None) if one is best else one
-              for one in sensors]
-    others = [one for one in others if one.attitude is not None
-              or one.angular_velocity is not None]
+    others = [replace(sensor, attitude=None, attitude_covariance=None) if sensor is best
+              else sensor for sensor in sensors
+              if sensor is not best or sensor.angular_velocity is not None]
     if not others:
         raise InputError(f'{path}: {best.topic}: expected a second sensor to compare with, or '
                          '--scene, found none')
     with located(path):
         motion = Recorded.of_attitudes(replace(best, angular_velocity=None))
-        found = compare_motion(motion, others, align, track=track,
-                               names_suspects=not faults_of(None, sensors))
-    return replace(found, recording=Path(path).name.encode(errors='replace').decode())
+        comparison = compare_motion(motion, others, align, track=track,
+                                    names_suspects=not faults_of(None, sensors))
+    return replace(comparison, recording=_name(path))
 
 
 def read_motion(path: str | Path, scene: Scene) -> Recorded:
@@ -295,14 +363,11 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
         velocities; or the two topics of a replay have different stamps.
 
     """
-    found = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
-
-    def measured(topic: str | None = None) -> Measured:
-        return read_measured(path, topic, body_frame=scene.body_frame,
-                             space_frame=scene.space_frame)
-    if ATTITUDE in found and ANGULAR_VELOCITY in found:
-        attitude = measured(ATTITUDE)
-        rates = measured(ANGULAR_VELOCITY)
+    topics = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
+    measured = partial(read_measured, path, body_frame=scene.body_frame,
+                       space_frame=scene.space_frame)
+    if ATTITUDE in topics and ANGULAR_VELOCITY in topics:
+        attitude, rates = measured(ATTITUDE), measured(ANGULAR_VELOCITY)
         if not np.array_equal(attitude.stamps_ns, rates.stamps_ns):
             raise InputError(f'{path}: expected the same stamps on {ATTITUDE} and '
                              f'{ANGULAR_VELOCITY}, found others')
@@ -341,16 +406,12 @@ def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
         writer.add_topic(RESIDUAL_TORQUE, messages.WRENCH)
         writer.add_metadata(NAME, {'fingerprint': json.dumps(fingerprint()),
                                    'alignment': json.dumps(comparison.alignment.as_dict()),
-                                   'alignments': json.dumps({
-                                       sensor.topic: one.of_sensor() for one, sensor in zip(
-                                           comparison.alignments, comparison.measured)})})
-        for one in comparison.errors:
-            writer.write_columns(one.times_ns, [
+                                   'alignments': json.dumps(comparison.of_sensors)})
+        for errors in comparison.errors:
+            writer.write_columns(errors.times_ns, [
                 Column(topic, body_frame, values) for topic, values
-                in ((ATTITUDE_ERROR, one.rotation_vectors), (RATE_ERROR, one.rates))
+                in ((ATTITUDE_ERROR, errors.rotation_vectors), (RATE_ERROR, errors.rates))
                 if values is not None])
-        if comparison.residual_torque:
-            torques = comparison.residual_torque.torques
-            values = np.hstack([np.zeros_like(torques), torques])
-            writer.write_columns(comparison.residual_torque.times_ns,
-                                 [Column(RESIDUAL_TORQUE, body_frame, values)])
+        if torque := comparison.residual_torque:
+            values = np.hstack([np.zeros_like(torque.torques), torque.torques])
+            writer.write_columns(torque.times_ns, [Column(RESIDUAL_TORQUE, body_frame, values)])

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The result of a comparison, and its conversion to text."""
+"""The result of a comparison, with its text, its JSON data and its report."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -24,21 +24,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, written
-from rigid_body_ros.inference.align import align as aligned_by
 from rigid_body_ros.inference.align import Alignment
 from rigid_body_ros.inference.horizons import Horizon
-from rigid_body_ros.inference.motion import apart, divided, errors_of, inside, Motion
-from rigid_body_ros.inference.residual_torque import ResidualTorque
+from rigid_body_ros.inference.motion import Motion
+from rigid_body_ros.inference.noise import spread_of
+from rigid_body_ros.inference.residual_torque import residual_panels, ResidualTorque
 from rigid_body_ros.inference.verdict import Verdict
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report import moving_body
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.panels import (
+    Drawn,
+    field_panels,
+    in_degrees,
+    quantity_panels,
+    torque_panels,
+)
+from rigid_body_ros.report.report import Report
 from rigid_body_ros.report.text import lines, numbers, rounded, scaled
-from rigid_body_ros.scene.quantities import START
 
 #: The quantities that are compared. Each has a name, a unit, and an attribute of `Errors`.
-QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')
+_QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +109,8 @@ class Comparison:
         The measurements of each sensor before alignment.
     alignments : tuple of Alignment
         The alignment of each sensor.
+    aligned : tuple of Measured
+        The measurements during the motion, converted to its clock and axes.
     errors : tuple of Errors
         The errors of each sensor, after alignment.
     left_out : int
@@ -129,6 +140,7 @@ class Comparison:
 
     measured: tuple[Measured, ...]
     alignments: tuple[Alignment, ...]
+    aligned: tuple[Measured, ...]
     errors: tuple[Errors, ...]
     left_out: int
     horizons: tuple[Horizon, ...]
@@ -146,8 +158,19 @@ class Comparison:
 
         If no sensor measures attitudes, return the alignment of the first sensor.
         """
-        return next((one for one, sensor in zip(self.alignments, self.measured)
+        return next((alignment for alignment, sensor in zip(self.alignments, self.measured)
                      if sensor.attitude is not None), self.alignments[0])
+
+    @property
+    def of_sensors(self) -> dict[str, dict[str, Any]]:
+        """Return the clock offset and the mounting of each sensor, by topic, as JSON types."""
+        return {sensor.topic: alignment.of_sensor()
+                for alignment, sensor in zip(self.alignments, self.measured)}
+
+    @property
+    def times_ns(self) -> NDArray[np.int64]:
+        """Return the times of all samples, ascending, ns."""
+        return np.unique(np.concatenate([errors.times_ns for errors in self.errors]))
 
     @property
     def samples(self) -> int:
@@ -157,14 +180,7 @@ class Comparison:
     @property
     def span_s(self) -> float:
         """Return the time between the first and the last sample, s."""
-        times_ns = np.concatenate([errors.times_ns for errors in self.errors])
-        return 1e-9 * float(np.ptp(times_ns))
-
-    @property
-    def aligned(self) -> tuple[Measured, ...]:
-        """Return the measurements, converted to the clock and the axes of the motion."""
-        return tuple(_within(self.motion, one.applied(sensor))
-                     for one, sensor in zip(self.alignments, self.measured))
+        return 1e-9 * float(np.ptp(self.times_ns))
 
     def of(self, name: str) -> list[Errors]:
         """Return the errors of the sensors that measure `name`: 'rotation_vectors' or 'rates'."""
@@ -188,28 +204,26 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         """Return the result as JSON types, with units in the names of the keys."""
         torque = self.residual_torque
-        found: dict[str, Any] = {
+        torques = statistics(torque.torques if torque else None)
+        if torque:
+            torques |= {'noise': torque.noise.tolist(), 'window_s': torque.window_s}
+        return {
             'recording': self.recording, 'measured': [errors.topic for errors in self.errors],
             'samples': self.samples, 'span_s': self.span_s, 'left_out': self.left_out,
             'rejected': sum(sensor.account.rejected for sensor in self.measured),
             'accounts': {sensor.topic: sensor.account.as_dict() for sensor in self.measured} | (
                 {'torques': self.torques.as_dict()} if self.torques else {}),
             'alignment': self.alignment.as_dict(),
-            'alignments': {sensor.topic: one.of_sensor()
-                           for one, sensor in zip(self.alignments, self.measured)},
+            'alignments': self.of_sensors,
             'attitude_error_rad': statistics(self.pooled('rotation_vectors'), final=True),
             'rate_error_rad_s': statistics(self.pooled('rates'), final=True),
             'horizons': [_horizon_dict(horizon) for horizon in self.horizons],
-            'residual_torque_N_m': statistics(torque.torques if torque else None),
+            'residual_torque_N_m': torques,
             'predictable_s': self.predictable_s,
             'verdict': self.verdict and self.verdict.as_dict(),
             # Deprecated: the suspects of the verdict under the name of earlier versions.
-            'likely_causes': [{'cause': one.name, 'text': one.text or one.command}
-                              for one in self.verdict.suspects] if self.verdict else []}
-        if torque:
-            found['residual_torque_N_m'] |= {'noise': torque.noise.tolist(),
-                                             'window_s': torque.window_s}
-        return found
+            'likely_causes': [{'cause': suspect.name, 'text': suspect.text or suspect.command}
+                              for suspect in self.verdict.suspects] if self.verdict else []}
 
     def text(self, degrees: bool = False) -> str:
         """Return a summary as text, with one fact per line."""
@@ -245,7 +259,7 @@ class Comparison:
         if isinstance(self.motion, Problem) and not self.motion.sources:
             yield 'torques', 'none in the recording: the body is free'
         yield from _alignments(self, degrees)
-        for label, unit, attribute in QUANTITIES:
+        for label, unit, attribute in _QUANTITIES:
             yield from _errors(label, *scaled(unit, degrees), self.pooled(attribute), True)
         factor, unit = scaled('rad', degrees)
         for horizon in self.horizons:
@@ -255,76 +269,50 @@ class Comparison:
                 if len(angles) else 'no window, or no measured attitude'
             yield f'after {horizon.seconds:g} s', text
         if self.predictable_s is not None:
-            yield 'predictable', f'for {self.predictable_s:.4g} s from the start; later ' \
-                                 'errors say nothing about the model, but the errors ' \
-                                 'after horizons do'
-        torque = self.residual_torque
-        if torque:
+            yield 'predictable', f'for {self.predictable_s:.4g} s from the start; later errors ' \
+                                 'say nothing about the model, but the errors after horizons do'
+        if torque := self.residual_torque:
             yield from _errors('residual torque', 1.0, 'N m', torque.torques)
             noise = numbers(torque.noise, 3, ', ')
             yield '', f'noise ({noise}) N m, in windows of {torque.window_s:.3g} s'
-
-
-def compared(motion: Motion, measured: Sequence[Measured],
-             align: Collection[str]) -> Comparison:
-    """Align measurements with a motion, and return a comparison with errors only."""
-    alignments = aligned_by(motion, measured, align)
-    if START in align and isinstance(motion, Problem):
-        motion = motion.replaced(start=alignments[0].start)
-    sensors = [one.applied(sensor) for one, sensor in zip(alignments, measured)]
-    within = [_within(motion, sensor) for sensor in sensors]
-    if not any(len(sensor) for sensor in within):
-        raise apart(motion, sensors)
-    states = motion.propagate(at=np.concatenate([sensor.stamps_ns for sensor in within]))
-    errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, part))
-                   for sensor, part in zip(within, divided(states, within)))
-    left_out = sum(map(len, sensors)) - sum(map(len, within))
-    return Comparison(tuple(measured), alignments, errors, left_out, (), None, motion)
-
-
-def _within(motion: Motion, sensor: Measured) -> Measured:
-    return sensor.rows(inside(motion, sensor.stamps_ns))
 
 
 def _horizon_dict(horizon: Horizon) -> dict[str, Any]:
     values = statistics(horizon.angles[:, None])
     return {'seconds': horizon.seconds, 'windows': len(horizon.angles),
             **{f'attitude_{name}_rad': values[name] for name in ('rms', 'median', 'p95')},
-            **({'monitor': [one.as_dict() for one in horizon.judgements]}
+            **({'monitor': [judgement.as_dict() for judgement in horizon.judgements]}
                if horizon.judgements else {})}
 
 
 def _alignments(comparison: Comparison, degrees: bool) -> Iterator[tuple[str, str]]:
-    for one, sensor in zip(comparison.alignments, comparison.measured):
-        sigma = one.sigma or {}
+    """Generate the rows for each sensor, then those for the space axes and the start."""
+    for alignment, sensor in zip(comparison.alignments, comparison.measured):
+        sigma = alignment.sigma or {}
         of = f' of {sensor.topic}' if len(comparison.measured) > 1 else ''
         if 'clock_offset_s' in sigma:
             spread = float(sigma['clock_offset_s'])
-            yield 'clock offset', f'{rounded(one.clock_offset_s, spread)} s ' \
+            yield 'clock offset', f'{rounded(alignment.clock_offset_s, spread)} s ' \
                                   f'({_known(spread, "s")}), added to the measured stamps{of}'
         if 'mount_rad' in sigma:
-            yield 'mounting', _turn(one.mount, sigma['mount_rad'], degrees) + of
-    yield from _common(comparison.alignment, degrees)
-
-
-def _turn(quaternion: Floats, sigma: Floats, degrees: bool) -> str:
-    return 'rotation vector ' + _vector(so3.log(quaternion), sigma, *scaled('rad', degrees))
-
-
-def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
-    """Generate the rows for the space axes and for the start, which all sensors share."""
-    sigma = alignment.sigma or {}
+            yield 'mounting', _turn(alignment.mount, sigma['mount_rad'], degrees) + of
+    alignment = comparison.alignment
+    sigma, start = alignment.sigma or {}, alignment.start
     if 'space_rad' in sigma:
         yield 'space axes', _turn(alignment.space, sigma['space_rad'], degrees)
-    if alignment.start:
-        text = f'attitude xyzw {written(alignment.start.attitude)}'
+    if start:
+        text = f'attitude xyzw {written(start.attitude)}'
         if 'initial_attitude_rad' in sigma:
             factor, unit = scaled('rad', degrees)
             text += f' ({_known(factor * np.max(sigma["initial_attitude_rad"]), unit)})'
         yield 'start', text
         yield '', 'angular velocity ' + _vector(
-            alignment.start.angular_velocity, sigma['initial_angular_velocity_rad_s'],
+            start.angular_velocity, sigma['initial_angular_velocity_rad_s'],
             *scaled('rad/s', degrees))
+
+
+def _turn(quaternion: Floats, sigma: Floats, degrees: bool) -> str:
+    return 'rotation vector ' + _vector(so3.log(quaternion), sigma, *scaled('rad', degrees))
 
 
 def _vector(values: Floats, sigma: Any, factor: float, unit: str) -> str:
@@ -353,3 +341,98 @@ def _errors(name: str, factor: float, unit: str, vectors: Floats | None,
     parts = ', '.join(f'{names[key]} {value:.3g}' for key, value in values.items())
     yield name, f'{parts} {unit}'
     yield '', f'rms about the body axes ({axes}) {unit}'
+
+
+def report_of(comparison: Comparison, name: str, degrees: bool = False) -> Report:
+    """
+    Return the report of a comparison.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The comparison. If the motion was computed rather than recorded, the report animates
+        the body.
+    name : str
+        Name of the recording.
+    degrees : bool
+        Whether to show angles in degrees.
+
+    """
+    stamps_ns = comparison.times_ns
+    topics = ', '.join(errors.topic for errors in comparison.errors)
+    attitudes = next(((sensor.stamps_ns, sensor.attitude) for sensor in comparison.aligned
+                      if sensor.attitude is not None and len(sensor)), None)
+    body = moving_body.of_motion(comparison.motion, stamps_ns, attitudes) \
+        if isinstance(comparison.motion, Problem) else None
+    shown = [('moving body', 'the computed motion')] if body else []
+    panels = [*_panels(comparison, stamps_ns), *_horizons(comparison, degrees)]
+    verdict = [*comparison.verdict.rows()] if comparison.verdict else []
+    headline = '; '.join([*(said for _, said in verdict[:1]), _size(comparison, degrees)])
+    return Report(f'{name}: {topics}', headline,
+                  [*verdict[1:], ('recording', name), *comparison.facts(degrees), *shown],
+                  [*map(in_degrees, panels)] if degrees else panels, body)
+
+
+def _size(comparison: Comparison, degrees: bool) -> str:
+    """
+    Return the rms attitude error as text.
+
+    If there are no attitudes, return the rms rate error instead.
+    """
+    label, unit, attribute = next(row for row in _QUANTITIES if comparison.of(row[2]))
+    factor, unit = scaled(unit, degrees)
+    size = factor * statistics(comparison.pooled(attribute))['rms']
+    return f'{label} {size:.3g} {unit} (rms) over {comparison.span_s:.3g} s'
+
+
+def _panels(comparison: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
+    start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
+    motion, aligned = comparison.motion, comparison.aligned
+    for errors, sensor in zip(comparison.errors, aligned):
+        if len(sensor):
+            yield from _of_sensor(errors, sensor, motion, start_ns)
+    if isinstance(motion, Problem):
+        yield from torque_panels(motion.logs, start_ns, end_ns, motion.options.timeout_ns)
+        yield from field_panels(motion, stamps_ns, start_ns)
+    if comparison.residual_torque:
+        yield from residual_panels(comparison.residual_torque, aligned, start_ns)
+
+
+def _of_sensor(errors: Errors, sensor: Measured, motion: Motion,
+               start_ns: int) -> Iterator[Panel]:
+    """Generate the panels of one sensor: measured and computed curves, and their differences."""
+    samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
+    states = motion.propagate(at=errors.times_ns)
+    for measured, computed, values in (
+            (sensor.attitude, states.attitude, errors.rotation_vectors),
+            (sensor.angular_velocity, states.angular_velocity, errors.rates)):
+        if measured is not None and values is not None:
+            yield from quantity_panels(
+                errors.topic, 'body axes', samples, measured, computed,
+                ('measured minus computed', values),
+                ('±2 sigma of the noise of a sample', 2.0 * _noise(errors, values)), start_ns)
+
+
+def _noise(errors: Errors, values: Floats) -> float:
+    """Return the largest noise of the three axes, or 0 if there are too few samples."""
+    if len(values) < 3:
+        return 0.0
+    return float(spread_of(errors.times_ns, values, values is errors.rotation_vectors).max())
+
+
+def _horizons(comparison: Comparison, degrees: bool) -> Iterator[Panel]:
+    """Generate a panel that shows how the attitude error grows with the time after a restart."""
+    horizons = sorted((horizon for horizon in comparison.horizons if len(horizon.angles)),
+                      key=lambda horizon: horizon.seconds)
+    if not horizons:
+        return
+    seconds = np.array([horizon.seconds for horizon in horizons])
+    errors = np.maximum([np.percentile(horizon.angles, [50.0, 95.0]) for horizon in horizons],
+                        1e-16)
+    factor, unit = scaled('rad', degrees)
+    texts = [[f'{factor * error:.3g} {unit} {horizon.seconds:g} s after a restart, in '
+              f'{len(horizon.angles)} windows' for horizon, error in zip(horizons, column)]
+             for column in errors.T]
+    yield Panel('attitude error after a restart', 'rad', [
+        Curves(seconds, errors, errors, ('median', '95 %'))],
+        'time since the restart from the measurement (s)', 'loglog', texts=texts)

@@ -16,8 +16,8 @@
 Identify the parameters of a body from measurements.
 
 The entry point is `identify`, in `estimation`, which fits with `inference`. It returns an
-`Identification`, which is defined in `result`. The command `attitude_identify` uses `recorded` to
-read and write files, and `report` to report the result.
+`Identification`, which `result` defines with its report. The command `attitude_identify` uses
+`recorded` to read and write files.
 """
 
 from rigid_body_ros.identification.estimation import Experiment, identify

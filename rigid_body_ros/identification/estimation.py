@@ -25,12 +25,13 @@ from typing import NamedTuple
 import numpy as np
 from rigid_body_ros.common.arrays import entries, Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.identification.result import Estimate, Identification, too_wide, without_effect
+from rigid_body_ros.identification.result import Estimate, Identification, MOMENTS
 from rigid_body_ros.inference import errors
 from rigid_body_ros.inference.coordinates import checked_names, checked_priors, GRAVITY
 from rigid_body_ros.inference.evidence import certainty
 from rigid_body_ros.inference.findings import Findings, judged
 from rigid_body_ros.inference.fit import Solution
+from rigid_body_ros.inference.noise import NORMAL_95
 from rigid_body_ros.inference.setup import channels_of, setup_of
 from rigid_body_ros.inference.verdict import tried, with_intervals
 from rigid_body_ros.inference.windows import acted
@@ -159,20 +160,22 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
         raise InputError(f'validate: expected a fraction from 0 to less than 1, found {validate}')
     if WEIGHT in names and not np.any(gravity):
         raise InputError(f'gravity: expected a field other than zero for {WEIGHT}, found zeros')
-    given = [experiments] if isinstance(experiments, (Experiment, tuple)) else [*experiments]
-    if not given:
+    recordings = [experiments] if isinstance(experiments, (Experiment, tuple)) \
+        else [*experiments]
+    if not recordings:
         raise InputError('experiments: expected at least one recording, found none')
-    observed = [one.observed(body, torque_timeout) if isinstance(one, Experiment) else one
-                for one in given]
+    observed = [recording.observed(body, torque_timeout) if isinstance(recording, Experiment)
+                else recording for recording in recordings]
     every = [channels_of(measurements.sensors, problem.start.time_ns)
              for problem, measurements in observed]
     training = [_training(channels, validate) for channels in every]
     setup = setup_of([problem.replaced(body=body) for problem, _ in observed], training, names,
                      attitude_noise, rate_noise, gravity)
-    known = checked_priors(priors or {}, setup.extended(
+    given = checked_priors(priors or {}, setup.extended(
         setup.given, setup.candidates()).parameters)
-    is_whole = not any(faults_of(one.torques, one.sensors) for _, one in observed)
-    findings = judged(replace(setup, parameters=setup.parameters.with_priors(known)), is_whole)
+    is_whole = not any(faults_of(measurements.torques, measurements.sensors)
+                       for _, measurements in observed)
+    findings = judged(replace(setup, parameters=setup.parameters.with_priors(given)), is_whole)
     return _result(findings, every if validate else [], accept, is_whole)
 
 
@@ -218,24 +221,55 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     moved = [{name: abs(other.get(name, math.nan) - before)
               for name, before in zip(numbers.names, numbers.values)} for other in others]
     verdict, systematic = with_intervals(findings, [suspect for suspect, _ in attempts], moved)
-    estimates = {name: Estimate(name, quantity_of(name).unit, float(numbers.values[i]),
-                                float(numbers.guesses[i]), float(sigma[i]),
-                                bool(is_known[i]), systematic.get(name, 0.0))
-                 for i, name in enumerate(numbers.names)}
-    aligned = errors.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
-                                physics, setup.problems[0].start.time_ns)
+    estimates = [Estimate(name, quantity_of(name).unit, float(numbers.values[i]),
+                          float(numbers.guesses[i]), float(sigma[i]), bool(is_known[i]),
+                          systematic.get(name, 0.0)) for i, name in enumerate(numbers.names)]
+    verdict = verdict.with_reasons(_without_effect(estimates)).with_reasons(
+        too_wide(estimates, dict(zip(numbers.names, numbers.scales)), accept), True)
+    residuals, first = [*fitted, *ahead], setup.problems[0]
+    aligned = errors.inliers_of([part for part in residuals if not part.recording], physics,
+                                first.start.time_ns)
+    last_ns = max(int(sensor.stamps_ns[-1]) for sensor in aligned)
     return Identification(
-        setup.body(physics), physics.acting(setup.problems[0].fields),
+        setup.body(physics), physics.acting(first.fields),
         [_start(solution, number)[0] for number in range(len(setup.problems))],
-        estimates, covariance, setup.problems[0].start.attitude, directions, [*fitted, *ahead],
-        errors.Misfit.of(fitted, solution.problem.size),
+        {estimate.name: estimate for estimate in estimates}, covariance, first.start.attitude,
+        directions, residuals, errors.Misfit.of(fitted, solution.problem.size),
         errors.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
-        solution.evaluations, solution.converged,
-        verdict.with_reasons(without_effect(estimates.values())).with_reasons(
-            too_wide(estimates.values(), dict(zip(numbers.names, numbers.scales)), accept), True),
+        solution.evaluations, solution.converged, verdict,
         any(log.torques.any() for problem in setup.problems for log in problem.logs),
-        findings.predictable_s, _first_motion(solution, max(
-            int(one.stamps_ns[-1]) for one in aligned)), aligned)
+        findings.predictable_s, _first_motion(solution, last_ns), aligned)
+
+
+def _without_effect(estimates: Sequence[Estimate]) -> list[str]:
+    """Return a reason against the model for each torque gain whose 95 % interval contains 0."""
+    gains = [estimate for estimate in estimates if estimate.name.startswith('torque_gain')]
+    return [f'{gain.name}: the interval contains 0: the logged torque has no visible effect'
+            + (f' about {gain.name[-1]}' if '.' in gain.name else '')
+            for gain in gains if gain.interval_95
+            and gain.interval_95[0] <= 0.0 <= gain.interval_95[1]]
+
+
+def too_wide(estimates: Sequence[Estimate], scales: Mapping[str, float],
+             accept: float | None) -> list[str]:
+    """
+    Return a reason against the fit for each interval that is too wide to be of use.
+
+    An interval is too wide if its half-width exceeds `accept` times the scale of the estimate, or
+    the mean moment for an inertia. The interval of a moment of inertia must not contain 0.
+    """
+    mean = sum(estimate.value for estimate in estimates if estimate.name in MOMENTS) / len(MOMENTS)
+    texts = []
+    for estimate in estimates:
+        name, half = estimate.name, NORMAL_95 * estimate.uncertainty
+        scale = mean if name.startswith('inertia') else scales[name]
+        if not estimate.identifiable:
+            continue
+        if accept is not None and half > accept * scale:
+            texts.append(f'{name}: the interval is wider than the accepted {accept:g}')
+        elif name in MOMENTS and half >= estimate.value:
+            texts.append(f'{name}: the interval contains 0')
+    return texts
 
 
 def _first_motion(solution: Solution, end_ns: int) -> Problem:
@@ -244,15 +278,15 @@ def _first_motion(solution: Solution, end_ns: int) -> Problem:
 
     If a torque bias was estimated, the motion includes this bias at least until `end_ns`.
     """
-    given, physics = solution.problem.setup.problems[0], solution.physics
+    problem, physics = solution.problem.setup.problems[0], solution.physics
     start = _start(solution, 0)[0]
-    momentum = given.start.rotor_momentum + physics.value('rotor_momentum') \
+    momentum = problem.start.rotor_momentum + physics.value('rotor_momentum') \
         + solution.problem.setup.axial_tensor @ start.angular_velocity
     start = State(start.time_ns, start.attitude, start.angular_velocity, momentum)
-    found = acted(given, physics).replaced(body=physics.body, start=start,
-                                           fields=physics.acting(given.fields) or None)
+    motion = acted(problem, physics).replaced(body=physics.body, start=start,
+                                              fields=physics.acting(problem.fields) or None)
     bias = physics.value('torque_bias')
-    return found.biased(bias, end_ns) if bias.any() else found
+    return motion.biased(bias, end_ns) if bias.any() else motion
 
 
 def _numbers(solution: Solution) -> _Numbers:

@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from rigid_body_ros.common.arrays import ENTRIES, entries
-from rigid_body_ros.common.errors import InputError, located
-from rigid_body_ros.identification.estimation import identify
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.urdf import robot
@@ -51,37 +50,21 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene,
         therefore not independent.
 
     """
-    experiments, known = [], dict[bytes, str]()
+    experiments, names = [], dict[bytes, str]()
     for path in paths:
         problem, measurements = read_observed(path, scene, reading)
         measurements = replace(measurements, sensors=measurements.until_end())
         experiments.append((problem, measurements))
-        for one in measurements.sensors:
-            columns = one.stamps_ns, one.attitude, one.angular_velocity
+        for sensor in measurements.sensors:
+            columns = sensor.stamps_ns, sensor.attitude, sensor.angular_velocity
             digest = sha256(b''.join(column.tobytes() for column in columns
                                      if column is not None)).digest()
-            name = f'{path}: {one.topic}'
-            if digest in known:
+            name = f'{path}: {sensor.topic}'
+            if digest in names:
                 raise InputError(f'{name}: expected measurements of its own, found those of '
-                                 f'{known[digest]}')
-            known[digest] = name
+                                 f'{names[digest]}')
+            names[digest] = name
     return experiments
-
-
-def identified(paths: Sequence[str | Path], scene: Scene,
-               experiments: Sequence[tuple[Problem, Measurements]],
-               **options: Any) -> Identification:
-    """
-    Fit the recordings of a scene with `identify`, to which all options are passed.
-
-    Raises
-    ------
-    InputError
-        `identify` raises this error, or the motion of a recording cannot be computed.
-
-    """
-    with located(paths[0]):
-        return identify(scene.body, experiments, **options)
 
 
 def fitted_scene(scene: Scene, fit: Identification) -> str:
@@ -111,7 +94,7 @@ def fitted_urdf(scene: Scene, fit: Identification) -> str:
     The link is named after the scene parameter `link` or, if that is empty, after `body_frame`
     without `frame_prefix`.
     """
-    about = 'the pivot' if any(one.name == WEIGHT for one in _uniform(fit)) else \
+    about = 'the pivot' if any(field.name == WEIGHT for field in _uniform(fit)) else \
         'the centre of mass'
     others = [name for name in fit.estimates if _group(name) != 'inertia']
     comments = [*_comments(fit, others),
@@ -121,10 +104,11 @@ def fitted_urdf(scene: Scene, fit: Identification) -> str:
 
 def _comments(fit: Identification, names: Sequence[str]) -> list[str]:
     """Return comments that list the reasons for the verdict and the named estimates."""
-    estimates = [(name, fit.estimates[name]) for name in names]
+    estimates = [fit.estimates[name] for name in names]
     return ['Fitted by attitude_identify.',
             *(f'{fit.verdict.level}: {reason}' for reason in fit.verdict.reasons),
-            *(f'{name}: {one.value!r} {one.unit}'.rstrip() for name, one in estimates)]
+            *(f'{estimate.name}: {estimate.value!r} {estimate.unit}'.rstrip()
+              for estimate in estimates)]
 
 
 def _group(name: str) -> str:
@@ -134,7 +118,7 @@ def _group(name: str) -> str:
 
 def _uniform(fit: Identification) -> list[UniformField]:
     """Return the named uniform fields."""
-    return [one for one in fit.fields if isinstance(one, UniformField) and one.name]
+    return [field for field in fit.fields if isinstance(field, UniformField) and field.name]
 
 
 def _changed(fit: Identification) -> dict[str, Any]:
@@ -152,8 +136,8 @@ def _changed(fit: Identification) -> dict[str, Any]:
         'initial_angular_velocity': ('xyz', start.angular_velocity),
         'initial_rotor_momentum': ('xyz', start.rotor_momentum)}
     uniform = _uniform(fit)
-    fields: dict[str, Any] = {FIELDS: [one.name for one in uniform]} if uniform else {}
-    for one in uniform:
-        fields |= values_of(one)
+    fields: dict[str, Any] = {FIELDS: [field.name for field in uniform]} if uniform else {}
+    for field in uniform:
+        fields |= values_of(field)
     return {f'{group}.{key}': float(value) for group, (keys, numbers) in groups.items()
             if group in names for key, value in zip(keys, numbers)} | fields

@@ -12,40 +12,52 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The result of an identification."""
+"""The result of an identification, with its text, its JSON data and its report."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import as_json, Floats, symmetric
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.coordinates import second_moments
-from rigid_body_ros.inference.errors import Misfit, Residuals, unexplained
+from rigid_body_ros.inference.errors import correlations, Misfit, Residuals, unexplained
 from rigid_body_ros.inference.evidence import Direction
 from rigid_body_ros.inference.noise import NORMAL_95, with_bound
-from rigid_body_ros.inference.residual_torque import residual_torque, ResidualTorque, with_attitude
+from rigid_body_ros.inference.residual_torque import (
+    residual_panels,
+    residual_torque,
+    ResidualTorque,
+    with_attitude,
+)
 from rigid_body_ros.inference.verdict import REJECTED, Verdict
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.measured import Measured
+from rigid_body_ros.report import moving_body
+from rigid_body_ros.report.charts import Curves, Panel, SIGNED
+from rigid_body_ros.report.panels import Drawn, in_degrees, quantity_panels, torque_panels
+from rigid_body_ros.report.report import matrix, Report, table
 from rigid_body_ros.report.text import lines, rounded, scaled
 from rigid_body_ros.runtime.limits import read_json
 
 #: The text lists at most `_PAIRS` pairs of estimates whose correlation exceeds `_CORRELATED`.
 _CORRELATED, _PAIRS = 0.95, 6
 #: The names of the moments of inertia.
-_MOMENTS = tuple(f'inertia.i{axis}{axis}' for axis in 'xyz')
+MOMENTS = tuple(f'inertia.i{axis}{axis}' for axis in 'xyz')
 #: Errors whose autocorrelation exceeds this limit are reported as not white.
 _COLOURED = 0.2
+#: Largest lag in the plot of an autocorrelation, s, and minimum number of lags in that plot.
+_LAG, _FEWEST = 2.0, 20
 
 
 @dataclass(frozen=True)
@@ -91,36 +103,13 @@ class Estimate:
         """
         return float(with_bound(self.sigma, self.systematic))
 
-
-def without_effect(estimates: Iterable[Estimate]) -> list[str]:
-    """Return a reason against the model for each torque gain whose 95 % interval contains 0."""
-    return [f'{one.name}: the interval contains 0: the logged torque has no visible effect'
-            + (f' about {one.name[-1]}' if '.' in one.name else '')
-            for one in estimates if one.name.startswith('torque_gain') and one.interval_95
-            and one.interval_95[0] <= 0.0 <= one.interval_95[1]]
-
-
-def too_wide(estimates: Iterable[Estimate], scales: Mapping[str, float],
-             accept: float | None) -> list[str]:
-    """
-    Return a reason against the fit for each interval that is too wide to be of use.
-
-    An interval is too wide if its half-width exceeds `accept` times the scale of the estimate, or
-    the mean moment for an inertia. The interval of a moment of inertia must not contain 0.
-    """
-    found = {one.name: one for one in estimates}
-    mean = sum(found[name].value for name in _MOMENTS if name in found) / len(_MOMENTS)
-    texts = []
-    for name, one in found.items():
-        half = NORMAL_95 * one.uncertainty
-        scale = mean if name.startswith('inertia') else scales[name]
-        if not one.identifiable:
-            continue
-        if accept is not None and half > accept * scale:
-            texts.append(f'{name}: the interval is wider than the accepted {accept:g}')
-        elif name in _MOMENTS and half >= one.value:
-            texts.append(f'{name}: the interval contains 0')
-    return texts
+    def as_dict(self) -> dict[str, Any]:
+        """Return the estimate as JSON types, with None for what the data does not determine."""
+        return {'value': self.value, 'unit': self.unit, 'start': self.start,
+                'sigma': self.sigma if self.identifiable else None,
+                'systematic': self.systematic,
+                'interval_95': list(self.interval_95) if self.interval_95 else None,
+                'identifiable': self.identifiable}
 
 
 class Saved(NamedTuple):
@@ -213,7 +202,7 @@ class Identification:
     def is_complete(self) -> bool:
         """Return whether the fit converged and the data determines every estimate."""
         return self.converged and not self.unidentifiable and all(
-            one.identifiable for one in self.estimates.values())
+            estimate.identifiable for estimate in self.estimates.values())
 
     @property
     def correlation(self) -> Floats:
@@ -245,18 +234,18 @@ class Identification:
     def residual_torque(self) -> ResidualTorque | None:
         """Return the torque that the first recording leaves unexplained, or None if too short."""
         sensors = sorted(self.aligned, key=len, reverse=True)
-        attitudes = [one for one in sensors if one.is_attitude and len(one) > 1]
-        rates = [one for one in sensors if not one.is_attitude]
+        attitudes = [sensor for sensor in sensors if sensor.is_attitude and len(sensor) > 1]
+        rates = [sensor for sensor in sensors if not sensor.is_attitude]
         return residual_torque(self.motion, with_attitude(rates[0], attitudes[0])
                                if rates and attitudes else [*rates, *sensors][0])
 
     @property
     def disturbance(self) -> float | None:
         """Return the rms of `residual_torque` that exceeds its noise, N m; None if unknown."""
-        found = self.residual_torque
-        if found is None:
+        torque = self.residual_torque
+        if torque is None:
             return None
-        square = np.mean(np.sum(found.torques ** 2, axis=1)) - np.sum(found.noise ** 2)
+        square = np.mean(np.sum(torque.torques ** 2, axis=1)) - np.sum(torque.noise ** 2)
         return float(np.sqrt(max(square, 0.0)))
 
     def errors_of(self, recording: int) -> list[list[Residuals]]:
@@ -270,44 +259,39 @@ class Identification:
     @property
     def headline(self) -> str:
         """Return the verdict and the estimated moments of inertia in one sentence."""
-        known = [self.estimates[name] for name in _MOMENTS if name in self.estimates]
-        said = [f'I{one.name[-2:]} = {rounded(one.value, one.uncertainty)} {one.unit} within '
-                f'{100.0 * NORMAL_95 * one.uncertainty / one.value:.2g} %'
-                for one in known if one.identifiable]
+        moments = [self.estimates[name] for name in MOMENTS if name in self.estimates]
+        said = [f'I{moment.name[-2:]} = {rounded(moment.value, moment.uncertainty)} {moment.unit} '
+                f'within {100.0 * NORMAL_95 * moment.uncertainty / moment.value:.2g} %'
+                for moment in moments if moment.identifiable]
         if len(self.starts) > 1:
             said.append(f'from {len(self.starts)} recordings')
-        is_usable = known and self.verdict.level != REJECTED
+        is_usable = moments and self.verdict.level != REJECTED
         return '; '.join([*([', '.join(said)] if is_usable else []), *self.verdict.summary])
 
     @property
     def noise(self) -> dict[str, float]:
         """Return the standard deviation of the noise for each quantity of each topic."""
-        return {one.name: one.noise for one in self.residuals if one.is_training}
+        return {part.name: part.noise for part in self.residuals if part.is_training}
 
     @property
     def autocorrelation(self) -> dict[str, float]:
         """Return the correlation between adjacent fit errors, which is 0 for white noise."""
-        return {one.name: one.autocorrelation for one in self.residuals if one.is_training}
+        return {part.name: part.autocorrelation for part in self.residuals if part.is_training}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as JSON types, with None for numbers that are not finite."""
         return {
-            'estimates': {name: {
-                'value': one.value, 'unit': one.unit, 'start': one.start,
-                'sigma': one.sigma if one.identifiable else None,
-                'systematic': one.systematic,
-                'interval_95': list(one.interval_95) if one.interval_95 else None,
-                'identifiable': one.identifiable} for name, one in self.estimates.items()},
-            'unidentifiable': [{'direction': one.components, 'reason': one.reason}
-                               for one in self.unidentifiable],
+            'estimates': {name: estimate.as_dict() for name, estimate in self.estimates.items()},
+            'unidentifiable': [{'direction': direction.components, 'reason': direction.reason}
+                               for direction in self.unidentifiable],
             'guess_attitude_xyzw': self.guess_attitude.tolist(),
             'covariance': {'names': [*self.estimates],
-                           'units': [one.unit for one in self.estimates.values()],
+                           'units': [estimate.unit for estimate in self.estimates.values()],
                            'matrix': as_json(self.covariance)},
             'correlation': as_json(self.correlation),
             'noise': self.noise, 'autocorrelation': self.autocorrelation,
-            'unexplained': {one.name: unexplained([one])[1] for one in self.residuals
-                            if one.is_training},
+            'unexplained': {part.name: unexplained([part])[1] for part in self.residuals
+                            if part.is_training},
             'window_s': self.window_s, 'predictable_s': self.predictable_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
@@ -320,20 +304,20 @@ class Identification:
         data = read_json(path, 'estimates')
         try:
             estimates, covariance = data['estimates'], data['covariance']
-            parts = [one.get('systematic', 0.0) for one in estimates.values()]
-            found = Saved({name: float(one['value']) for name, one in estimates.items()},
-                          {name: one['unit'] for name, one in estimates.items()},
+            parts = [estimate.get('systematic', 0.0) for estimate in estimates.values()]
+            saved = Saved({name: float(part['value']) for name, part in estimates.items()},
+                          {name: part['unit'] for name, part in estimates.items()},
                           np.array(parts, float), np.array(covariance['matrix'], float),
                           State(attitude=data['guess_attitude_xyzw']).attitude,
                           data['converged'], data['verdict']['level'])
-            if covariance['names'] != [*estimates] or found.covariance.shape != 2 * (
+            if covariance['names'] != [*estimates] or saved.covariance.shape != 2 * (
                     len(estimates),):
                 raise ValueError
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             other = f'one without {error}' if isinstance(error, KeyError) else 'another'
             raise InputError(f'{path}: expected a JSON file of attitude_identify, found '
                              f'{other}') from error
-        return found
+        return saved
 
     def text(self, degrees: bool = False) -> str:
         """Return the verdict, a table of the estimates, and one line for each other fact."""
@@ -350,10 +334,10 @@ class Identification:
 
         The numbers of an estimate are rounded to suit the uncertainty of the estimate.
         """
-        every = [['parameter', 'value', 'sigma', 'systematic', '95 % interval', 'guess', 'unit'],
-                 *(_cells(one, degrees) for one in self.estimates.values())]
-        has_systematic = any(one.systematic for one in self.estimates.values())
-        return every if has_systematic else [[*row[:3], *row[4:]] for row in every]
+        rows = [['parameter', 'value', 'sigma', 'systematic', '95 % interval', 'guess', 'unit'],
+                *(_cells(estimate, degrees) for estimate in self.estimates.values())]
+        has_systematic = any(estimate.systematic for estimate in self.estimates.values())
+        return rows if has_systematic else [[*row[:3], *row[4:]] for row in rows]
 
     def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
         """Generate all facts except the verdict and the estimates, each as a name and a text."""
@@ -361,14 +345,15 @@ class Identification:
             yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
         for first, second, value in _correlated(self):
             yield 'correlated', f'{first} and {second}: {value:.4f}'
-        for one in self.residuals:
-            if one.is_training and len(self.starts) > 1:
-                yield f'recording {one.recording + 1}', \
-                    f'{one.topic}: {unexplained([one])[0]} unexplained (rms)'
-        for name, level in self.noise.items():
-            factor, unit = scaled('rad' if 'attitude' in name.split()[1] else 'rad/s', degrees)
-            colour = _colour(self.autocorrelation[name])
-            yield 'noise', f'{name}: {factor * level:.4g} {unit}, {colour}'
+        training = [part for part in self.residuals if part.is_training]
+        for part in training if len(self.starts) > 1 else []:
+            yield f'recording {part.recording + 1}', \
+                f'{part.topic}: {unexplained([part])[0]} unexplained (rms)'
+        for part in training:
+            factor, unit = scaled('rad' if part.is_attitude else 'rad/s', degrees)
+            colour = 'white' if abs(part.autocorrelation) < _COLOURED else 'not white'
+            yield 'noise', f'{part.name}: {factor * part.noise:.4g} {unit}, errors {colour} ' \
+                           f'(autocorrelation {part.autocorrelation:.2f})'
         yield from _misfit('training', self.training, degrees)
         if self.validation:
             yield from _misfit('validation', self.validation, degrees)
@@ -390,31 +375,27 @@ class Identification:
                      f'{self.window_s:.4g} s'
 
 
-def _aligned(every: Sequence[Sequence[str]]) -> Iterator[str]:
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Generate the rows of a table as lines of text with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*every)]
-    for row in every:
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    for row in rows:
         name, *middle = (f'{cell:>{width}}' if column else f'{cell:{width}}'
                          for column, (cell, width) in enumerate(zip(row[:-1], widths)))
         yield '  '.join([name, *middle, row[-1]])
 
 
-def _cells(one: Estimate, degrees: bool) -> list[str]:
-    factor, unit = scaled(one.unit, degrees)
-    value, guess = factor * one.value, f'{factor * one.start:.5g}'
-    if one.interval_95 is None:
-        return [one.name, rounded(value, math.inf), 'unknown', '', 'not determined by the data',
+def _cells(estimate: Estimate, degrees: bool) -> list[str]:
+    name, interval, (factor, unit) = (estimate.name, estimate.interval_95,
+                                      scaled(estimate.unit, degrees))
+    value, guess = factor * estimate.value, f'{factor * estimate.start:.5g}'
+    if interval is None:
+        return [name, rounded(value, math.inf), 'unknown', '', 'not determined by the data',
                 guess, unit]
-    known = factor * one.uncertainty
-    low, high = (rounded(factor * limit, known) for limit in one.interval_95)
-    return [one.name, rounded(value, known), rounded(factor * one.sigma, factor * one.sigma),
-            rounded(factor * one.systematic, factor * one.systematic), f'{low} to {high}', guess,
-            unit]
-
-
-def _colour(autocorrelation: float) -> str:
-    white = abs(autocorrelation) < _COLOURED
-    return f'errors {"white" if white else "not white"} (autocorrelation {autocorrelation:.2f})'
+    spread, sigma, systematic = (factor * size for size in (
+        estimate.uncertainty, estimate.sigma, estimate.systematic))
+    limits = ' to '.join(rounded(factor * limit, spread) for limit in interval)
+    return [name, rounded(value, spread), rounded(sigma, sigma), rounded(systematic, systematic),
+            limits, guess, unit]
 
 
 def _correlated(fit: Identification) -> list[tuple[str, str, float]]:
@@ -424,13 +405,118 @@ def _correlated(fit: Identification) -> list[tuple[str, str, float]]:
     return [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:_PAIRS]]
 
 
-def _misfit(name: str, one: Misfit, degrees: bool) -> Iterator[tuple[str, str]]:
-    parts = [f'{one.samples} samples, {one.outliers} outliers']
-    for quantity, rms, unit in (('attitude', one.attitude_rms, 'rad'),
-                                ('rate', one.rate_rms, 'rad/s')):
+def _misfit(name: str, misfit: Misfit, degrees: bool) -> Iterator[tuple[str, str]]:
+    parts = [f'{misfit.samples} samples, {misfit.outliers} outliers']
+    for quantity, rms, unit in (('attitude', misfit.attitude_rms, 'rad'),
+                                ('rate', misfit.rate_rms, 'rad/s')):
         if rms is not None:
             factor, unit = scaled(unit, degrees)
             parts.append(f'{quantity} rms {factor * rms:.4g} {unit}')
-    if one.chi2_per_dof is not None:
-        parts.append(f'chi-square per degree of freedom {one.chi2_per_dof:.3f}')
+    if misfit.chi2_per_dof is not None:
+        parts.append(f'chi-square per degree of freedom {misfit.chi2_per_dof:.3f}')
     yield name, ', '.join(parts)
+
+
+def report_of(fit: Identification, first: Problem, name: str, degrees: bool = False) -> Report:
+    """
+    Return the report of an identification.
+
+    Parameters
+    ----------
+    fit : Identification
+        The result, with at least one sample.
+    first : Problem
+        The problem of the first recording, whose motion, errors and torques the report shows.
+    name : str
+        Name of the first recording.
+    degrees : bool
+        Whether to show angles in degrees.
+
+    """
+    story = [('recording', name), *fit.verdict.rows(has_estimates=True), *fit.rows(degrees),
+             ('moving body', 'the motion with all estimates')]
+    training_ns = np.concatenate([part.stamps_ns for part in fit.residuals
+                                  if part.is_training and not part.recording])
+    if 1e-9 * np.ptp(training_ns) > 1.5 * fit.window_s:
+        story.append(('computed curves', f'begin again every {fit.window_s:.3g} s in the part '
+                                         'that was fitted, with the state that fits best'))
+    panels, (header, *estimated) = [*_panels(fit, first)], fit.table(degrees)
+    attitudes = next(((sensor.stamps_ns, sensor.values) for sensor in fit.aligned
+                      if sensor.is_attitude), None)
+    body = moving_body.of_motion(fit.motion, _stamps_ns(fit), attitudes)
+    return Report(f'{name}: estimated parameters', fit.headline, story,
+                  [*map(in_degrees, panels)] if degrees else panels, body,
+                  table=table(header, estimated), matrix=matrix(
+                      'correlation of the estimates (orange: positive, blue: negative)',
+                      [*fit.estimates], fit.correlation) if fit.estimates else '')
+
+
+def _panels(fit: Identification, first: Problem) -> Iterator[Panel]:
+    quantities = fit.errors_of(0)
+    if not quantities:
+        return
+    start_ns = int(_stamps_ns(fit)[0])
+    for parts in quantities:
+        lines = _lines(fit, parts, start_ns)
+        yield from (replace(panel, lines=lines) for panel in _of_channel(parts, start_ns))
+    end_ns = max(int(part.stamps_ns[-1]) for parts in quantities for part in parts)
+    yield from torque_panels(first.acting_logs, start_ns, end_ns, fit.motion.options.timeout_ns)
+    if fit.residual_torque:
+        yield from residual_panels(fit.residual_torque, fit.aligned, start_ns)
+    for parts in quantities:
+        yield from _correlations(parts[0])
+    for number in range(1, len(fit.starts)):
+        for parts in fit.errors_of(number):
+            yield from _of_channel(parts, int(_stamps_ns(fit, number)[0]))
+
+
+def _stamps_ns(fit: Identification, recording: int = 0) -> NDArray[np.int64]:
+    """Return the stamps of all samples of a recording."""
+    return np.unique(np.concatenate([
+        part.stamps_ns for part in fit.residuals if part.recording == recording]))
+
+
+def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
+    """Return one panel with the measured and computed values, and one with the errors."""
+    stamps_ns, inliers, measured, computed, errors = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))
+    first = parts[0]
+    where = f'recording {first.recording + 1}, {first.topic}' if first.recording else first.topic
+    return quantity_panels(where, 'axes of the sensor', Drawn(stamps_ns, inliers), measured,
+                           computed, ('computed minus measured', errors),
+                           ('±2 sigma assumed by the fit', 2.0 * first.noise), start_ns)
+
+
+def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> dict[str, float]:
+    """
+    Return the times to mark in the plots, s, keyed by their labels.
+
+    One is the time at which the validation begins. The other is the time at which the motion
+    becomes unpredictable.
+    """
+    ahead = [part for part in parts if not part.is_training]
+    lines = {}
+    if ahead:
+        lines['start of the validation'] = 1e-9 * float(ahead[0].stamps_ns[0] - start_ns)
+    if ahead and fit.predictable_s is not None:
+        lines['predictable up to here'] = fit.predictable_s + 1e-9 * (
+            fit.motion.start.time_ns - start_ns)
+    return lines
+
+
+def _correlations(errors: Residuals) -> Iterator[Panel]:
+    """Generate a panel with the autocorrelation of a channel's fit errors."""
+    if len(errors.stamps_ns) < 4 * _FEWEST or not errors.is_training:
+        return
+    spacing = 1e-9 * float(np.median(np.diff(errors.stamps_ns)))
+    last = max(_FEWEST, round(_LAG / spacing))
+    values = correlations(errors.errors, errors.inliers)[1:last + 1]
+    lags = np.arange(1, len(values) + 1) * spacing
+    limit: Floats = np.full((2, 1), NORMAL_95 / np.sqrt(errors.inliers.sum()))
+    quantity = 'attitude' if errors.is_attitude else 'rate'
+    yield Panel(f'{errors.topic}: autocorrelation of the {quantity} errors of the fit', '', [
+        Curves(np.asarray(lags, np.float64), values, values, SIGNED),
+        Curves(np.asarray(lags[[0, -1]], np.float64), -limit, limit,
+               ['95 % limits of white noise'], style='limits')],
+        'lag (s)')

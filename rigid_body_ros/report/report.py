@@ -20,11 +20,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.report.charts import Panel
-from rigid_body_ros.scene import Scene
+
+if TYPE_CHECKING:
+    from rigid_body_ros.scene import Scene
 
 #: Facts, each with a name and a text. If the name is empty, the text continues the previous fact.
 Rows = Sequence[tuple[str, object]]

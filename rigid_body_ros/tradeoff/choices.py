@@ -42,6 +42,12 @@ class Setting(NamedTuple):
         return {name: value for name, value in self._asdict().items() if value is not None}
 
     @property
+    def size(self) -> str:
+        """Return the tolerance or the step as text, or '-' if there is neither."""
+        return f'step {self.max_step:.6g} s' if self.max_step else \
+            f'tolerance {self.tolerance:.0e}' if self.tolerance else '-'
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """Return the lines of a scene file that select this setting."""
         if self.max_step is not None:
@@ -156,11 +162,11 @@ class OnWhole:
         self.reference = reference if stretch is whole else None
         self._whole, self._remaining = whole, seconds
         self._growth = whole.seconds / stretch.seconds
-        self._series = min((one.seconds for one in measurements
-                            if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
+        self._series = min((run.seconds for run in measurements
+                            if run.setting == Setting('taylor', TIGHTEST)), default=math.inf)
         #: The errors on the whole log that are known so far, rad.
-        self._errors = {one: one.error.attitude + reference.guaranteed_error
-                        for one in measurements if not one.failure} if stretch is whole else {}
+        self._errors = {run: run.error.attitude + reference.guaranteed_error
+                        for run in measurements if not run.failure} if stretch is whole else {}
 
     def __call__(self, measurement: Measurement) -> float | None:
         """
@@ -221,12 +227,10 @@ def recommend(measurements: Sequence[Measurement], target: float, floor: float, 
 
     """
     # The error of a failed run is NaN, so a failed run never meets the target.
-    fitting = [one for one in measurements if one.error.attitude + floor <= target]
-    for measurement in sorted(fitting, key=lambda one: one.seconds):
-        error = error_on_whole(measurement)
-        measured = error is not None
-        if error is None:
-            error = (measurement.error.attitude + floor) * growth ** 2
+    fitting = [run for run in measurements if run.error.attitude + floor <= target]
+    for run in sorted(fitting, key=lambda run: run.seconds):
+        measured = error_on_whole(run)
+        error = (run.error.attitude + floor) * growth ** 2 if measured is None else measured
         if error <= target:
-            return Choice(measurement, error, measured)
+            return Choice(run, error, measured is not None)
     return None

@@ -15,16 +15,18 @@
 """
 The motion on which solvers are measured, its reference, and a stretch that is quick to compute.
 
-The reference is the Taylor series at its tightest tolerance, with shorter steps.
+The reference is the Taylor series at its tightest tolerance, with shorter steps. The error that
+results from interpolating between the samples of a torque log is estimated as well.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +36,7 @@ from rigid_body_ros.engine import body_layout, kernels, state_layout, tensor
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import stamps_of
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 
@@ -53,6 +55,12 @@ _OUTPUTS = 100
 #: coefficient is not zero, the kernels use the arithmetic for full tensors, so the rounding errors
 #: differ even if the given tensor is diagonal.
 _NEGLIGIBLE = 1e-200
+#: Order in which the error of each interpolation converges with the sample spacing, for smooth
+#: torques.
+_ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
+#: An interpolation is clearly better than another if its error is less than this fraction of the
+#: other's error.
+CLEARLY = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +115,14 @@ class Case:
         """Return the interpolation of the torques, or 'hold' if there are no torques."""
         return self.problem.logs[0].interpolation if self.problem.logs else 'hold'
 
+    @property
+    def can_interpolate(self) -> bool:
+        """Return whether all torques are in one log and one frame, and there are no actuators."""
+        logs = self.problem.logs
+        return not self.problem.actuators and not self.torque_free \
+            and len(logs) == len(self.problem.sources) == 1 \
+            and np.unique(logs[0].in_space).size == 1  # commands to actuators are always held
+
     def run(self, **options: Any) -> Trajectory:
         """Compute the motion with the given `Options`, raising ValueError as `propagate` does."""
         return self.problem.solved_by(**options).propagate(at=self.times_ns)
@@ -120,20 +136,20 @@ class Case:
         have been rotated. The motion must have no rotors, damping or fields, so `has_terms` must
         be false.
         """
-        given, (moments, axes) = self.problem, self.problem.body._principal
-        rates = _components(axes, given.start.angular_velocity[None])[0]
+        problem, (moments, axes) = self.problem, self.problem.body._principal
+        rates = _components(axes, problem.start.angular_velocity[None])[0]
         rotation = so3.from_matrix(axes[0])
-        start = State._as_computed(given.start.time_ns, state_layout.pack(
-            rates[:, 0], so3.multiply(given.start.attitude, rotation), rates[:, 1]))
+        start = State._as_computed(problem.start.time_ns, state_layout.pack(
+            rates[:, 0], so3.multiply(problem.start.attitude, rotation), rates[:, 1]))
         # Torques in space axes do not change.
         logs = [log.with_torques(np.where(log.in_space[:, None], log.torques,
                                           _components(axes, log.torques)[..., 0]))
-                for log in given.acting_logs]
+                for log in problem.acting_logs]
         # Actuator limits apply along the body axes, so `acting_logs` applies them before the
         # conversion. Actuator lags are the same in all axes.
-        lags = [each and each.lag for each in given.actuators]
-        problem = given.replaced(body=_principal_body(moments), start=start, log=logs,
-                                 actuator=lags or None)
+        lags = [actuator and actuator.lag for actuator in problem.actuators]
+        problem = problem.replaced(body=_principal_body(moments), start=start, log=logs,
+                                   actuator=lags or None)
         motion = replace(self, problem=problem).run(solver='taylor', tolerance=TIGHTEST,
                                                     max_step=max_step)
         return so3.multiply(motion.attitude, so3.conjugate(rotation))
@@ -260,7 +276,7 @@ def whole(problem: Problem, end_ns: int | None) -> Case:
     speed = float(np.linalg.norm(problem.start.angular_velocity))
     stamps = stamps_of(problem.sources)
     least, _, largest = problem.body.principal_moments
-    fastest = speed + sum(float(one.speed(least, largest)) for one in problem.fields)
+    fastest = speed + sum(float(field.speed(least, largest)) for field in problem.fields)
     if not fastest and not problem.has_torque:
         raise ValueError('expected a nonzero initial angular velocity or torque, found neither')
     if end_ns is not None:
@@ -291,3 +307,83 @@ def turned_angle(motion: Trajectory) -> float:
     """Return the angle, rad, through which the body turns from the first to the last output."""
     speed = np.linalg.norm(motion.angular_velocity, axis=1)
     return float(np.sum(np.maximum(speed[1:], speed[:-1]) * np.diff(motion.times_ns)) * 1e-9)
+
+
+class InterpolationError(NamedTuple):
+    """Estimated attitude error, rad, that one interpolation of a torque log causes."""
+
+    interpolation: str
+    #: Largest change in the attitude if only every second sample is kept.
+    thinned: float
+    #: Error with all samples of the log, extrapolated from logs with fewer samples.
+    estimate: float
+
+
+def interpolation_errors(case: Case) -> tuple[InterpolationError, ...]:
+    """Estimate the error of each interpolation by leaving out some of the samples."""
+    if not case.can_interpolate or len(case.problem.logs[0]) < 3:
+        return ()
+    changes = {}
+    for name in INTERPOLATIONS:
+        with suppress(ValueError):  # the body spins too fast with this interpolation
+            changes[name] = _change(case, name, 2), _change(case, name, 4)
+    coarsest, _ = changes.get('hold', (0.0, 0.0))
+    return tuple(InterpolationError(name, half, _extrapolated(name, half, quarter, coarsest))
+                 for name, (half, quarter) in changes.items())
+
+
+def final_differences(case: Case) -> dict[str, float | None]:
+    """
+    Return how much the final attitude changes with interpolations other than the scene's.
+
+    Returns
+    -------
+    dict
+        The angle, rad, for each of the other interpolations, keyed by name. The angle is None if
+        the body spins so fast with that interpolation that the motion cannot be computed.
+
+    """
+    if not case.can_interpolate:
+        return {}
+    last, rows = replace(case, times_ns=case.times_ns[-1:]), np.arange(len(case.problem.logs[0]))
+    end = _motion(last, case.interpolation, rows).attitude[0]
+    differences: dict[str, float | None] = {
+        name: None for name in INTERPOLATIONS if name != case.interpolation}
+    for name in differences:
+        with suppress(ValueError):  # the body spins too fast with this interpolation
+            other = _motion(last, name, rows).attitude[0]
+            differences[name] = float(so3.angle_between(other, end))
+    return differences
+
+
+def _change(case: Case, interpolation: str, spacing: int) -> float:
+    """Return the largest change of attitude, rad, if only every `spacing`-th sample is kept."""
+    rows = np.arange(len(case.problem.logs[0]))
+    full = _motion(case, interpolation, rows)
+    # Start the thinned log at each of the first `spacing` samples in turn. With just one of these
+    # choices, a pulse that lasts an even number of samples might not change at all.
+    thinned = [_motion(case, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
+               for first in range(spacing)]
+    return max(float(so3.angle_between(full.attitude, motion.attitude).max())
+               for motion in thinned)
+
+
+def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) -> float:
+    """
+    Return the extrapolated error, rad, of an interpolation of all samples.
+
+    The error is extrapolated from the changes with one half and one quarter of the samples.
+
+    Halving the sample spacing reduces the error by a factor of 2^order. If a higher-order
+    interpolation is not clearly better than hold, the torque is not smooth at this spacing, and
+    the order is assumed to be 1.
+    """
+    order = _ORDERS[interpolation] if half < CLEARLY * hold else 1
+    observed = quarter / half - 1.0 if half else 2.0
+    return half / (min(max(observed, 2.0), 2.0 ** order) - 1.0)
+
+
+def _motion(case: Case, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
+    log, = case.problem.logs
+    part = TorqueLog(log.times_ns[rows], log.torques[rows], log.in_space[rows], interpolation)
+    return replace(case, problem=case.problem.replaced(log=part)).run(solver='taylor')

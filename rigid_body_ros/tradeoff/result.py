@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The result of a measured trade-off."""
+"""The result of a measured trade-off, with its text, its JSON data and its report."""
 
 from __future__ import annotations
 
@@ -23,10 +23,12 @@ import math
 import platform
 from typing import Any
 
+import numpy as np
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.report import Report
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.tradeoff.choices import Choice, Measurement, OnWhole, Setting
-from rigid_body_ros.tradeoff.interpolation import CLEARLY, InterpolationError
-from rigid_body_ros.tradeoff.problem import Case, Reference
+from rigid_body_ros.tradeoff.choices import Choice, Measurement, OnWhole
+from rigid_body_ros.tradeoff.problem import Case, CLEARLY, InterpolationError, Reference
 
 _WIDTH = 18
 #: Descriptions of the rounding floor. The first one is for motions without rotors, damping and
@@ -115,7 +117,7 @@ class Tradeoff:
         """
         floor, own = self.reference.floor, self.interpolation_error
         choice = self.choices[target]
-        errors = [one.error.attitude for one in self.measurements if not one.failure]
+        errors = [run.error.attitude for run in self.measurements if not run.failure]
         solver = choice.measurement.error.attitude if choice else min(errors, default=math.inf)
         shares = {'rounding': floor, 'solver': solver, 'last digits': self.reference.last_digits,
                   'interpolation': own.estimate if own and not held else 0.0}
@@ -169,8 +171,7 @@ class Tradeoff:
                           'estimated_error_rad': error.estimate}
                          for error in self.interpolation_errors],
             'interpolation_differences_rad': dict(self.interpolation_differences),
-            'runs': [one.as_dict(span) for one in self.measurements],
-        }
+            'runs': [run.as_dict(span) for run in self.measurements]}
 
     def curves(self) -> dict[str, tuple[list[float], list[float]]]:
         """
@@ -185,13 +186,13 @@ class Tradeoff:
             per simulated second.
 
         """
-        found: dict[str, tuple[list[float], list[float]]] = {}
-        for one in self.measurements:
-            if not one.failure:
-                errors, costs = found.setdefault(one.setting.solver, ([], []))
-                errors.append(max(one.error.attitude, self.reference.floor))
-                costs.append(one.seconds / self.stretch.seconds)
-        return found
+        curves: dict[str, tuple[list[float], list[float]]] = {}
+        for run in self.measurements:
+            if not run.failure:
+                errors, costs = curves.setdefault(run.setting.solver, ([], []))
+                errors.append(max(run.error.attitude, self.reference.floor))
+                costs.append(run.seconds / self.stretch.seconds)
+        return curves
 
     def reference_errors(self) -> dict[str, float]:
         """
@@ -254,7 +255,7 @@ def _why(result: Tradeoff, target: float) -> str:
 
 def _smallest(result: Tradeoff, target: float, part: str) -> str:
     """Describe the smallest error of all settings, on the stretch or on the whole motion."""
-    least = min(one.error.attitude for one in result.measurements if not one.failure)
+    least = min(run.error.attitude for run in result.measurements if not run.failure)
     least += result.reference.guaranteed_error
     measured = result.error_on_whole.least
     if least > target:
@@ -290,11 +291,11 @@ def _limits(result: Tradeoff, target: float) -> Iterator[tuple[str, str]]:
 
 
 def _table(result: Tradeoff, all_rows: bool) -> list[str]:
-    optimal = [one for one in result.measurements if one.pareto_optimal]
-    shown = result.measurements if all_rows else sorted(optimal, key=lambda one: one.seconds)
+    optimal = [run for run in result.measurements if run.pareto_optimal]
+    shown = result.measurements if all_rows else sorted(optimal, key=lambda run: run.seconds)
     hidden = len(result.measurements) - len(shown)
     note = f'; --all prints the other {hidden} settings' if hidden else ''
-    rows = [_line(one, result.stretch.seconds) for one in shown]
+    rows = [_line(run, result.stretch.seconds) for run in shown]
     return [_ROW.format(*_HEADER), *rows,
             f'* Pareto-optimal: no setting is both faster and more accurate{note}']
 
@@ -328,12 +329,6 @@ def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
     return rows
 
 
-def value(setting: Setting) -> str:
-    """Return the tolerance or the step of a setting as text, or '-' if it has neither."""
-    return f'step {setting.max_step:.6g} s' if setting.max_step else \
-        f'tolerance {setting.tolerance:.0e}' if setting.tolerance else '-'
-
-
 def _target_data(result: Tradeoff, target: float) -> dict[str, Any]:
     choice = result.choices[target]
     return {
@@ -359,10 +354,58 @@ def _motion(result: Tradeoff) -> str:
     return f'{stretch.seconds:.9g} s, {result.angle:.3g} rad, {torques}{part}'
 
 
-def _line(one: Measurement, span: float) -> str:
-    solver, text = one.setting.solver, value(one.setting)
-    if one.failure:
-        return f'  {solver:14} {text:>17}   failed: {one.failure}'
-    return _ROW.format('*' if one.pareto_optimal else '', solver, text,
-                       *(f'{error:.1e}' for error in one.error), f'{one.seconds / span:.2e}',
-                       f'{span / one.seconds:.3g}')
+def _line(run: Measurement, span: float) -> str:
+    solver, size = run.setting.solver, run.setting.size
+    if run.failure:
+        return f'  {solver:14} {size:>17}   failed: {run.failure}'
+    return _ROW.format('*' if run.pareto_optimal else '', solver, size,
+                       *(f'{error:.1e}' for error in run.error), f'{run.seconds / span:.2e}',
+                       f'{span / run.seconds:.3g}')
+
+
+def report_of(result: Tradeoff, title: str) -> Report:
+    """
+    Return the report of a trade-off.
+
+    Parameters
+    ----------
+    result : Tradeoff
+        The result of `measure`.
+    title : str
+        The title: the names of the recording and of its topic, or the name of the scene.
+
+    """
+    settings = [(target, choice and choice.measurement.setting)
+                for target, choice in result.choices.items()]
+    cheapest = '; '.join(f'for errors up to {target:.3g} rad: ' + (
+        f'{setting.solver}, {setting.size}' if setting else 'none is certain')
+        for target, setting in settings)
+    copied = ['\n'.join([f'# for attitude errors up to {target:.3g} rad', *setting.parameters])
+              for target, setting in settings if setting]
+    return Report(title, f'cheapest setting {cheapest}', [*result.rows()],
+                  [_work_precision(result)], copied=copied)
+
+
+def _work_precision(result: Tradeoff) -> Panel:
+    curves, texts = [], []
+    for solver, (errors, costs) in result.curves().items():
+        cost = np.array(costs)[:, None]
+        curves.append(Curves(np.array(errors), cost, cost, [solver]))
+        texts.append([*_texts(result, solver)])
+    optimal = sorted((max(run.error.attitude, result.reference.floor), run.seconds)
+                     for run in result.measurements if run.pareto_optimal)
+    errors, seconds = np.array(optimal).T
+    cost = seconds[:, None] / result.stretch.seconds
+    curves.append(Curves(errors, cost, cost, ['Pareto-optimal'], style='front'))
+    return Panel('wall time per simulated second', 's/s', curves, 'largest attitude error (rad)',
+                 'loglog', result.reference_errors(), texts)
+
+
+def _texts(result: Tradeoff, solver: str) -> Iterator[str]:
+    span = result.stretch.seconds
+    for run in result.measurements:
+        if run.setting.solver == solver and not run.failure:
+            optimal = '; Pareto-optimal' if run.pareto_optimal else ''
+            yield f'{run.setting.size}, attitude error {run.error.attitude:.1e} rad, ' \
+                  f'{run.seconds / span:.2e} s per simulated second, {span / run.seconds:.3g} ' \
+                  f'times real time{optimal}'

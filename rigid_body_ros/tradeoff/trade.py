@@ -27,8 +27,14 @@ from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.options import RECORDS
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.tradeoff.choices import Error, Measurement, OnWhole, recommend, Setting
-from rigid_body_ros.tradeoff.interpolation import final_differences, interpolation_errors
-from rigid_body_ros.tradeoff.problem import Case, Reference, turned_angle, whole
+from rigid_body_ros.tradeoff.problem import (
+    Case,
+    final_differences,
+    interpolation_errors,
+    Reference,
+    turned_angle,
+    whole,
+)
 from rigid_body_ros.tradeoff.result import Tradeoff
 
 #: Default target of `measure` and of --target, rad.
@@ -122,15 +128,15 @@ def _measure_all(case: Case, settings: Sequence[Setting], reference: Reference,
     for repeat in track(range(_MOST_REPEATS), _MOST_REPEATS):
         if repeat >= _FEWEST_REPEATS and time.perf_counter() > limit:
             continue  # without running anything, so that the progress bar reaches its end
-        for one, measured in zip(measurements, times):
-            if not one.failure:
-                if one.first_seconds < _BRIEF:
-                    case.run(**one.setting.options)
+        for run, measured in zip(measurements, times):
+            if not run.failure:
+                if run.first_seconds < _BRIEF:
+                    case.run(**run.setting.options)
                 began = time.perf_counter()
-                case.run(**one.setting.options)
+                case.run(**run.setting.options)
                 measured.append(time.perf_counter() - began)
-    return [replace(one, seconds=min(measured)) if measured else one
-            for one, measured in zip(measurements, times)]
+    return [replace(run, seconds=min(measured)) if measured else run
+            for run, measured in zip(measurements, times)]
 
 
 def _first_run(case: Case, setting: Setting, reference: Reference) -> Measurement:
@@ -163,10 +169,10 @@ def _with_pareto_front(measurements: Sequence[Measurement],
                        floor: float) -> tuple[Measurement, ...]:
     """Mark the Pareto-optimal settings, treating errors below the floor as equal to the floor."""
     best, optimal = math.inf, set()
-    for number, one in sorted(enumerate(measurements), key=lambda item: item[1].seconds):
-        error = max(one.error.attitude, floor)
-        if not one.failure and error < best:
+    for number, run in sorted(enumerate(measurements), key=lambda item: item[1].seconds):
+        error = max(run.error.attitude, floor)
+        if not run.failure and error < best:
             best = error
             optimal.add(number)
-    return tuple(replace(one, pareto_optimal=number in optimal)
-                 for number, one in enumerate(measurements))
+    return tuple(replace(run, pareto_optimal=number in optimal)
+                 for number, run in enumerate(measurements))
