@@ -33,9 +33,8 @@ from rigid_body_ros.kernels.lags import MOST as MOST_LAGS
 from rigid_body_ros.kernels.layout import FASTEST, Friction, Lags, Rows, Samples, Sums, Terms
 from rigid_body_ros.kernels.messages import Contents, RawMessages
 from rigid_body_ros.kernels.state_layout import MOST_WHEELS
-from rigid_body_ros.kernels.steppers import CLASSICAL
 
-__all__ = ['CLASSICAL', 'EXPIRY', 'FASTEST', 'FIELDS', 'MOST_FIELDS', 'MOST_LAGS', 'MOST_WHEELS',
+__all__ = ['EXPIRY', 'FASTEST', 'FIELDS', 'MOST_FIELDS', 'MOST_LAGS', 'MOST_WHEELS',
            'CommandChanges', 'Contents', 'Friction', 'Lags', 'RawMessages', 'Rows', 'Samples',
            'Sums', 'Terms', 'body_layout', 'interpolation', 'kernels', 'layout', 'many_loop',
            'motion_layout', 'state_layout', 'tangents', 'tensor', 'tensors']

@@ -16,7 +16,7 @@
 
 from rigid_body_ros.engine.binding import bind
 from rigid_body_ros.kernels import (
-    elementary_arrays,
+    arrays,
     euler_angles,
     interpolation,
     lags,
@@ -24,35 +24,31 @@ from rigid_body_ros.kernels import (
     many_loop,
     messages,
     principal_axes,
-    rotors,
     summation,
-    tangent_loop,
     taylor,
     tensors,
-    triangles,
 )
-from rigid_body_ros.kernels import extent as extents
 
 add_lag = bind(lags.add_lag)
 decode = bind(messages.decode)
-extent = bind(extents.extent)
+extent = bind(arrays.extent)
 fill_angles = bind(euler_angles.fill_angles)
-fill_arctangents = bind(elementary_arrays.fill_arctangents)
+fill_arctangents = bind(arrays.fill_arctangents)
 fill_attitudes = bind(euler_angles.fill_attitudes)
 fill_components = bind(principal_axes.fill_components)
 fill_constants = bind(tensors.fill_constants)
 fill_cubics = bind(interpolation.fill_cubics)
-fill_exponentials = bind(elementary_arrays.fill_exponentials)
-fill_sines_cosines = bind(elementary_arrays.fill_sines_cosines)
+fill_exponentials = bind(arrays.fill_exponentials)
+fill_sines_cosines = bind(arrays.fill_sines_cosines)
 fill_slopes = bind(interpolation.fill_slopes)
-fill_triangle = bind(triangles.fill_triangle)
+fill_triangle = bind(arrays.fill_triangle)
 find_transforms = bind(messages.find_transforms)
 lag_slopes = bind(lags.lag_slopes)
 make_rows_continuous = bind(euler_angles.make_rows_continuous)
-momentum_at = bind(rotors.momentum_at)
+momentum_at = bind(summation.momentum_at)
 run = bind(loop.run)
 run_each = bind(many_loop.run_each)
-run_tangents = bind(tangent_loop.run_tangents)
+run_tangents = bind(loop.run_tangents)
 scan = bind(messages.scan)
 step_angle = bind(taylor.step_angle)
 sum_logs = bind(summation.sum_logs)

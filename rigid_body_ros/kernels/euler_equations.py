@@ -149,16 +149,13 @@ def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coeffici
 
     `taylor.step` uses this bound.
     """
-    if not in_space:
-        bound = 0.0
-        for vector in drive:
-            bound += math.sqrt(dot(vector, vector))
-        return bound
-    norm = size = 0.0  # a torque fixed in space may point along any body axis
-    for column in coefficients.columns[6:]:
-        norm += dot(column, column)
+    norm = size = 0.0
     for vector in drive:
         size += math.sqrt(dot(vector, vector))
+    if not in_space:
+        return size
+    for column in coefficients.columns[6:]:  # the torque may point along any body axis
+        norm += dot(column, column)
     return math.sqrt(norm) * size
 
 

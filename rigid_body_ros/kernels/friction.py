@@ -263,15 +263,11 @@ def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficie
     if step is None:
         return 0.0
     found, series = step
-    none = torque = four.broadcast(0.0)
-    store_permuted(series, _SUM, none)
+    store_permuted(series, _SUM, four.broadcast(0.0))
     for place in range(0, found.efforts.shape[1], 4):
-        torques = _torques(found, state[0], place)
-        torque = add(torque, _along(found.wheels, place, torques))
         four.store(series, place, four.load(found.states.grid, MOMENTA + place))
-        four.store(series, _TORQUES + place, torques)
-    rate = euler_equations.acceleration_from_torque(coefficients, torque)
-    return math.sqrt(dot(rate, rate))
+        four.store(series, _TORQUES + place, _torques(found, state[0], place))
+    return acceleration(found, state[0], coefficients)
 
 
 @inlined
@@ -293,7 +289,7 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
     """
     Return a vector plus seconds^2 times the order-k term of the acceleration due to the wheels.
 
-    The arguments are the same as for `field_series.add_acceleration`. The function also computes
+    The arguments are the same as for `fields.add_acceleration`. The function also computes
     the terms of order k + 1 of the wheel momenta.
     """
     if step is None:

@@ -240,7 +240,7 @@ def loads_of(terms: BodyTerms, row: int, span: float) -> Loads:
     (a, b, c, d), degree = _polynomial_or(zero, terms.motors, row)
     torque, space_degree = _polynomial_or(zero, terms.space, row)
     varies = not is_zero((a, b, c, d))
-    acts = varies or fields.exist(terms.friction) or not (
+    acts = varies or terms.friction is not None or not (
         vector.is_zero(first) and linear_terms.is_zero(terms.constants.damping.matrix))
     return Loads((first, vector.scale(span, a), vector.scale(span / 2, b),
                   vector.scale(span / 3, c), vector.scale(span / 4, d)),
@@ -295,7 +295,7 @@ def rotors_change(loads: Loads | None) -> bool:
     """Return whether the momentum of the rotors changes during the interval."""
     if loads is None:
         return False
-    return loads.linear_degree > 0 or fields.exist(loads.friction)
+    return loads.linear_degree > 0 or loads.friction is not None
 
 
 @inlined
@@ -303,7 +303,7 @@ def vary(terms: BodyTerms | None) -> bool:
     """Return whether anything that acts besides the drive changes from row to row."""
     if terms is None:
         return False
-    return len(terms.momentum) > 1 or fields.exist(terms.space)
+    return len(terms.momentum) > 1 or terms.space is not None
 
 
 @inlined
@@ -311,8 +311,7 @@ def are_polynomials(terms: BodyTerms | None) -> bool:
     """Return whether every torque on the body is a polynomial in time."""
     if terms is None:
         return True
-    return not (fields.exist(terms.fields) or fields.exist(terms.lags)
-                or fields.exist(terms.friction))
+    return terms.fields is None and terms.lags is None and terms.friction is None
 
 
 @inlined

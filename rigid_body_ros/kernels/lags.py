@@ -24,6 +24,9 @@ is
 The rows contain the command u. The difference y - u is called the *excess*. It decays with time,
 and it is expressed in the axes of the command, which are either body axes or space axes. After
 EXPIRY time constants, the excess is set to zero.
+
+The factor e = exp(-t / T) obeys e' = -e / T, so each term of the Taylor series of e follows from
+the previous term. For an excess in space axes, the body components v obey v' = v x w - v / T.
 """
 
 from __future__ import annotations
@@ -32,13 +35,27 @@ import math
 from typing import Annotated, NamedTuple
 
 from rigid_body_ros.common.arrays import Floats, Ints
-from rigid_body_ros.kernels import double_double, elementary, vector
-from rigid_body_ros.kernels.jit import inlined, internal, njit, WRITTEN
+from rigid_body_ros.kernels import double_double, elementary, euler_equations, four, vector
+from rigid_body_ros.kernels.jit import inlined, internal, njit, optional, WRITTEN
+from rigid_body_ros.kernels.series_table import (
+    MAX_ORDER,
+    PERMUTED,
+    RECIPROCALS,
+    store_permuted,
+    turned,
+)
 
 #: Number of time constants after which an excess is set to zero: exp(-40) is 4e-18.
 EXPIRY = 40.0
 #: A scene can have at most this many different time constants.
 MOST = 4
+#: Number of doubles for one order of the series. Each order stores the excesses in space axes, one
+#: for each time constant.
+_ORDER = PERMUTED * MOST
+#: Where the latest terms of the excesses in body axes are stored. These terms come after the
+#: vectors of all orders.
+_BODY = _ORDER * (MAX_ORDER + 1)
+WORKSPACE = _BODY + 4 * MOST
 
 
 class RowLags(NamedTuple):
@@ -207,3 +224,90 @@ def _share(seconds: float, time_constant: float) -> float:
     # Return 1 - exp(-t / T), accurate to the last digits even if t is much shorter than T.
     growth = elementary.expm1(min(seconds / time_constant, 700.0))
     return double_double.divide(growth, double_double.add((1.0, 0.0), growth))[0]
+
+
+class StepLags(NamedTuple):
+    """The excesses that act during a step, and the terms of their series."""
+
+    lags: RowLags
+    #: The time from the beginning of the row to the beginning of the step, s.
+    since: float
+    #: Array of size WORKSPACE.
+    vectors: Floats
+
+
+@optional
+def workspace(_found: RowLags, work: Floats) -> Floats:
+    """Return the workspace, or None if the scene has no lags."""
+    return work
+
+
+@optional
+def of_step(found: RowLags, since: float, work: Floats) -> StepLags:
+    """
+    Return the excesses that act during a step, or None if the scene has no lags.
+
+    The series of the returned excesses do not contain any terms yet.
+    """
+    return StepLags(found, since, work)
+
+
+@inlined
+def begin(step: StepLags | None, state: vector.KernelState) -> None:
+    """Store the first term of each excess's series, for a step that begins at the given state."""
+    if step is None:
+        return
+    found, since, vectors = step
+    for i in range(len(found.time_constants)):
+        factor = decay(since, found.time_constants[i])
+        four.store(vectors, _BODY + 4 * i, vector.scale(factor, excess(found, i, 0)))
+        store_permuted(vectors, PERMUTED * i,
+                       vector.to_body(state[1], vector.scale(factor, excess(found, i, 1))))
+
+
+@inlined
+def add_acceleration(u: vector.Vector, step: StepLags | None, table: Floats, k: int,
+                     seconds: float, coefficients: vector.Coefficients) -> vector.Vector:
+    """
+    Return a vector plus seconds^2 times the order-k term of the acceleration due to the lags.
+
+    The arguments are the same as those of `fields.add_acceleration`.
+    """
+    if step is None:
+        return u
+    found, vectors, torque = step.lags, step.vectors, four.broadcast(0.0)
+    for i in range(len(found.time_constants)):
+        factor = -seconds / found.time_constants[i] * float(RECIPROCALS[k])
+        term = four.load(vectors, _BODY + 4 * i)
+        torque = vector.add(torque, term)
+        four.store(vectors, _BODY + 4 * i, vector.scale(factor, term))
+        if vector.is_zero(excess(found, i, 1)):
+            continue
+        term = four.load(vectors, _ORDER * k + PERMUTED * i)
+        torque = vector.add(torque, term)
+        store_permuted(vectors, _ORDER * (k + 1) + PERMUTED * i, vector.add_scaled(
+            turned(vectors, PERMUTED * i, _ORDER, table, k), factor, term))
+    return vector.add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
+        coefficients, torque))
+
+
+@inlined
+def space_term(step: StepLags | None, k: int) -> vector.Vector:
+    """Return the order-k term of the excess in space axes, in body axes."""
+    total = four.broadcast(0.0)
+    if step is None:
+        return total
+    for i in range(len(step.lags.time_constants)):
+        if not vector.is_zero(excess(step.lags, i, 1)):
+            total = vector.add(total, four.load(step.vectors, _ORDER * k + PERMUTED * i))
+    return total
+
+
+@inlined
+def lowest_order(step: StepLags | None) -> int:
+    """
+    Return an upper bound on how many consecutive terms may be zero by coincidence.
+
+    `taylor.step` uses this bound so that it does not mistake such zeros for convergence.
+    """
+    return 0 if step is None else 1

@@ -46,10 +46,12 @@ from rigid_body_ros.kernels import (
     free_motion,
     friction,
     intervals,
+    lanes,
     layout,
     motion_layout,
     short_step,
     stepping,
+    tangents,
     vector,
 )
 from rigid_body_ros.kernels.euler_equations import acceleration_from_torque
@@ -256,3 +258,73 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
         grid_ns = next_ns
         row += 1
     return grid, grid_ns, row, done
+
+
+@njit
+def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
+                 requested: tangents.RequestedTangents,
+                 rows: Annotated[Rows, 'fields', 'lags', 'friction']
+                 | Annotated[Rows, 'friction'],
+                 constants: Annotated[Floats, f'{body_layout.SIZE}'],
+                 methods: Annotated[NDArray[Any], '1', METHOD],
+                 latest: Annotated[Floats, f'{tangents.SIZE}g L', WRITTEN],
+                 derivatives: tangents.Derivatives,
+                 work: Annotated[Floats, f'{tangents.OF_VECTOR}v+{tangents.WORKSPACE} L',
+                                 WRITTEN]) -> int:
+    """
+    Advance tangents from row to row, and store them at the requested times; see `tangents`.
+
+    The motion is computed by the series only, with steps that end at the requested times, so it
+    differs from that of `run` by rounding errors.
+
+    Parameters
+    ----------
+    progress, rows, constants, methods
+        See `run`.
+    requested : RequestedTangents
+        The requested times and the results.
+    latest, derivatives, work
+        See `tangents.Tangents`. The kernel updates `latest`.
+
+    Returns
+    -------
+    int
+        FINISHED, UNFINISHED or TOO_FAST.
+
+    """
+    times_ns, outputs, motion = requested
+    stop, budget, result = progress[0].stop, progress[0].budget, FINISHED
+    body, method = layout.load_body(constants), layout.load_method(methods)
+    terms = intervals.load_terms(rows.terms, constants, progress)
+    grid, table = layout.load_states(progress).grid, scratch(WORKSPACE)
+    stiffness = scratch(tangents.STIFFNESS)
+    now_ns, _, row, done = layout.load_place(progress)
+    while row < stop and done < len(times_ns) and result == FINISHED:
+        now = intervals.interval(rows.times_ns, rows.torques, rows.spans, row)
+        loads = intervals.loads_of(terms, row, now.span)
+        asked = times_ns[done] <= now.end_ns
+        time_ns = times_ns[done] if asked else now.end_ns
+        turning = not now.is_zero and rows.in_space[row]
+        degree = rows.torques.shape[1] // 2
+        drive = intervals.drive(now, rows.torques, row, degree, turning, body, loads)
+        following = tangents.Tangents(latest, derivatives, work, stiffness, len(rows.times_ns),
+                                      row)
+        reached = stepping.advance(grid, now_ns, time_ns, drive, body, method,
+                                   Series(table, following), budget, loads)
+        budget = reached.budget
+        if reached.arrived:
+            grid, now_ns = reached.latest, time_ns
+            if asked:
+                for k in range(len(latest)):
+                    lanes.store(outputs[done], k, lanes.load(latest, k))
+                motion_layout.store(grid, done, motion)
+                done += 1
+            if time_ns == now.end_ns:
+                row += 1
+                tangents.enter(following, row, grid, body.coefficients)
+        else:
+            grid, now_ns = reached.grid, reached.grid_ns
+            result = TOO_FAST if stepping.is_too_fast(grid) else UNFINISHED
+    layout.store_place(Place(now_ns, now_ns, row, done), progress)
+    layout.store_states(GridStates(grid, grid, grid), progress)
+    return result

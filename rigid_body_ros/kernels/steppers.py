@@ -22,16 +22,14 @@ implementation.
 
 from __future__ import annotations
 
-from fractions import Fraction
 import math
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 from rigid_body_ros.kernels import elementary, fields, four, lags
 from rigid_body_ros.kernels.double_double import DoubleDouble
-from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.linear_terms import Matrix, Momentum, product
-from rigid_body_ros.kernels.tableau import Tableau
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -49,18 +47,6 @@ from rigid_body_ros.kernels.vector import (
     to_body,
     Vector,
 )
-
-_HALF = Fraction(1, 2)
-#: Kutta's fourth-order method (1901), commonly known as RK4.
-CLASSICAL = Tableau(
-    order=4, nodes=(0, _HALF, _HALF, 1), matrix=((), (_HALF,), (0, _HALF), (0, 0, 1)),
-    weights=(Fraction(1, 6), Fraction(1, 3), Fraction(1, 3), Fraction(1, 6)))
-#: The coefficients of `CLASSICAL` in the form that `rk4` uses. In this method, each stage depends
-#: only on the stage before it, and the weights are symmetric.
-_C1, _C2, _C3, _C4 = map(float, CLASSICAL.nodes)
-_A21, _A32, _A43 = (float(row[-1]) for row in CLASSICAL.matrix[1:])
-_OUTER_DIVISOR = float(1 / CLASSICAL.weights[0])
-_INNER_RATIO = float(CLASSICAL.weights[1] / CLASSICAL.weights[0])
 
 
 class StageLoads(NamedTuple):
@@ -100,22 +86,24 @@ def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, 
 @internal
 def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
         in_space: bool, loads: StageLoads | None) -> KernelState:
-    """Return the state after one step of `CLASSICAL` (order 4), normalizing the quaternion."""
+    """
+    Return the state after one step of Kutta's method (1901), normalizing the quaternion.
+
+    The method has order 4 and is commonly known as RK4.
+    """
     w, q = state[0], state[1]
-    a1, v1 = _derivative(w, q, _C1, equations, drive, in_space, loads)
-    h = _A21 * seconds
-    a2, v2 = _derivative(add_scaled(w, h, a1), add_scaled(q, h, v1), _C2, equations, drive,
+    a1, v1 = _derivative(w, q, 0.0, equations, drive, in_space, loads)
+    half = 0.5 * seconds
+    a2, v2 = _derivative(add_scaled(w, half, a1), add_scaled(q, half, v1), 0.5, equations, drive,
                          in_space, loads)
-    h = _A32 * seconds
-    a3, v3 = _derivative(add_scaled(w, h, a2), add_scaled(q, h, v2), _C3, equations, drive,
+    a3, v3 = _derivative(add_scaled(w, half, a2), add_scaled(q, half, v2), 0.5, equations, drive,
                          in_space, loads)
-    h = _A43 * seconds
-    a4, v4 = _derivative(add_scaled(w, h, a3), add_scaled(q, h, v3), _C4, equations, drive,
-                         in_space, loads)
-    a = add(add(a1, a4), scale(_INNER_RATIO, add(a2, a3)))
-    v = add(add(v1, v4), scale(_INNER_RATIO, add(v2, v3)))
-    h = seconds / _OUTER_DIVISOR
-    return _state(add_scaled(w, h, a), add_scaled(q, h, v))
+    a4, v4 = _derivative(add_scaled(w, seconds, a3), add_scaled(q, seconds, v3), 1.0, equations,
+                         drive, in_space, loads)
+    a = add(add(a1, a4), scale(2.0, add(a2, a3)))
+    v = add(add(v1, v4), scale(2.0, add(v2, v3)))
+    sixth = seconds / 6.0
+    return _state(add_scaled(w, sixth, a), add_scaled(q, sixth, v))
 
 
 @internal
@@ -169,37 +157,22 @@ def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficien
 @internal
 def _torque_acceleration(q: Quaternion, fraction: float, equations: Coefficients,
                          drive: Polynomial, in_space: bool, loads: StageLoads | None) -> Vector:
-    value = _at(drive, fraction)
+    inverse, value = equations.columns[6:], _at(drive, fraction)
     if in_space:
-        value = combine(equations.columns[6:], to_body(_unit(q), value))
-        if loads is None:
-            return value
-        value = _add_lags(value, q, fraction, equations, loads, loads.lags)
-        return _add_fields(value, q, fraction, equations, loads, loads.fields)
-    if loads is not None:
+        value = combine(inverse, to_body(_unit(q), value))
+    if loads is None:
+        return value
+    if not in_space:
         torque = to_body(_unit(q), _at(loads.space_torque, fraction))
-        value = add(value, combine(equations.columns[6:], torque))
-        value = _add_lags(value, q, fraction, equations, loads, loads.lags)
-        value = _add_fields(value, q, fraction, equations, loads, loads.fields)
+        value = add(value, combine(inverse, torque))
+    seconds = fraction * loads.seconds
+    if loads.lags is not None:
+        torque = lags.torque(loads.lags, loads.since + seconds, _unit(q))
+        value = add(value, combine(inverse, torque))
+    if loads.fields is not None:
+        angle = fields.turned_on(loads.field_angle, loads.fields[0].mean_motion, seconds)
+        value = add(value, fields.acceleration(loads.fields, angle, _unit(q), equations))
     return value
-
-
-@inlined
-def _add_fields(value: Vector, q: Quaternion, fraction: float, equations: Coefficients,
-                loads: StageLoads, found: NDArray[Any] | None) -> Vector:
-    if found is None:
-        return value
-    angle = fields.turned_on(loads.field_angle, found[0].mean_motion, fraction * loads.seconds)
-    return add(value, fields.acceleration(found, angle, _unit(q), equations))
-
-
-@inlined
-def _add_lags(value: Vector, q: Quaternion, fraction: float, equations: Coefficients,
-              loads: StageLoads, found: lags.RowLags | None) -> Vector:
-    if found is None:
-        return value
-    torque = lags.torque(found, loads.since + fraction * loads.seconds, _unit(q))
-    return add(value, combine(equations.columns[6:], torque))
 
 
 @internal

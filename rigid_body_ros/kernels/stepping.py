@@ -40,11 +40,9 @@ from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
-    field_series,
     fields,
     friction,
     intervals,
-    lag_series,
     lags,
     layout,
     linear_terms,
@@ -52,11 +50,8 @@ from rigid_body_ros.kernels import (
     taylor,
     vector,
 )
-from rigid_body_ros.kernels.field_series import WORKSPACE
-from rigid_body_ros.kernels.friction import WORKSPACE as FRICTION_WORKSPACE
 from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, optional, scratch
-from rigid_body_ros.kernels.lag_series import WORKSPACE as LAG_WORKSPACE
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 from rigid_body_ros.kernels.tangents import follow, least_order, SeriesStep, Tangents
 
@@ -99,7 +94,7 @@ class LocalLoads(NamedTuple):
     #: Upper bound on how fast the rotors, the fields and friction can change the rates that limit
     #: a step, 1/s^2.
     growth: float
-    #: The workspace of the fields; see `field_series.prepared`.
+    #: The workspace of the fields; see `fields.prepared`.
     field_work: Floats | None
     #: The workspace of the lags, or None if there are no lags.
     lag_work: Floats | None
@@ -135,8 +130,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     """
     # The workspaces must be created in this function, because an array from `scratch` is valid
     # only within the function that creates it.
-    work = scratch(WORKSPACE)
-    works = work, scratch(LAG_WORKSPACE), scratch(FRICTION_WORKSPACE)
+    work = scratch(fields.WORKSPACE)
+    works = work, scratch(lags.WORKSPACE), scratch(friction.WORKSPACE)
     latest, now = grid, _local(loads, drive, grid, grid_ns, body, works)
     while grid_ns < time_ns:
         if budget <= 0:
@@ -210,9 +205,9 @@ def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, b
     # Return the linear terms of Euler's equations and the step limits that apply from a grid point
     # onward.
     orbit, lag_rate = fields.rate_bound(loads.fields), lags.square_rate(loads.lags)
-    lagged = lag_series.workspace(loads.lags, works[1])
+    lagged = lags.workspace(loads.lags, works[1])
     by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
-    prepared = field_series.prepared(loads.fields, works[0], body.coefficients)
+    prepared = fields.prepared(loads.fields, works[0], body.coefficients)
     slowed = friction.workspace(loads.friction, works[2])
     if loads.linear_degree <= 0:
         linear = linear_terms.at(loads.constants, *friction.momentum(
@@ -281,9 +276,9 @@ def _series_loads(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
     changes = one, two, three, four
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
-                              field_series.of_step(loads.fields, stage.field_angle,
+                              fields.of_step(loads.fields, stage.field_angle,
                                                    now.field_work),
-                              lag_series.of_step(loads.lags, stage.since, now.lag_work),
+                              lags.of_step(loads.lags, stage.since, now.lag_work),
                               friction.of_step(loads.friction, now.friction_work))
 
 

@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Sum the torques of several sources, and compute the rotor momentum."""
+"""
+Sum the torques of several sources, and compute the rotor momentum.
+
+The momentum is the integral of the torque on the rotors, in twice the working precision.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +27,24 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import four, intervals
+from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import inlined, njit, WRITTEN
+from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.layout import Samples, Sums
-from rigid_body_ros.kernels.rotors import after, Rotor
-from rigid_body_ros.kernels.vector import add, of, Polynomial, shifted, Vector
+from rigid_body_ros.kernels.vector import (
+    add,
+    add_scaled,
+    is_zero,
+    of,
+    Polynomial,
+    scale,
+    shifted,
+    two_sum,
+    Vector,
+)
+
+#: The momentum of the rotors, N m s, and its low-order part.
+Rotor = tuple[Vector, Vector]
 
 
 class _Total(NamedTuple):
@@ -66,7 +84,7 @@ def sum_rows(body: Annotated[Floats, 'n|1 3'], space: Annotated[Floats, 'n|1 3']
         sums.in_space[row] = _store(total, rotors, row, sums)
         if row + 1 < count:
             length_ns = times_ns[row + 1] - times_ns[row]
-            rotors = after(rotors, total.rotors, length_ns, length_ns)
+            rotors = _after(rotors, total.rotors, length_ns, length_ns)
 
 
 @inlined
@@ -148,7 +166,7 @@ def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_
                                                span_ns, length_ns), k == count - 1, in_space[row])
         sums.times_ns[at], sums.in_space[at] = time_ns, _store(total, rotors, at, sums)
         if next_ns < NEVER_NS:
-            rotors = after(rotors, total.rotors, length_ns, length_ns)
+            rotors = _after(rotors, total.rotors, length_ns, length_ns)
         at, time_ns = at + 1, next_ns
     return at
 
@@ -226,26 +244,77 @@ def _store(total: _Total, rotors: Rotor, row: int, sums: Sums) -> bool:
     only_space = intervals.is_zero(body) and not intervals.is_zero(space)
     if only_space:
         body, low, space = space, _zero(), _zero()
-    _store_polynomial(sums.torques, row, degree, body)
-    _store_vector(sums.torques, row, degree + 1, low[1], degree > 0)
-    _store_vector(sums.torques, row, degree + 2, low[2], degree > 1)
-    _store_vector(sums.torques, row, degree + 3, low[3], degree > 1)
-    _store_polynomial(sums.space, row, degree, space)
-    _store_polynomial(sums.motors, row, degree, on_rotors)
-    _store_vector(sums.momentum, row, 0, rotors[0], True)
-    _store_vector(sums.momentum, row, 1, rotors[1], True)
+    _store_vectors(sums.torques, row, 0, degree + 1, body)
+    _store_vectors(sums.torques, row, degree + 1, degree, (low[1], low[2], low[3], low[0]))
+    _store_vectors(sums.space, row, 0, degree + 1, space)
+    _store_vectors(sums.motors, row, 0, degree + 1, on_rotors)
+    intervals.store_coefficient(sums.momentum, row, 0, rotors[0])
+    intervals.store_coefficient(sums.momentum, row, 1, rotors[1])
     return only_space
 
 
 @inlined
-def _store_polynomial(rows: Floats, row: int, degree: int, polynomial: Polynomial) -> None:
-    _store_vector(rows, row, 0, polynomial[0], True)
-    _store_vector(rows, row, 1, polynomial[1], degree > 0)
-    _store_vector(rows, row, 2, polynomial[2], degree > 1)
-    _store_vector(rows, row, 3, polynomial[3], degree > 1)
+def _store_vectors(rows: Floats, row: int, first: int, count: int, vectors: Polynomial) -> None:
+    # Store the first of four vectors.
+    a, b, c, d = vectors
+    for k, vector in enumerate((a, b, c, d)):
+        if k < count:
+            intervals.store_coefficient(rows, row, first + k, vector)
 
 
 @inlined
-def _store_vector(rows: Floats, row: int, k: int, vector: Vector, exists: bool) -> None:
-    if exists:
-        intervals.store_coefficient(rows, row, k, vector)
+def _after(before: Rotor, torque: Polynomial, passed_ns: int, span_ns: int) -> Rotor:
+    # Return the rotor momentum `passed_ns` nanoseconds after the torque on the rotors changes.
+    (a, b, c, d), fraction = torque, passed_ns / span_ns
+    mean = add_scaled(a, fraction, add_scaled(scale(1 / 2, b), fraction, add_scaled(
+        scale(1 / 3, c), fraction, scale(1 / 4, d))))
+    if is_zero(mean):
+        return before
+    (h, low), (high_seconds, low_seconds) = before, _seconds(passed_ns)
+    factor = four.broadcast(high_seconds)
+    change = four.multiply(factor, mean)
+    rest = four.fma(factor, mean, four.negative(change))
+    h, lost = two_sum(h, change)
+    low = add(add(lost, low), add_scaled(rest, low_seconds, mean))
+    new = add(h, low)
+    return new, four.subtract(low, four.subtract(new, h))
+
+
+@inlined
+def _seconds(span_ns: int) -> DoubleDouble:
+    # Convert nanoseconds to seconds. `double_double.seconds` would give more digits than we need
+    # here, and would take several times as long.
+    rounded = float(span_ns)
+    high = rounded / 1e9
+    return high, (fma(-high, 1e9, rounded) + float(span_ns - int(rounded))) / 1e9
+
+
+@njit
+def momentum_at(row_times_ns: Annotated[Ints, 'n'], momentum: Annotated[Floats, 'n 2 3'],
+                motors: Annotated[Floats, 'n d+1 3'], times_ns: Annotated[Ints, 'm'],
+                result: Annotated[Floats, 'm 2 3', WRITTEN]) -> None:
+    """
+    Compute the rotor momentum and its low-order part at the given times.
+
+    Parameters
+    ----------
+    row_times_ns, momentum, motors
+        See `layout.Rows` and `layout.Terms`.
+    times_ns : int64 (m,), ns
+        The times, in any order. None of them may be before the first row.
+    result : float64 (m, 2, 3), N m s
+        The output.
+
+    """
+    row, last = 0, len(row_times_ns) - 1
+    for k in range(len(times_ns)):
+        if not (row_times_ns[row] <= times_ns[k]
+                and (row == last or times_ns[k] < row_times_ns[row + 1])):
+            row = np.searchsorted(row_times_ns, times_ns[k], side='right') - 1
+        begin_ns = row_times_ns[row]
+        span_ns = row_times_ns[row + 1] - begin_ns if row < last else NEVER_NS
+        before = intervals.coefficient(momentum, row, 0), intervals.coefficient(momentum, row, 1)
+        torque = intervals.polynomial_of(motors, row, motors.shape[1] - 1)
+        high, low = _after(before, torque, times_ns[k] - begin_ns, span_ns)
+        intervals.store_coefficient(result, k, 0, high)
+        intervals.store_coefficient(result, k, 1, low)

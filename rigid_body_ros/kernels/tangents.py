@@ -37,15 +37,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
-from rigid_body_ros.kernels import (
-    elementary,
-    field_series,
-    fields,
-    four,
-    lag_series,
-    lanes,
-    taylor,
-)
+from rigid_body_ros.kernels import elementary, fields, four, lags, lanes, taylor
 from rigid_body_ros.kernels.euler_equations import (
     acceleration_from_torque,
     DIAGONAL,
@@ -202,7 +194,7 @@ def follow(found: Tangents | None, state: KernelState, step: SeriesStep,
         return
     is_stiff = drive.in_space
     if loads is not None:
-        is_stiff = is_stiff or loads.space_degree >= 0 or fields.exist(loads.fields)
+        is_stiff = is_stiff or loads.space_degree >= 0 or loads.fields is not None
     if is_stiff:
         for k in range(step.order):
             _expand_stiffness(found.stiffness[_STIFFNESS * k:_STIFFNESS * (k + 1)], step.table, k,
@@ -379,27 +371,27 @@ def _expand_stiffness(into: Floats, table: Floats, k: int, coefficients: Coeffic
     for i in range(min(degree, k) + 1):
         torque = add(torque, four.load(table, row_of(table, k - i) + TORQUES + PERMUTED * i))
     if loads is not None:
-        torque = add(torque, lag_series.space_term(loads.lags, k))
+        torque = add(torque, lags.space_term(loads.lags, k))
     for i in range(3):
         axis = of(1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0)
         column = cross(torque, axis)
         if loads is not None:
-            column = add(column, field_series.uniform_slope(loads.fields, k, axis))
+            column = add(column, fields.uniform_slope(loads.fields, k, axis))
         four.store(into, _COLUMNS + 4 * i, acceleration_from_torque(coefficients, column))
     if loads is not None:
         _add_gradient(into, loads.fields, k, coefficients)
 
 
 @inlined
-def _add_gradient(into: Floats, step: field_series.StepFields | None, k: int,
+def _add_gradient(into: Floats, step: fields.StepFields | None, k: int,
                   coefficients: Coefficients) -> None:
-    # Add the gravity gradient to the order-k term of J^-1 S. See `field_series.add_acceleration`.
+    # Add the gravity gradient to the order-k term of J^-1 S. See `fields.add_acceleration`.
     if step is None:
         return
     rate = step.fields[0].mean_motion
     if rate == 0.0:
         return
-    mixed, squares = field_series.position_products(step, k)
+    mixed, squares = fields.position_products(step, k)
     four.store(into, _PRODUCTS, mixed)
     four.store(into, _PRODUCTS + 4, squares)
     yz, zx, xy = mixed[0], mixed[1], mixed[2]
@@ -451,7 +443,7 @@ def _of_fields(constants: Floats, found: Tangents, k: int, seconds: float,
         return total
     for i in range(loads.fields.fields[0].count):
         total = add(total, _cross(_load(constants, MOMENTS + 3 * i),
-                                  field_series.uniform_term(loads.fields, k, i)))
+                                  fields.uniform_term(loads.fields, k, i)))
     rate = loads.fields.fields[0].mean_motion
     if rate != 0.0:
         total = add_scaled(total, 3.0 * rate * rate, _gradient(constants, found.stiffness, k))

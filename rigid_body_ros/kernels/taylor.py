@@ -43,15 +43,14 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
     elementary,
     euler_equations,
-    field_series,
+    fields,
     four,
     friction,
-    lag_series,
+    lags,
     lanes,
     linear_terms,
 )
 from rigid_body_ros.kernels.euler_equations import DIAGONAL, Products
-from rigid_body_ros.kernels.fields import exist
 from rigid_body_ros.kernels.jit import inlined, njit, optional
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import add_product, Matrix, product
@@ -118,9 +117,9 @@ class SeriesLoads(NamedTuple):
     space_torque: Polynomial
     space_degree: int
     #: The fields, or None if there are none.
-    fields: field_series.StepFields | None
+    fields: fields.StepFields | None
     #: The torques that lag their commands, or None if there are none.
-    lags: lag_series.StepLags | None
+    lags: lags.StepLags | None
     #: The wheels with friction, or None if there are none.
     friction: friction.StepFriction | None
 
@@ -193,8 +192,8 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     KernelState, int
 
     """
-    lag_series.begin(_lags_of(loads), state)
-    acceleration = drive.bound + field_series.begin(_fields_of(loads), state, coefficients)
+    lags.begin(_lags_of(loads), state)
+    acceleration = drive.bound + fields.begin(_fields_of(loads), state, coefficients)
     if loads is not None:
         acceleration += friction.begin(loads.friction, state, coefficients)
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
@@ -214,12 +213,12 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
 
 
 @optional
-def _fields_of(loads: SeriesLoads) -> field_series.StepFields | None:
+def _fields_of(loads: SeriesLoads) -> fields.StepFields | None:
     return loads.fields
 
 
 @optional
-def _lags_of(loads: SeriesLoads) -> lag_series.StepLags | None:
+def _lags_of(loads: SeriesLoads) -> lags.StepLags | None:
     return loads.lags
 
 
@@ -250,10 +249,10 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
     # is nonzero. So the sum has converged only after degree + 2 small terms in a row.
     small, powers = lanes.no_count(error_bound), _lowest_order(degree, loads)
     past = (zero, zero, zero, zero)  # the four terms of u before the latest one
-    vectors = field_series.vectors_of(_fields_of(loads))
+    vectors = fields.vectors_of(_fields_of(loads))
     for k in range(MAX_ORDER):
         products, rotation, turn = _cauchy(table, k, first, latest, coefficients.form, vectors)
-        field_series.store_turn(turn, vectors, k)
+        fields.store_turn(turn, vectors, k)
         if loads is None:
             u = euler_equations.gyroscopic_acceleration(coefficients, products)
         else:
@@ -266,8 +265,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
         if loads is not None:
             if loads.space_degree >= 0:
                 u = _add_space_torque(u, table, k, loads.space_degree, seconds, coefficients)
-            u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients)
-            u = lag_series.add_acceleration(u, loads.lags, table, k, seconds, coefficients)
+            u = fields.add_acceleration(u, loads.fields, table, k, seconds, coefficients)
+            u = lags.add_acceleration(u, loads.lags, table, k, seconds, coefficients)
             u = friction.add_acceleration(u, loads.friction, table, k, seconds, coefficients)
             past = (latest[0], past[0], past[1], past[2])
         reciprocal = float(RECIPROCALS[k])
@@ -293,22 +292,22 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
 
 @inlined
 def _cauchy(table: Floats, k: int, first: Term, latest: Term, form: int,
-            vectors: Floats | None) -> tuple[Products, Quaternion, field_series.Turn | None]:
+            vectors: Floats | None) -> tuple[Products, Quaternion, fields.Turn | None]:
     # Return the order-k terms of three products: the components of u with each other, the rotation
     # times (u, 0), and the first field vector times u. The latest term is taken from registers,
     # and its products are computed last, so that the other products do not have to wait for it.
     zero = four.zero(first[0])
     sums = (zero, zero, zero, zero, zero)
-    turn = field_series.no_turn(vectors)
+    turn = fields.no_turn(vectors)
     row = row_of(table, k)
     for j in range(row_of(table, 1), row, row_of(table, 1)):
         one = load_term(table, row - j)
         sums = _add_term(sums, one, components(table, row - j, one[0]), load_term(table, j), form)
-        turn = field_series.add_turn(turn, vectors, j // row_of(table, 1), one[1], one[2])
+        turn = fields.add_turn(turn, vectors, j // row_of(table, 1), one[1], one[2])
     if k > 0:
         sums = _add_term(sums, first, first[0], latest, form)
-        turn = field_series.add_turn(turn, vectors, k, first[1], first[2])
-    turn = field_series.add_turn(turn, vectors, 0, latest[1], latest[2])
+        turn = fields.add_turn(turn, vectors, k, first[1], first[2])
+    turn = fields.add_turn(turn, vectors, 0, latest[1], latest[2])
     u = latest[0]
     x, y, z = (_add_start(table, sums[2], u[0]), _add_start(table, sums[3], u[1]),
                _add_start(table, sums[4], u[2]))
@@ -350,8 +349,8 @@ def linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector
     """Return the contribution of rotors and damping to the order-k term of the acceleration."""
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
-    if (exist(loads.fields) or exist(loads.lags)) and loads.linear_degree < 0:  # most scenes
-        return rest
+    if (loads.fields is not None or loads.lags is not None) and loads.linear_degree < 0:
+        return rest  # in most scenes
     if loads.linear_degree > 0:
         rest = product(loads.changes[0], past[0])
     if loads.linear_degree > 1:
@@ -368,7 +367,7 @@ def _lowest_order(degree: int, loads: SeriesLoads | None) -> int:
     if loads is None:
         return degree
     return max(degree, loads.space_degree, loads.linear_degree,
-               field_series.lowest_order(loads.fields), lag_series.lowest_order(loads.lags),
+               fields.lowest_order(loads.fields), lags.lowest_order(loads.lags),
                friction.lowest_order(loads.friction))
 
 

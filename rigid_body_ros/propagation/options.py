@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instants, LONGEST, NEVER_NS
-from rigid_body_ros.engine import CLASSICAL, kernels, layout
 from rigid_body_ros.engine import FASTEST as FASTEST
+from rigid_body_ros.engine import kernels, layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.torque import TorqueLog
 
@@ -62,7 +62,7 @@ AUTO = Solver('auto', layout.AUTO, closed_form_beyond=LONG_COAST)
 TAYLOR = Solver('taylor', layout.TAYLOR)
 EXACT = Solver('exact', layout.EXACT, takes_torque=False, takes_linear_terms=False,
                closed_form_beyond=-1.0)
-RK4 = Solver('rk4', layout.RK4, order=CLASSICAL.order, fixed_step=True)
+RK4 = Solver('rk4', layout.RK4, order=4, fixed_step=True)
 STRANG = Solver('strang', layout.STRANG, order=2, fixed_step=True, takes_linear_terms=False)
 EXPLICIT_EULER = Solver('explicit_euler', layout.EXPLICIT_EULER, order=1, fixed_step=True)
 RECORDS = (AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER)

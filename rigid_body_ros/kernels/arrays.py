@@ -12,15 +12,54 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""QR decomposition of tall matrices."""
+"""Functions of whole arrays: elementary functions, the extent of times, and a decomposition."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.kernels import elementary
 from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
+
+
+@njit
+def fill_sines_cosines(angles: Annotated[Floats, 'n'], sines: Annotated[Floats, 'n', WRITTEN],
+                       cosines: Annotated[Floats, 'n', WRITTEN]) -> None:
+    """Compute the sines and cosines of angles with `elementary.sine_cosine`."""
+    for row in range(len(angles)):
+        sines[row], cosines[row] = elementary.sine_cosine(float(angles[row]))
+
+
+@njit
+def fill_arctangents(points: Annotated[Floats, '2 n'],
+                     angles: Annotated[Floats, 'n', WRITTEN]) -> None:
+    """
+    Compute the polar angles of points with `elementary.arctangent`.
+
+    The points are an array of shape (2, n), with y in the first row and x in the second.
+    """
+    for row in range(len(angles)):
+        angles[row] = elementary.arctangent(float(points[0, row]), float(points[1, row]))
+
+
+@njit
+def fill_exponentials(x: Annotated[Floats, 'n'], results: Annotated[Floats, 'n', WRITTEN]) -> None:
+    """Compute e^x for each x with `elementary.exponential`."""
+    for row in range(len(x)):
+        results[row] = elementary.exponential(float(x[row]))
+
+
+@njit
+def extent(times_ns: Annotated[Ints, 'n']) -> tuple[bool, int, int]:
+    """Return whether the times are in ascending order, the earliest time and the latest time."""
+    ascends, first, last = True, NEVER_NS, -NEVER_NS
+    for k in range(len(times_ns)):
+        ascends = ascends and (k == 0 or times_ns[k] >= times_ns[k - 1])
+        first, last = min(first, times_ns[k]), max(last, times_ns[k])
+    return ascends, first, last
 
 
 @njit
