@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import ENTRIES, Floats
+from rigid_body_ros.common.arrays import COLUMNS, Floats, ROWS, symmetric
 from rigid_body_ros.engine.elementary import exponentials
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, INERTIA
 from rigid_body_ros.mechanics import so3
@@ -31,6 +31,10 @@ from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.scene.parts import values_of, with_values
+from rigid_body_ros.scene.quantities import along, components_of
+
+#: The entry, in the order of scene files, at each row and column of a symmetric tensor.
+_PLACES = symmetric(np.arange(6)).astype(int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,22 +106,22 @@ class Applied:
 
         """
         inertia = _relative_inertia(problem.body, values[INERTIA]) if INERTIA in values \
-            else _tensors('inertia.i', values)
-        attitude = _vectors(ATTITUDE, values, 'xyzw')
+            else _tensors(values, 'inertia')
+        attitude = _stacked(values, along(ATTITUDE, 'xyzw'))
         if ATTITUDE in values:
             attitude = so3.multiply(attitude, so3.exp(values[ATTITUDE]))
         starts = States(np.full(len(runs), problem.start.time_ns), attitude,
-                        _vectors('initial_angular_velocity', values),
-                        _vectors('initial_rotor_momentum', values))
-        return cls(runs, RigidBodies(inertia, _tensors('damping.d', values)), starts,
-                   values['torque_gain'], _vectors('torque_bias', values),
+                        _stacked(values, along('initial_angular_velocity')),
+                        _stacked(values, along('initial_rotor_momentum')))
+        return cls(runs, RigidBodies(inertia, _tensors(values, 'damping')), starts,
+                   values['torque_gain'], _stacked(values, along('torque_bias')),
                    np.rint(values['clock_offset'] * 1e9) / 1e9,
                    *_fields(problem.fields, {key: values[key] for key in of_fields}, len(runs)))
 
     def columns(self) -> dict[str, Floats]:
         """Return the parameter values as columns of shape (n,), one column for each key."""
-        return {**_entries('inertia.i', self.bodies.inertia),
-                **_entries('damping.d', self.bodies.damping),
+        return {**dict(zip(components_of('inertia'), self.bodies.inertia[:, ROWS, COLUMNS].T)),
+                **dict(zip(components_of('damping'), self.bodies.damping[:, ROWS, COLUMNS].T)),
                 **components('initial_attitude', self.starts.attitude),
                 **components('initial_angular_velocity', self.starts.angular_velocity),
                 **components('initial_rotor_momentum', self.starts.rotor_momentum),
@@ -143,20 +147,15 @@ def _fields(nominal: tuple[Field, ...], values: Mapping[str, Floats], count: int
 
 def components(prefix: str, vectors: Floats) -> dict[str, Floats]:
     """Return the components of vectors, shape (n, 3 or 4), as columns with keys PREFIX.AXIS."""
-    return {f'{prefix}.{axis}': column for axis, column in zip('xyzw', vectors.T)}
+    return dict(zip(along(prefix, 'xyzw'), vectors.T))
 
 
-def _vectors(prefix: str, values: Mapping[str, Floats], axes: str = 'xyz') -> Floats:
-    """Return the vectors whose components have the keys PREFIX.AXIS, shape (n, len(axes))."""
-    return np.stack([values[f'{prefix}.{axis}'] for axis in axes], axis=-1)
+def _stacked(values: Mapping[str, Floats], keys: Sequence[str]) -> Floats:
+    return np.stack([values[key] for key in keys], axis=-1)
 
 
-def _tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
-    """Return the symmetric tensors whose entries have keys with `prefix`, shape (n, 3, 3)."""
-    result = np.empty((len(values[f'{prefix}xx']), 3, 3))
-    for entry, (row, column) in ENTRIES.items():
-        result[:, row, column] = result[:, column, row] = values[prefix + entry]
-    return result
+def _tensors(values: Mapping[str, Floats], name: str) -> Floats:
+    return _stacked(values, components_of(name)).take(_PLACES, axis=1)
 
 
 def _relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
@@ -174,7 +173,3 @@ def _relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     # Do not use BLAS here. Its order of summation depends on the processor, so the rounding errors
     # would be different on another processor.
     return (axes[:, None] * axes * varied[:, None, None]).sum(axis=-1)
-
-
-def _entries(prefix: str, tensors: Floats) -> dict[str, Floats]:
-    return {prefix + name: tensors[:, row, column] for name, (row, column) in ENTRIES.items()}

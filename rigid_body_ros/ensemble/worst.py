@@ -32,6 +32,7 @@ from rigid_body_ros.recording import Column
 from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import ACTUATOR
+from rigid_body_ros.scene.quantities import along
 from rigid_body_ros.scene.scene import text_of
 
 #: The name of the folder for the worst runs, which is inside the folder of the ensemble, and the
@@ -98,8 +99,7 @@ def _turning(problem: Problem) -> dict[str, Any]:
         return {}
     return {**{f'{name}.initial_speed': speed
                for name, speed in zip(wheels.names, start.wheel_speeds.tolist())},
-            **{f'initial_rotor_momentum.{axis}': value
-               for axis, value in zip('xyz', wheels.others(start).tolist())}}
+            **dict(zip(along('initial_rotor_momentum'), wheels.others(start).tolist()))}
 
 
 def _later_ns(problem: Problem) -> int:

@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics.frames import Frames
 from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.runtime.parameters import checked
 from rigid_body_ros.scene.parameters import ACTUATOR, FIELDS, NAMED, PARAMETERS, WHEEL_NAMES
-from rigid_body_ros.scene.quantities import components_of, FIELD, MOMENT
+from rigid_body_ros.scene.quantities import along, components_of, FIELD, MOMENT
 
 _TOPICS = 'actuator.topics'
 _RATE, _POSITION, _NORMAL = 'orbit.mean_motion', 'orbit.position', 'orbit.normal'
@@ -148,7 +148,7 @@ def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
     if not orbits or begin_ns in (0, time_ns):
         return {}
     position, = orbits[0].directions(np.array([time_ns])).tolist()
-    return {f'{_POSITION}.{axis}': value for axis, value in zip('xyz', position)}
+    return dict(zip(along(_POSITION), position))
 
 
 def _orbit(values: Mapping[str, Any], time_ns: int | None) -> GravityGradient:
@@ -157,8 +157,8 @@ def _orbit(values: Mapping[str, Any], time_ns: int | None) -> GravityGradient:
 
 
 def _components(vectors: Mapping[str, Any]) -> dict[str, float]:
-    return {f'{group}.{axis}': float(value) for group, vector in vectors.items()
-            for axis, value in zip('xyz', vector)}
+    return {name: float(value) for group, vector in vectors.items()
+            for name, value in zip(along(group), vector)}
 
 
 def vector(values: Mapping[str, Any], group: str) -> list[float]:
